@@ -1,0 +1,10 @@
+"""Actions: what the nodes of a computational graph do."""
+
+from cgtorch.actions.action import Action as Action
+from cgtorch.actions.action_set import ActionSet as ActionSet
+from cgtorch.actions.action_set import paper_actions as paper_actions
+from cgtorch.actions.networks import BranchingNN as BranchingNN
+from cgtorch.actions.networks import ContinuousNN as ContinuousNN
+from cgtorch.actions.routines import Detect as Detect
+from cgtorch.actions.routines import Grasp as Grasp
+from cgtorch.actions.routines import MoveBase as MoveBase

@@ -1,0 +1,128 @@
+"""The actions a population may use, with their tables as tensors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions.action import Action
+from cgtorch.actions.networks import BranchingNN, ContinuousNN
+from cgtorch.actions.routines import Detect, Grasp, MoveBase
+from cgtorch.errors import ActionError
+
+
+@dataclass(frozen=True)
+class ActionSet:
+    """A actions in a fixed order; a node's action is an index into it.
+
+    Attributes:
+        names: unique names, as they appear in graphs and files.
+        actions: the torch modules.
+        num_outcomes: (A,) long.
+        terminal: (A, O) bool, outcomes that end the computation, O the largest outcome count.
+        succeeds: (A, O) bool, terminal outcomes with which the skill succeeded.
+        has_edge: (A, O) bool, outcomes that must lead to a node.
+        num_parameters: (A,) long.
+        message_size: length of the longest message.
+        memory_size: length of the common memory.
+
+    Raises:
+        ActionError: no action, a name used twice, or an action without outcomes.
+    """
+
+    names: tuple[str, ...]
+    actions: tuple[Action, ...]
+    num_outcomes: Tensor = field(init=False, repr=False, compare=False)
+    terminal: Tensor = field(init=False, repr=False, compare=False)
+    succeeds: Tensor = field(init=False, repr=False, compare=False)
+    has_edge: Tensor = field(init=False, repr=False, compare=False)
+    num_parameters: Tensor = field(init=False, repr=False, compare=False)
+    message_size: int = field(init=False, repr=False, compare=False)
+    memory_size: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check the actions and lay out their tables."""
+        _check(self.names, self.actions)
+        counts = torch.tensor([len(a.outcomes) for a in self.actions])
+        width = int(counts.max())
+        terminal = torch.zeros(len(self.actions), width, dtype=torch.bool)
+        succeeds = terminal.clone()
+        for i, action in enumerate(self.actions):
+            for j, outcome in enumerate(action.outcomes):
+                terminal[i, j] = outcome in action.terminal
+                succeeds[i, j] = action.terminal.get(outcome, False)
+        tables = {
+            "num_outcomes": counts,
+            "terminal": terminal,
+            "succeeds": succeeds,
+            "has_edge": (torch.arange(width) < counts[:, None]) & ~terminal,
+            "num_parameters": torch.tensor([a.num_parameters for a in self.actions]),
+            "message_size": max(a.message_size for a in self.actions),
+            "memory_size": max(a.memory_size for a in self.actions),
+        }
+        for name, value in tables.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        """The number of actions."""
+        return len(self.actions)
+
+    @property
+    def outcome_capacity(self) -> int:
+        """O, the largest number of outcomes of an action."""
+        return self.terminal.shape[1]
+
+    @property
+    def parameter_capacity(self) -> int:
+        """K, the largest number of parameters of an action."""
+        return int(self.num_parameters.max())
+
+    def index(self, name: str) -> int:
+        """The index of the action called `name`; ActionError if there is none."""
+        if name not in self.names:
+            raise ActionError(f"unknown action {name!r}; known are {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def extended(self, names: Sequence[str], actions: Sequence[Action]) -> "ActionSet":
+        """This set with more actions at its end; the indices of the present ones stay."""
+        return ActionSet((*self.names, *names), (*self.actions, *actions))
+
+    def initial_parameters(self, action: Tensor, generator: Generator) -> Tensor:
+        """Parameters (..., K) of new nodes of the given actions (...), zero where there are none.
+
+        Numbers are drawn for every action in turn, so the stream a generator yields does not
+        depend on what the nodes are.
+        """
+        flat = action.reshape(-1)
+        out = torch.zeros(len(flat), self.parameter_capacity)
+        for i, module in enumerate(self.actions):
+            if k := module.num_parameters:
+                drawn = module.initial_parameters(len(flat), generator)
+                out[:, :k] = torch.where((flat == i)[:, None], drawn, out[:, :k])
+        return out.reshape(*action.shape, -1)
+
+
+def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
+    if not actions or len(names) != len(actions):
+        raise ActionError(
+            f"{len(names)} names for {len(actions)} actions; give one name for each of at least one"
+        )
+    if twice := {n for n in names if names.count(n) > 1}:
+        raise ActionError(f"action name {sorted(twice)[0]!r} is used twice; names must be unique")
+    for name, action in zip(names, actions, strict=True):
+        if not isinstance(action, Action):
+            raise ActionError(f"action {name!r} is a {type(action).__name__}; subclass Action")
+        if not action.outcomes or len(set(action.outcomes)) != len(action.outcomes):
+            raise ActionError(f"action {name!r} has outcomes {action.outcomes}; give unique names")
+        if unknown := set(action.terminal) - set(action.outcomes):
+            raise ActionError(
+                f"action {name!r} ends on {sorted(unknown)[0]!r}, which is none of its outcomes "
+                f"{action.outcomes}"
+            )
+
+
+def paper_actions() -> ActionSet:
+    """The five actions of section VI."""
+    actions = (MoveBase(), Detect(), Grasp(), ContinuousNN(), BranchingNN())
+    return ActionSet(tuple(type(a).__name__ for a in actions), actions)

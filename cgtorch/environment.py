@@ -1,0 +1,107 @@
+"""What a running skill sees and where it acts: lanes, and the environment interface.
+
+A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes, and
+every place a skill can run in (the learned models Γ and C, the tabletop world, a user's own
+domain) is an `Environment`. Both are plain data and pure functions: a step returns new lanes.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Protocol, Self, runtime_checkable
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """A batch of n running skills.
+
+    Attributes:
+        percept: (n, D) what the robot perceives.
+        state: (n, S) what the environment keeps of each lane; never seen by actions.
+        message: (n, M) the message travelling along the edges.
+        has_message: (n,) bool, whether a message has been sent yet.
+        memory: (n, C) the common memory, shared by all nodes of a lane.
+        scenario: (n,) long, which scenario the lane runs on.
+        step: (n,) long, how many actions the lane has executed.
+    """
+
+    percept: Tensor
+    state: Tensor
+    message: Tensor
+    has_message: Tensor
+    memory: Tensor
+    scenario: Tensor
+    step: Tensor
+
+    def __len__(self) -> int:
+        """The number of lanes."""
+        return self.percept.shape[0]
+
+    def rows(self, index: Tensor) -> Self:
+        """The lanes at `index` (k,)."""
+        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def write(self, index: Tensor, before: "Lanes", after: "Lanes") -> None:
+        """Overwrite in place the lanes at `index` (k,) with what differs between two versions."""
+        for f in fields(self):
+            value = getattr(after, f.name)
+            if value is not getattr(before, f.name):
+                getattr(self, f.name)[index] = value
+
+
+@runtime_checkable
+class Environment(Protocol):
+    """Where skills run: a transition model, a world, or a user's own domain.
+
+    All methods are batched and must treat rows independently, so that a result never depends on
+    which other lanes happen to be in the batch.
+    """
+
+    @property
+    def num_scenarios(self) -> int:
+        """How many scenarios the environment holds."""
+        ...
+
+    @property
+    def percept_size(self) -> int:
+        """D, the length of a percept."""
+        ...
+
+    @property
+    def control_size(self) -> int:
+        """U, the length of a control (for a mobile base 3: dx, dy in m, dθ in rad)."""
+        ...
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """The first state (n, S) and first percept (n, D) of scenarios (n,)."""
+        ...
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """Apply controls (n, U): the lanes after it and (n,) bool whether it could be done."""
+        ...
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        """Perceive again without moving."""
+        ...
+
+    def success(self, lanes: Lanes) -> Tensor:
+        """Probability in [0, 1] (n,) that the task succeeds here and now; a world says 0 or 1."""
+        ...
+
+
+def start_lanes(
+    environment: Environment, scenario: Tensor, message_size: int, memory_size: int
+) -> Lanes:
+    """Fresh lanes on scenarios (n,), without a message and with an empty (zero) memory."""
+    state, percept = environment.start(scenario)
+    n = len(scenario)
+    return Lanes(
+        percept=percept,
+        state=state,
+        message=percept.new_zeros(n, message_size),
+        has_message=torch.zeros(n, dtype=torch.bool, device=percept.device),
+        memory=percept.new_zeros(n, memory_size),
+        scenario=scenario,
+        step=torch.zeros(n, dtype=torch.long, device=percept.device),
+    )

@@ -1,0 +1,8 @@
+"""Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
+
+from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
+from cgtorch.evolution.evolution import EvolutionState as EvolutionState
+from cgtorch.evolution.evolution import initial_state as initial_state
+from cgtorch.evolution.evolution import tell as tell
+from cgtorch.evolution.population import STRATEGY as STRATEGY
+from cgtorch.evolution.population import Population as Population

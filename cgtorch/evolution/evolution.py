@@ -1,0 +1,116 @@
+"""Algorithm 2 as ask and tell: pure functions on a frozen state."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.errors import SettingsError
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.population import (
+    Population,
+    join,
+    random_population,
+    seeded_population,
+)
+from cgtorch.evolution.selection import ranking, tournament
+
+
+@dataclass(frozen=True)
+class EvolutionSettings:
+    """How a population evolves.
+
+    Attributes:
+        population: number of individuals.
+        tournament: individuals in each tournament.
+        elite: best individuals that go on unchanged.
+        capacity: the most nodes a graph can have.
+        initial_nodes: fewest and most nodes of a first graph, before pruning.
+        tau: variance of the drift of strategy parameters (eq. 2).
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    population: int = 400
+    tournament: int = 5
+    elite: int = 1
+    capacity: int = 24
+    initial_nodes: tuple[int, int] = (4, 12)
+    tau: float = TAU
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.population < 2:
+            raise SettingsError(f"population is {self.population}; give at least 2")
+        if self.tournament < 1:
+            raise SettingsError(f"tournament is {self.tournament}; give at least 1")
+        if not 0 <= self.elite < self.population:
+            raise SettingsError(f"elite is {self.elite}; give 0 to {self.population - 1}")
+        low, high = self.initial_nodes
+        if not 1 <= low <= high <= self.capacity:
+            raise SettingsError(
+                f"initial nodes are {low} to {high}; give a range within 1 to {self.capacity}"
+            )
+        if not 0 <= self.tau < float("inf"):
+            raise SettingsError(f"tau is {self.tau}; give a finite variance of at least 0")
+
+
+@dataclass(frozen=True)
+class EvolutionState:
+    """Where an evolution stands.
+
+    Attributes:
+        population: the individuals to be evaluated next.
+        generation: how many generations have been told.
+        best: the best individual told so far in the last generation (a population of one).
+        best_fitness: its fitness, -inf before the first generation.
+    """
+
+    population: Population
+    generation: int
+    best: Population
+    best_fitness: float
+
+
+def initial_state(
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+    seeds: Population | None = None,
+) -> EvolutionState:
+    """The first population: random, or half of it `seeds` (section IV-B)."""
+    sizes = (settings.capacity, settings.initial_nodes, generator)
+    if seeds is None:
+        population = random_population(settings.population, actions, *sizes)
+    else:
+        population = seeded_population(settings.population, seeds, actions, *sizes)
+    return EvolutionState(population, 0, population[:1], float("-inf"))
+
+
+def tell(
+    state: EvolutionState,
+    fitness: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """The next generation, given the fitness (P,) of this one; NaN counts as the worst."""
+    fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
+    population = state.population
+    order = ranking(fitness, population.graphs.num_nodes)
+    children = settings.population - settings.elite
+    pairs = (children + 1) // 2
+    parents = tournament(order, 2 * pairs, settings.tournament, generator)
+    first, second = population[parents[:pairs]], population[parents[pairs:]]
+    offspring = crossover(first, second, generator)
+    offspring = mutate(offspring, actions, generator, settings.tau)
+    elite = population[order[: settings.elite]]
+    return EvolutionState(
+        population=join(elite, offspring[:children]),
+        generation=state.generation + 1,
+        best=population[order[:1]],
+        best_fitness=float(fitness[order[0]]),
+    )

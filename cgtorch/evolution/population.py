@@ -1,0 +1,92 @@
+"""A population: graphs with the strategy parameters that each individual evolves by itself."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.graphs import NO_NODE, Graphs, concatenate, pruned, resized
+
+STRATEGY = (
+    "crossover",
+    "add_node",
+    "delete_node",
+    "new_start",
+    "replace_node",
+    "change_edge",
+    "mutate_parameter",
+    "sigma",
+)
+"""Strategy parameters: seven probabilities, and the step of a parameter mutation."""
+
+INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
+
+
+@dataclass(frozen=True)
+class Population:
+    """P individuals.
+
+    Attributes:
+        graphs: their computational graphs.
+        strategy: (P, S) float, in the order of `STRATEGY`.
+    """
+
+    graphs: Graphs
+    strategy: Tensor
+
+    def __len__(self) -> int:
+        """The number of individuals."""
+        return len(self.graphs)
+
+    def __getitem__(self, index: Tensor | slice) -> "Population":
+        """The individuals at `index`."""
+        return Population(self.graphs[index], self.strategy[index])
+
+
+def join(*parts: Population) -> Population:
+    """One population of all individuals."""
+    graphs = concatenate([p.graphs for p in parts])
+    return Population(graphs, torch.cat([p.strategy for p in parts]))
+
+
+def random_population(
+    size: int,
+    actions: ActionSet,
+    capacity: int,
+    initial_nodes: tuple[int, int],
+    generator: Generator,
+) -> Population:
+    """Random valid graphs of at most `initial_nodes[1]` nodes.
+
+    Each starts with a uniform number of nodes within `initial_nodes`, random actions, random
+    edges and a random start; what the start does not lead to is pruned.
+    """
+    low, high = initial_nodes
+    count = torch.randint(low, high + 1, (size,), generator=generator)
+    action = torch.randint(len(actions), (size, capacity), generator=generator)
+    used = torch.arange(capacity) < count[:, None]
+    draw = torch.rand(size, capacity, actions.outcome_capacity, generator=generator)
+    heads = (draw * count[:, None, None]).long()
+    edges = torch.where(actions.has_edge[action] & used[..., None], heads, NO_NODE)
+    parameters = actions.initial_parameters(action, generator) * used[..., None]
+    start = (torch.rand(size, generator=generator) * count).long()
+    graphs = Graphs(action.masked_fill(~used, NO_NODE), edges, parameters, start)
+    strategy = torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
+    return Population(pruned(graphs), strategy)
+
+
+def seeded_population(
+    size: int,
+    seeds: Population,
+    actions: ActionSet,
+    capacity: int,
+    initial_nodes: tuple[int, int],
+    generator: Generator,
+) -> Population:
+    """Half of it copies of earlier individuals, in turn, half random (section IV-B)."""
+    half = size // 2
+    fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
+    shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
+    copies = seeds[torch.arange(half) % len(seeds)]
+    return join(Population(resized(copies.graphs, *shape), copies.strategy), fresh)

@@ -1,0 +1,15 @@
+"""Computational graphs: the population's tensors, validity, skills and their files."""
+
+from cgtorch.graphs.graphs import NO_NODE as NO_NODE
+from cgtorch.graphs.graphs import Graphs as Graphs
+from cgtorch.graphs.graphs import compacted as compacted
+from cgtorch.graphs.graphs import concatenate as concatenate
+from cgtorch.graphs.graphs import resized as resized
+from cgtorch.graphs.skill import Skill as Skill
+from cgtorch.graphs.skill import SubSkill as SubSkill
+from cgtorch.graphs.validity import check_graph as check_graph
+from cgtorch.graphs.validity import pruned as pruned
+from cgtorch.graphs.validity import reachable as reachable
+from cgtorch.graphs.validity import valid as valid
+from cgtorch.graphs.view import from_networkx as from_networkx
+from cgtorch.graphs.view import to_networkx as to_networkx

@@ -1,0 +1,93 @@
+"""Computational graphs as a struct of tensors (section IV-A)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+NO_NODE = -1
+
+
+@dataclass(frozen=True)
+class Graphs:
+    """P computational graphs of up to N nodes.
+
+    A node is a slot; unused slots may lie anywhere. Parallel edges are natural: a node has one
+    edge per outcome, each with its own head.
+
+    Attributes:
+        action: (P, N) long, index into the action set, `NO_NODE` in unused slots.
+        edges: (P, N, O) long, the slot that each outcome leads to, `NO_NODE` for terminal
+            outcomes, for outcomes the action does not have, and in unused slots.
+        parameters: (P, N, K) float, zero past the action's own number of parameters.
+        start: (P,) long, the slot of the start node.
+    """
+
+    action: Tensor
+    edges: Tensor
+    parameters: Tensor
+    start: Tensor
+
+    def __len__(self) -> int:
+        """The number of graphs, P."""
+        return self.action.shape[0]
+
+    @property
+    def capacity(self) -> int:
+        """N, the number of node slots of each graph."""
+        return self.action.shape[1]
+
+    @property
+    def used(self) -> Tensor:
+        """(P, N) bool, slots that hold a node."""
+        return self.action != NO_NODE
+
+    @property
+    def num_nodes(self) -> Tensor:
+        """(P,) long."""
+        return self.used.sum(1)
+
+    def __getitem__(self, index: Tensor | slice) -> "Graphs":
+        """The graphs at `index`."""
+        return Graphs(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def to(self, device: torch.device | str) -> "Graphs":
+        """The same graphs on another device."""
+        return Graphs(*(getattr(self, f.name).to(device) for f in fields(self)))
+
+
+def concatenate(graphs: Sequence[Graphs]) -> Graphs:
+    """One batch of all graphs, which must share N, O and K."""
+    return Graphs(*(torch.cat([getattr(g, f.name) for g in graphs]) for f in fields(Graphs)))
+
+
+def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graphs:
+    """The same graphs with other capacities; none may be smaller than what is used."""
+
+    def grow(x: Tensor, shape: tuple[int, ...], fill: float) -> Tensor:
+        out = x.new_full((len(x), *shape), fill)
+        part = tuple(slice(min(a, b)) for a, b in zip(shape, x.shape[1:], strict=True))
+        out[:, *part] = x[:, *part]
+        return out
+
+    return Graphs(
+        grow(graphs.action, (nodes,), NO_NODE),
+        grow(graphs.edges, (nodes, outcomes), NO_NODE),
+        grow(graphs.parameters, (nodes, parameters), 0.0),
+        graphs.start,
+    )
+
+
+def compacted(graphs: Graphs) -> Graphs:
+    """The same graphs with their nodes moved to the first slots, in order."""
+    order = torch.argsort((~graphs.used).long(), dim=1, stable=True)
+    slot = torch.argsort(order, dim=1)
+    heads = torch.gather(slot, 1, graphs.edges.clamp_min(0).flatten(1)).view_as(graphs.edges)
+    heads = torch.where(graphs.edges == NO_NODE, graphs.edges, heads)
+    return Graphs(
+        torch.gather(graphs.action, 1, order),
+        torch.gather(heads, 1, order[..., None].expand_as(heads)),
+        torch.gather(graphs.parameters, 1, order[..., None].expand_as(graphs.parameters)),
+        torch.gather(slot, 1, graphs.start[:, None])[:, 0],
+    )

@@ -1,0 +1,84 @@
+"""A skill: one computational graph with the actions its nodes use."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from cgtorch.actions import Action, ActionSet
+from cgtorch.environment import Environment, Lanes
+from cgtorch.errors import ActionError
+from cgtorch.graphs.graphs import Graphs, compacted
+from cgtorch.graphs.validity import check_graph
+
+
+@dataclass(frozen=True)
+class Skill:
+    """A named computational graph.
+
+    Attributes:
+        name: how it is called where it is a node of another skill.
+        graph: one graph (P = 1), its nodes in the first slots.
+        actions: what its nodes' action indices mean; may hold earlier skills as `SubSkill`s.
+        max_transitions: after this many transitions without a terminal outcome it has failed.
+
+    Raises:
+        GraphError: the graph is not valid.
+    """
+
+    name: str
+    graph: Graphs
+    actions: ActionSet
+    max_transitions: int = 20
+
+    def __post_init__(self) -> None:
+        """Check the graph and move its nodes to the first slots."""
+        check_graph(self.graph, self.actions)
+        object.__setattr__(self, "graph", compacted(self.graph[:1]))
+
+    @property
+    def num_nodes(self) -> int:
+        """Nodes at the top level."""
+        return int(self.graph.num_nodes[0])
+
+    @property
+    def sub_skills(self) -> dict[str, "Skill"]:
+        """The skills that are nodes of this one, by name."""
+        used = set(self.graph.action[0].tolist())
+        return {
+            name: action.skill
+            for i, (name, action) in enumerate(
+                zip(self.actions.names, self.actions.actions, strict=True)
+            )
+            if isinstance(action, SubSkill) and i in used
+        }
+
+    @property
+    def depth(self) -> int:
+        """Levels of skills within skills, 1 if there are none."""
+        return 1 + max((s.depth for s in self.sub_skills.values()), default=0)
+
+
+class SubSkill(Action):
+    """An earlier skill as a node (section IV-A): frozen, run to its own end.
+
+    Its success is terminal, like that of the action that succeeded in it; when it fails or runs
+    out of its own transitions, the computation follows the edge of "failure".
+    """
+
+    outcomes: tuple[str, ...] = ("success", "failure")
+    terminal: Mapping[str, bool] = {"success": True}
+
+    def __init__(self, skill: Skill):
+        super().__init__()
+        self.skill = skill
+        self.message_size = skill.actions.message_size
+        self.memory_size = skill.actions.memory_size
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        """Not for direct use: `cgtorch.simulation.rollout` enters the sub-skill's own nodes."""
+        raise ActionError(
+            f"sub-skill {self.skill.name!r} cannot run as one step; run it with rollout()"
+        )

@@ -1,0 +1,90 @@
+"""What makes a graph valid, and how to make it so (section IV-B).
+
+Valid: the start exists, every non-terminal outcome of every node leads to a node, and every node
+can be reached from the start.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.errors import GraphError
+from cgtorch.graphs.graphs import NO_NODE, Graphs
+
+
+def reachable(graphs: Graphs) -> Tensor:
+    """(P, N) bool, slots the start leads to, itself included. Breadth first, all graphs at once."""
+    p, n, o = graphs.edges.shape
+    seen = torch.zeros(p, n + 1, dtype=torch.bool, device=graphs.start.device)
+    seen.scatter_(1, graphs.start[:, None], True)
+    # Heads that are no node go to a dump slot at the end.
+    heads = torch.where(graphs.edges == NO_NODE, n, graphs.edges)
+    count = seen[:, :n].sum()
+    while True:
+        target = torch.where(seen[:, :n, None], heads, n).reshape(p, n * o)
+        seen.scatter_(1, target, True)
+        seen[:, n] = False
+        new = seen.sum()
+        if new == count:
+            return seen[:, :n]
+        count = new
+
+
+def pruned(graphs: Graphs) -> Graphs:
+    """Without the nodes that the start does not lead to."""
+    keep = reachable(graphs)
+    return replace(
+        graphs,
+        action=graphs.action.masked_fill(~keep, NO_NODE),
+        edges=graphs.edges.masked_fill(~keep[..., None], NO_NODE),
+        parameters=graphs.parameters.masked_fill(~keep[..., None], 0.0),
+    )
+
+
+def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
+    """(P,) bool."""
+    n = graphs.capacity
+    used, action, edges = graphs.used, graphs.action, graphs.edges
+    known = ((action >= NO_NODE) & (action < len(actions))).all(1)
+    start = graphs.start.clamp(0, n - 1)
+    start_exists = (graphs.start == start) & used.gather(1, start[:, None])[:, 0]
+    has_edge = actions.has_edge.to(action.device)[action.clamp(0, len(actions) - 1)]
+    has_edge = has_edge & used[..., None]
+    head = edges.clamp(0, n - 1)
+    to_node = used.gather(1, head.flatten(1)).view_as(edges) & (edges == head)
+    edges_right = torch.where(has_edge, to_node, edges == NO_NODE).flatten(1).all(1)
+    ok = known & start_exists & edges_right
+    safe = replace(graphs, start=start, edges=torch.where(to_node, edges, NO_NODE))
+    return ok & (reachable(safe) == used).all(1)
+
+
+def check_graph(graphs: Graphs, actions: ActionSet) -> None:
+    """Check the first graph.
+
+    Raises:
+        GraphError: naming the node and what is wrong with it.
+    """
+    action, edges = graphs.action[0].tolist(), graphs.edges[0].tolist()
+    start = int(graphs.start[0])
+    nodes = {i for i, a in enumerate(action) if a != NO_NODE}
+    if start not in nodes:
+        raise GraphError(f"start node {start} does not exist; nodes are {sorted(nodes)}")
+    for i in sorted(nodes):
+        if not 0 <= action[i] < len(actions):
+            raise GraphError(f"node {i} has action {action[i]}; the set has {len(actions)}")
+        name, module = actions.names[action[i]], actions.actions[action[i]]
+        for j, outcome in enumerate(module.outcomes):
+            if outcome in module.terminal:
+                continue
+            if edges[i][j] not in nodes:
+                raise GraphError(
+                    f"node {i} ({name}) has no edge for outcome {outcome!r} (head {edges[i][j]}); "
+                    "every non-terminal outcome must lead to a node"
+                )
+    if not torch.isfinite(graphs.parameters[0]).all():
+        node = int((~torch.isfinite(graphs.parameters[0])).any(1).nonzero()[0])
+        raise GraphError(f"node {node} has parameters that are not finite; give finite numbers")
+    if lost := sorted(nodes - set(reachable(graphs[:1])[0].nonzero()[:, 0].tolist())):
+        raise GraphError(f"node {lost[0]} cannot be reached from the start; remove or connect it")

@@ -1,0 +1,110 @@
+"""What the engine runs: every node of every graph and sub-skill in one table."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import Action, ActionSet
+from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
+
+SUCCESS, FAILURE = -1, -2
+
+
+@dataclass(frozen=True)
+class Program:
+    """P graphs and the sub-skills they use, as one table of T nodes.
+
+    Heads are rows of the table, or `SUCCESS` or `FAILURE` where an outcome ends the graph it is
+    in. A sub-skill is stored once however many nodes use it.
+
+    Attributes:
+        primitives: the actions that run as one step, without duplicates.
+        kind: (T,) long, index into `primitives`, or len(primitives) + sub-skill index.
+        heads: (T, O) long.
+        parameters: (T, K) float.
+        start: (P,) long, first node of each graph.
+        entry: (number of sub-skills,) long, first node of each sub-skill.
+        depth: levels of skills within skills, 1 if there are none.
+        message_size: length of the longest message.
+        memory_size: length of the common memory.
+    """
+
+    primitives: tuple[Action, ...]
+    kind: Tensor
+    heads: Tensor
+    parameters: Tensor
+    start: Tensor
+    entry: Tensor
+    depth: int
+    message_size: int
+    memory_size: int
+
+
+def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
+    """Lay out a population for `rollout`."""
+    skills = _skills(actions, {})
+    sets = [actions, *(s.actions for s in skills.values())]
+    primitives = list(
+        {id(a): a for s in sets for a in s.actions if not isinstance(a, SubSkill)}.values()
+    )
+    order = {id(a): i for i, a in enumerate(primitives)}
+    index = {id(s): len(primitives) + i for i, s in enumerate(skills.values())}
+    outcomes = max(2, *(s.outcome_capacity for s in sets))
+    width = max(s.parameter_capacity for s in sets)
+
+    tables = [_table(graphs, actions, 0, outcomes, width, order, index)]
+    offset, entry = graphs.action.numel(), []
+    for skill in skills.values():
+        tables.append(_table(skill.graph, skill.actions, offset, outcomes, width, order, index))
+        entry.append(offset + int(skill.graph.start[0]))
+        offset += skill.graph.action.numel()
+    kind, heads, parameters = (torch.cat(parts) for parts in zip(*tables, strict=True))
+    rows = torch.arange(len(graphs), device=graphs.start.device) * graphs.capacity
+    return Program(
+        primitives=tuple(primitives),
+        kind=kind,
+        heads=heads,
+        parameters=parameters,
+        start=rows + graphs.start,
+        entry=torch.tensor(entry, dtype=torch.long, device=kind.device),
+        depth=1 + max((s.depth for s in skills.values()), default=0),
+        message_size=max(s.message_size for s in sets),
+        memory_size=max(s.memory_size for s in sets),
+    )
+
+
+def _skills(actions: ActionSet, found: dict[int, Skill]) -> dict[int, Skill]:
+    """All sub-skills of an action set, also those within others, each once."""
+    for action in actions.actions:
+        if isinstance(action, SubSkill) and id(action.skill) not in found:
+            found[id(action.skill)] = action.skill
+            _skills(action.skill.actions, found)
+    return found
+
+
+def _table(
+    graphs: Graphs,
+    actions: ActionSet,
+    offset: int,
+    outcomes: int,
+    width: int,
+    order: dict[int, int],
+    index: dict[int, int],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Kinds (P·N,), heads (P·N, outcomes) and parameters (P·N, width) of the nodes of `graphs`."""
+    device = graphs.action.device
+    kinds = torch.tensor(
+        [index[id(a.skill)] if isinstance(a, SubSkill) else order[id(a)] for a in actions.actions],
+        device=device,
+    )
+    p, n, o = graphs.edges.shape
+    action = graphs.action.clamp_min(0)
+    base = offset + torch.arange(p, device=device)[:, None, None] * n
+    succeeds = actions.succeeds.to(device)[action][..., :o]
+    end = torch.where(succeeds, SUCCESS, FAILURE)
+    heads = torch.full((p * n, outcomes), FAILURE, device=device)
+    heads[:, :o] = torch.where(graphs.edges == NO_NODE, end, graphs.edges + base).flatten(0, 1)
+    parameters = graphs.parameters.new_zeros(p * n, width)
+    parameters[:, : graphs.parameters.shape[-1]] = graphs.parameters.flatten(0, 1)
+    return kinds[action].flatten(), heads, parameters

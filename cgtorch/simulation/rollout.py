@@ -1,0 +1,178 @@
+"""Algorithm 3: run every graph on every scenario, all in one batch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.graphs import Graphs
+from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
+
+MAX_TRANSITIONS = 20
+MAX_STEPS = 60
+TIMEOUT = -3
+
+Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """How P graphs did on B scenarios.
+
+    Attributes:
+        succeeded: (P, B) bool, a terminal outcome with success was reached.
+        timed_out: (P, B) bool, no terminal outcome within the limit of transitions.
+        percept: (P, B, D), the last percept p_t.
+        transitions: (P, B) long, actions executed.
+    """
+
+    succeeded: Tensor
+    timed_out: Tensor
+    percept: Tensor
+    transitions: Tensor
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Where each of L lanes stands: its node and, per level of sub-skills, what it returns to.
+
+    `caller` (L, depth) is the sub-skill node that opened each level, `count` (L, depth) the
+    transitions made in it, `level` (L,) the innermost open one.
+    """
+
+    node: Tensor
+    level: Tensor
+    caller: Tensor
+    count: Tensor
+
+
+def rollout(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    *,
+    scenarios: Tensor | None = None,
+    max_transitions: int = MAX_TRANSITIONS,
+    max_steps: int = MAX_STEPS,
+    trace: Trace | None = None,
+) -> Rollouts:
+    """Run P graphs on B scenarios of the environment.
+
+    A sub-skill counts as one transition of the skill it is in and has `max_transitions` of its
+    own; `max_steps` bounds the actions a lane executes on all levels together. A lane that has
+    ended leaves the batch.
+
+    Args:
+        graphs: P valid graphs.
+        actions: what their action indices mean.
+        environment: where they run.
+        scenarios: (B,) long, indices into the environment's scenarios; all if not given.
+        max_transitions: per graph and per run of a sub-skill.
+        max_steps: actions per lane on all levels.
+        trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
+            the program's node table that ran, their outcomes (n,), and the lanes afterwards.
+    """
+    program = compile_graphs(graphs, actions)
+    device = program.kind.device
+    if scenarios is None:
+        scenarios = torch.arange(environment.num_scenarios, device=device)
+    p, b = len(graphs), len(scenarios)
+    lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
+    frames = _enter(
+        program,
+        _Frames(
+            node=program.start.repeat_interleave(b),
+            level=torch.zeros(p * b, dtype=torch.long, device=device),
+            caller=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
+            count=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
+        ),
+    )
+    status = torch.zeros(p * b, dtype=torch.long, device=device)
+    percept = lanes.percept.clone()
+    transitions = lanes.step.clone()
+    active = torch.arange(p * b, device=device)
+    while len(active):
+        node = frames.node
+        lanes, outcome = _act(program, lanes, node, environment)
+        if trace:
+            trace(active, node, outcome, lanes)
+        frames, ended = _follow(program, frames, outcome, max_transitions)
+        out_of_steps = lanes.step >= max_steps
+        done = (ended != 0) | out_of_steps
+        if done.any():
+            gone, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
+            status[active[gone]] = ended[gone]
+            percept[active[gone]] = lanes.percept[gone]
+            transitions[active[gone]] = lanes.step[gone]
+            active, lanes = active[stay], lanes.rows(stay)
+            frames = _Frames(*(x[stay] for x in vars(frames).values()))
+        frames = _enter(program, frames)
+    return Rollouts(
+        succeeded=(status == SUCCESS).view(p, b),
+        timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
+        percept=percept.view(p, b, -1),
+        transitions=transitions.view(p, b),
+    )
+
+
+def _act(
+    program: Program, lanes: Lanes, node: Tensor, environment: Environment
+) -> tuple[Lanes, Tensor]:
+    """Run each lane's action, one batch per kind of action; `lanes` is overwritten."""
+    kind = program.kind[node]
+    outcome = torch.empty_like(node)
+    for i, action in enumerate(program.primitives):
+        here = (kind == i).nonzero()[:, 0]
+        if len(here):
+            parameters = program.parameters[node[here], : action.num_parameters]
+            before = lanes.rows(here)
+            after, outcome[here] = action(before, parameters, environment)
+            lanes.write(here, before, after)
+    return replace(lanes, step=lanes.step + 1), outcome
+
+
+def _enter(program: Program, frames: _Frames) -> _Frames:
+    """Lanes at sub-skill nodes go to the start of the sub-skill, as deep as it takes."""
+    if program.depth == 1:
+        return frames
+    node, level = frames.node.clone(), frames.level.clone()
+    caller, count = frames.caller.clone(), frames.count.clone()
+    first = len(program.primitives)
+    for _ in range(program.depth):
+        here = (program.kind[node] >= first).nonzero()[:, 0]
+        if not len(here):
+            break
+        level[here] += 1
+        caller[here, level[here]] = node[here]
+        count[here, level[here]] = 0
+        node[here] = program.entry[program.kind[node[here]] - first]
+    return _Frames(node, level, caller, count)
+
+
+def _follow(
+    program: Program, frames: _Frames, outcome: Tensor, max_transitions: int
+) -> tuple[_Frames, Tensor]:
+    """Follow each lane's edge, out of the sub-skills that end with it.
+
+    Returns:
+        The frames and (n,) how the lane ended: `SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on.
+    """
+    row = torch.arange(len(outcome), device=outcome.device)
+    level, count = frames.level, frames.count.clone()
+    head = program.heads[frames.node, outcome]
+    count[row, level] += 1
+    for _ in range(program.depth):
+        head = torch.where((head >= 0) & (count[row, level] >= max_transitions), TIMEOUT, head)
+        leaves = (head < 0) & (level > 0)
+        if not leaves.any():
+            break
+        # A sub-skill's first outcome is success, its second failure; a timeout is a failure.
+        returned = program.heads[frames.caller[row, level], (head != SUCCESS).long()]
+        head = torch.where(leaves, returned, head)
+        level = level - leaves.long()
+        count[row, level] += leaves.long()
+    return _Frames(head.clamp_min(0), level, frames.caller, count), head.clamp_max(0)

@@ -1,0 +1,110 @@
+"""Scenarios of section VI: a robot in front of a table with an object near one of its edges."""
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.errors import SettingsError
+
+TABLE_DEPTH, TABLE_WIDTH, TABLE_HEIGHT = 0.8, 1.2, 0.74
+START_DISTANCE, START_SPREAD, START_SIDEWAYS = 1.0, 0.2, 0.2
+START_HEADING = torch.pi / 36  # 5°
+INSET_MIN, INSET_MAX = 0.05, 0.15
+EDGES = ("near", "left", "right", "far")
+PLACEMENTS = (*EDGES, "perimeter")
+
+
+@dataclass(frozen=True)
+class Scenarios:
+    """B states of the world that a skill starts from.
+
+    The world's origin is the table's centre in the paper's experiments, x pointing away from the
+    robot, so that the near edge is at -x and the left edge at +y.
+
+    Attributes:
+        pose: (B, 3) base x, y (m), θ (rad).
+        table: (B, 6) centre x, centre y (m), yaw (rad), size x, size y, top height (m).
+        object: (B, 2) x, y (m); it stands on the table.
+    """
+
+    pose: Tensor
+    table: Tensor
+    object: Tensor
+
+    def __len__(self) -> int:
+        """The number of scenarios."""
+        return len(self.pose)
+
+    def __getitem__(self, index: Tensor | slice) -> "Scenarios":
+        """The scenarios at `index`."""
+        return Scenarios(*(getattr(self, f.name)[index] for f in fields(self)))
+
+
+def concatenate_scenarios(parts: list[Scenarios]) -> Scenarios:
+    """All scenarios of several batches."""
+    return Scenarios(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(Scenarios)))
+
+
+def _table(n: int) -> Tensor:
+    return torch.tensor([0.0, 0, 0, TABLE_DEPTH, TABLE_WIDTH, TABLE_HEIGHT]).repeat(n, 1)
+
+
+def _on_edge(edge: Tensor, along: Tensor, inset: Tensor) -> Tensor:
+    """Objects (n, 2) on edges (n,), `along` in [-1, 1] of the usable length, `inset` m inwards."""
+    hx, hy = TABLE_DEPTH / 2, TABLE_WIDTH / 2
+    x_along, y_along = along * (hx - INSET_MIN), along * (hy - INSET_MIN)
+    x = torch.stack([inset - hx, x_along, x_along, hx - inset], 1)
+    y = torch.stack([y_along, hy - inset, inset - hy, y_along], 1)
+    pick = edge[:, None]
+    return torch.cat([x.gather(1, pick), y.gather(1, pick)], 1)
+
+
+def _edge_index(placement: str) -> int:
+    if placement not in EDGES:
+        raise SettingsError(f"unknown table edge {placement!r}; use one of {', '.join(EDGES)}")
+    return EDGES.index(placement)
+
+
+def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
+    """The paper's test of one edge: evenly spaced objects, from the centred start.
+
+    The first and last stand in the corners, 0.05 m from the adjoining edge.
+
+    Raises:
+        SettingsError: the edge is none of `EDGES`.
+    """
+    along = torch.linspace(-1, 1, count)
+    inset = torch.full((count,), (INSET_MIN + INSET_MAX) / 2)
+    placed = _on_edge(torch.full((count,), _edge_index(edge)), along, inset)
+    pose = torch.tensor([-TABLE_DEPTH / 2 - START_DISTANCE, 0.0, 0.0]).repeat(count, 1)
+    return Scenarios(pose, _table(count), placed)
+
+
+def random_scenarios(placement: str, count: int, generator: Generator) -> Scenarios:
+    """Random placements along one edge or, with "perimeter", along all four.
+
+    Raises:
+        SettingsError: the placement is none of `PLACEMENTS`, or the count is negative.
+    """
+    if count < 0:
+        raise SettingsError(f"count is {count}; give 0 or more scenarios")
+    draw = torch.rand(count, 6, generator=generator)
+    spread = 2 * draw - 1
+    if placement == "perimeter":
+        lengths = torch.tensor([TABLE_WIDTH, TABLE_DEPTH, TABLE_DEPTH, TABLE_WIDTH])
+        bounds = torch.cumsum(lengths, 0) / lengths.sum()
+        edge = torch.searchsorted(bounds, draw[:, 5]).clamp_max(3)
+    else:
+        edge = torch.full((count,), _edge_index(placement))
+    inset = INSET_MIN + (INSET_MAX - INSET_MIN) * draw[:, 1]
+    distance = START_DISTANCE + START_SPREAD * spread[:, 2]
+    pose = torch.stack(
+        [
+            -TABLE_DEPTH / 2 - distance,
+            START_SIDEWAYS * spread[:, 3],
+            START_HEADING * spread[:, 4],
+        ],
+        1,
+    )
+    return Scenarios(pose, _table(count), _on_edge(edge, spread[:, 0], inset))
