@@ -26,11 +26,14 @@ class Scenarios:
         pose: (B, 3) base x, y (m), θ (rad).
         table: (B, 6) centre x, centre y (m), yaw (rad), size x, size y, top height (m).
         object: (B, 2) x, y (m); it stands on the table.
+        seed: (B,) long, of the noise that the robot meets. Noise is part of the scenario: the
+            same skill on the same scenario does the same.
     """
 
     pose: Tensor
     table: Tensor
     object: Tensor
+    seed: Tensor
 
     def __len__(self) -> int:
         """The number of scenarios."""
@@ -78,7 +81,7 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
     inset = torch.full((count,), (INSET_MIN + INSET_MAX) / 2)
     placed = _on_edge(torch.full((count,), _edge_index(edge)), along, inset)
     pose = torch.tensor([-TABLE_DEPTH / 2 - START_DISTANCE, 0.0, 0.0]).repeat(count, 1)
-    return Scenarios(pose, _table(count), placed)
+    return Scenarios(pose, _table(count), placed, torch.arange(count))
 
 
 def random_scenarios(placement: str, count: int, generator: Generator) -> Scenarios:
@@ -107,4 +110,5 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
         ],
         1,
     )
-    return Scenarios(pose, _table(count), _on_edge(edge, spread[:, 0], inset))
+    seed = torch.randint(2**31, (count,), generator=generator)
+    return Scenarios(pose, _table(count), _on_edge(edge, spread[:, 0], inset), seed)
