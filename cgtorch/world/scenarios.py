@@ -97,7 +97,7 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
     if placement == "perimeter":
         lengths = torch.tensor([TABLE_WIDTH, TABLE_DEPTH, TABLE_DEPTH, TABLE_WIDTH])
         bounds = torch.cumsum(lengths, 0) / lengths.sum()
-        edge = torch.searchsorted(bounds, draw[:, 5]).clamp_max(3)
+        edge = torch.searchsorted(bounds, draw[:, 5].contiguous()).clamp_max(3)
     else:
         edge = torch.full((count,), _edge_index(placement))
     inset = INSET_MIN + (INSET_MAX - INSET_MIN) * draw[:, 1]
