@@ -83,13 +83,13 @@ def random_motions(count: int, generator: Generator) -> Tensor:
 
 def poses_around(world_of: WorldOf, count: int, generator: Generator) -> Scenarios:
     """Scenarios with the robot at a random free pose anywhere around the table."""
-    return _resample(count, lambda n: _around(n, generator), world_of)
+    return _resample(count, lambda n: _around(n, ARENA, generator), world_of)
 
 
-def _around(count: int, generator: Generator) -> Scenarios:
+def _around(count: int, arena: float, generator: Generator) -> Scenarios:
     base = random_scenarios("perimeter", count, generator)
     draw = 2 * torch.rand(count, 3, generator=generator) - 1
-    pose = draw * torch.tensor([ARENA, ARENA, torch.pi])
+    pose = draw * torch.tensor([arena, arena, torch.pi])
     return Scenarios(pose, base.table, base.object, base.seed)
 
 
@@ -136,40 +136,46 @@ def label(world_of: WorldOf, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
 
 
 def balanced_labels(world_of: WorldOf, count: int, generator: Generator) -> tuple[Tensor, Tensor]:
-    """`count` percepts (n, 7) and (n,) bool labels, half of each, half of them near the boundary.
+    """`count` percepts (n, 7) and (n,) bool labels, half of them successes.
 
-    Half are drawn around the object. The others are small displacements of poses next to which
-    the label changes, since that is where a classifier has most to learn. A few poses stand in
-    the table, where no grasp succeeds: models must not believe in places that do not exist.
+    A third is drawn around the object and a third beside the boundary, as small displacements of
+    poses next to which the label changes: there a classifier has most to learn. The failures of
+    the last third are drawn anywhere, in the table too, so that models do not believe in grasps
+    at places where nobody has been.
 
     Raises:
         DataError: fewer than one pose in a hundred has either label.
     """
-    wide = poses_at_object(2 * count, generator)
-    percept, graspable = label(world_of, wide)
+    third = count // 3
+    around = poses_at_object(2 * count, generator)
+    percept, graspable = label(world_of, around)
     rate = float(graspable.float().mean())
     if not 0.01 <= rate <= 0.99:
         raise DataError(
             f"a grasp succeeds at {rate:.1%} of random poses around the object; check that the "
             "arms of the robot description reach the table"
         )
-    near = _jittered(wide, percept, graspable, count, generator)
-    near_percept, near_graspable = label(world_of, near)
-    parts = [_balanced(percept, graspable, count - count // 2, generator)]
-    parts.append(_balanced(near_percept, near_graspable, count // 2, generator))
+    boundary = label(world_of, _displaced(around, percept, graspable, 2 * third, generator))
+    anywhere = label(world_of, _around(third, 2 * ARENA, generator))
+    last = tuple(torch.cat(pair) for pair in zip(anywhere, (percept, graspable), strict=True))
+    parts = [
+        _balanced(percept, graspable, count - 2 * third, generator),
+        _balanced(*boundary, third, generator),
+        _balanced(*last, third, generator, first=third),
+    ]
     p, y = (torch.cat(part) for part in zip(*parts, strict=True))
     order = torch.randperm(len(p), generator=generator)
     return p[order], y[order]
 
 
-def _jittered(
+def _displaced(
     wide: Scenarios, percept: Tensor, graspable: Tensor, count: int, generator: Generator
 ) -> Scenarios:
     """Small displacements of the graspable poses closest to a pose with the other label."""
     yes, no = graspable.nonzero()[:, 0], (~graspable).nonzero()[:, 0]
     gap = torch.cdist(percept[yes], percept[no])
     close = torch.cat([yes[gap.amin(1).argsort()], no[gap.amin(0).argsort()]])
-    pool = close[torch.randint(len(close), (2 * count,), generator=generator)]
+    pool = close[torch.randint(len(close), (count,), generator=generator)]
     spread = torch.tensor([0.05, 0.05, 0.15])
     pose = wide.pose[pool] + torch.randn(len(pool), 3, generator=generator) * spread
     seed = torch.randint(2**31, (len(pool),), generator=generator)
@@ -177,10 +183,11 @@ def _jittered(
 
 
 def _balanced(
-    percept: Tensor, graspable: Tensor, count: int, generator: Generator
+    percept: Tensor, graspable: Tensor, count: int, generator: Generator, first: int = 0
 ) -> tuple[Tensor, Tensor]:
-    """Up to `count` rows, as many graspable as not."""
+    """Up to `count` rows, as many graspable as not; the `first` rows are taken before others."""
     order = torch.randperm(len(percept), generator=generator)
+    order = torch.cat([order[order < first], order[order >= first]])
     yes, no = order[graspable[order]], order[~graspable[order]]
     half = min(count // 2, len(yes), len(no))
     pick = torch.cat([yes[:half], no[:half]])
