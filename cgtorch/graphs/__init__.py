@@ -1,5 +1,9 @@
 """Computational graphs: the population's tensors, validity, skills and their files."""
 
+from cgtorch.graphs.files import load_skill as load_skill
+from cgtorch.graphs.files import save_skill as save_skill
+from cgtorch.graphs.files import skill_from_dict as skill_from_dict
+from cgtorch.graphs.files import skill_to_dict as skill_to_dict
 from cgtorch.graphs.graphs import NO_NODE as NO_NODE
 from cgtorch.graphs.graphs import Graphs as Graphs
 from cgtorch.graphs.graphs import compacted as compacted

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from torch import Tensor
 
@@ -53,7 +54,7 @@ class Skill:
             if isinstance(action, SubSkill) and i in used
         }
 
-    @property
+    @cached_property
     def depth(self) -> int:
         """Levels of skills within skills, 1 if there are none."""
         return 1 + max((s.depth for s in self.sub_skills.values()), default=0)

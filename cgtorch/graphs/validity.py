@@ -4,6 +4,7 @@ Valid: the start exists, every non-terminal outcome of every node leads to a nod
 can be reached from the start.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -60,31 +61,45 @@ def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
     return ok & (reachable(safe) == used).all(1)
 
 
-def check_graph(graphs: Graphs, actions: ActionSet) -> None:
+def check_graph(graphs: Graphs, actions: ActionSet, names: Sequence[str] | None = None) -> None:
     """Check the first graph.
+
+    Args:
+        graphs: whose first graph is checked.
+        actions: what its nodes can be.
+        names: of its N slots, for the messages; their numbers if not given.
 
     Raises:
         GraphError: naming the node and what is wrong with it.
     """
     action, edges = graphs.action[0].tolist(), graphs.edges[0].tolist()
+    name = [repr(n) for n in names] if names else [str(i) for i in range(len(action))]
     start = int(graphs.start[0])
     nodes = {i for i, a in enumerate(action) if a != NO_NODE}
     if start not in nodes:
         raise GraphError(f"start node {start} does not exist; nodes are {sorted(nodes)}")
-    for i in sorted(nodes):
-        if not 0 <= action[i] < len(actions):
-            raise GraphError(f"node {i} has action {action[i]}; the set has {len(actions)}")
-        name, module = actions.names[action[i]], actions.actions[action[i]]
-        for j, outcome in enumerate(module.outcomes):
-            if outcome in module.terminal:
-                continue
-            if edges[i][j] not in nodes:
+    for i in range(len(action)):
+        if not NO_NODE <= action[i] < len(actions):
+            raise GraphError(f"node {name[i]} has action {action[i]}; the set has {len(actions)}")
+        module = actions.actions[action[i]] if action[i] != NO_NODE else None
+        for j, head in enumerate(edges[i]):
+            outcome = module.outcomes[j] if module and j < len(module.outcomes) else None
+            leads = module is not None and outcome is not None and outcome not in module.terminal
+            if leads and head not in nodes:
                 raise GraphError(
-                    f"node {i} ({name}) has no edge for outcome {outcome!r} (head {edges[i][j]}); "
-                    "every non-terminal outcome must lead to a node"
+                    f"node {name[i]} ({actions.names[action[i]]}) has no edge for outcome "
+                    f"{outcome!r} (head {head}); every non-terminal outcome must lead to a node"
+                )
+            if not leads and head != NO_NODE:
+                raise GraphError(
+                    f"node {name[i]} has an edge to {head} for outcome {outcome or j!r}, which is "
+                    "terminal or does not exist; remove the edge"
                 )
     if not torch.isfinite(graphs.parameters[0]).all():
         node = int((~torch.isfinite(graphs.parameters[0])).any(1).nonzero()[0])
-        raise GraphError(f"node {node} has parameters that are not finite; give finite numbers")
-    if lost := sorted(nodes - set(reachable(graphs[:1])[0].nonzero()[:, 0].tolist())):
-        raise GraphError(f"node {lost[0]} cannot be reached from the start; remove or connect it")
+        raise GraphError(f"node {name[node]} has parameters that are not finite; give numbers")
+    reached = reachable(graphs[:1])[0].tolist()
+    if lost := [i for i in sorted(nodes) if not reached[i]]:
+        raise GraphError(
+            f"node {name[lost[0]]} cannot be reached from the start; remove or connect it"
+        )

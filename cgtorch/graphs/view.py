@@ -1,15 +1,20 @@
 """A graph as a networkx `MultiDiGraph`, to be drawn, stored, read and checked."""
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any, TypeAlias
 
 import networkx as nx
 import torch
+from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import GraphError
 from cgtorch.graphs.graphs import NO_NODE, Graphs
 
 View: TypeAlias = "nx.MultiDiGraph[int | str]"
+
+FLOAT32_MAX = torch.finfo(torch.float32).max
 
 
 def to_networkx(graphs: Graphs, actions: ActionSet, index: int = 0) -> View:
@@ -37,7 +42,9 @@ def from_networkx(view: View, actions: ActionSet, capacity: int | None = None) -
 
     Raises:
         GraphError: a node or edge lacks an attribute, names an unknown outcome, has the wrong
-            number of parameters, or an outcome has two edges.
+            number of parameters or one that is not a finite number, or an outcome has two edges
+            or ends the skill and has one.
+        ActionError: a node has an unknown action.
     """
     nodes = list(view.nodes)
     n = max(capacity or 0, len(nodes), 1)
@@ -46,24 +53,36 @@ def from_networkx(view: View, actions: ActionSet, capacity: int | None = None) -
     edges = torch.full((1, n, actions.outcome_capacity), NO_NODE)
     parameters = torch.zeros(1, n, actions.parameter_capacity)
     for node, data in view.nodes(data=True):
+        if "action" not in data:
+            raise GraphError(f"node {node!r} has no action; give it one or add it as a node")
         a = actions.index(data["action"])
-        values, wanted = data.get("parameters", []), int(actions.num_parameters[a])
-        if len(values) != wanted:
-            raise GraphError(
-                f"node {node!r} ({data['action']}) has {len(values)} parameters; give {wanted}"
-            )
+        wanted = int(actions.num_parameters[a])
         action[0, slot[node]] = a
-        parameters[0, slot[node], :wanted] = torch.tensor(values)
+        parameters[0, slot[node], :wanted] = _parameters(
+            f"node {node!r} ({data['action']})", data.get("parameters", []), wanted
+        )
     for tail, head, data in view.edges(data=True):
-        outcomes = actions.actions[int(action[0, slot[tail]])].outcomes
-        if data["outcome"] not in outcomes:
-            raise GraphError(
-                f"edge {tail!r} → {head!r} has outcome {data['outcome']!r}; known are {outcomes}"
-            )
-        where = (0, slot[tail], outcomes.index(data["outcome"]))
+        edge, outcome = f"edge {tail!r} → {head!r}", data.get("outcome")
+        module = actions.actions[int(action[0, slot[tail]])]
+        if outcome not in module.outcomes:
+            raise GraphError(f"{edge} has outcome {outcome!r}; known are {module.outcomes}")
+        if outcome in module.terminal:
+            raise GraphError(f"{edge} has outcome {outcome!r}, which ends the skill; remove it")
+        where = (0, slot[tail], module.outcomes.index(outcome))
         if edges[where] != NO_NODE:
-            raise GraphError(f"node {tail!r} has two edges for outcome {data['outcome']!r}")
+            raise GraphError(f"node {tail!r} has two edges for outcome {outcome!r}; keep one")
         edges[where] = slot[head]
     if view.graph.get("start") not in slot:
-        raise GraphError(f"start node {view.graph.get('start')!r} is none of the nodes")
+        raise GraphError(f"start node {view.graph.get('start')!r} is none of the nodes; name one")
     return Graphs(action, edges, parameters, torch.tensor([slot[view.graph["start"]]]))
+
+
+def _parameters(node: str, values: Sequence[Any], wanted: int) -> Tensor:
+    """The parameters of a node (wanted,), if they are finite numbers and as many as wanted."""
+    if len(values) != wanted:
+        raise GraphError(f"{node} has {len(values)} parameters; give {wanted}")
+    for value in values:
+        real = isinstance(value, Real) and not isinstance(value, bool)
+        if not real or not abs(value) <= FLOAT32_MAX:  # NaN compares as False
+            raise GraphError(f"{node} has parameter {value!r}; give finite float32 numbers")
+    return torch.tensor([float(value) for value in values])

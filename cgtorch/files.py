@@ -1,0 +1,101 @@
+"""Reading and writing a run's files: whole or not at all, and as data, never as code."""
+
+import json
+import math
+import os
+import secrets
+from pathlib import Path
+from typing import Any, NoReturn
+
+from cgtorch.errors import CgtorchError, RunError
+
+MAX_JSON_BYTES = 64 * 2**20
+
+
+def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
+    """Write a file so that at any moment it holds either its old content or all of the new.
+
+    Args:
+        path: the file; its folder must exist.
+        data: the new content.
+        error: what to raise where it cannot be written; nothing is left behind then.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        try:
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except (OSError, ValueError) as e:
+        raise error(f"cannot write {str(path)!r} ({_reason(e)}); check the folder and disk") from e
+
+
+def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunError) -> None:
+    """Write `data` as JSON, whole or not at all; numbers that are not finite are refused."""
+    try:
+        text = json.dumps(data, indent=1, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as e:
+        raise error(
+            f"cannot write {str(path)!r} as JSON ({_reason(e)}); give plain finite data"
+        ) from e
+    write_bytes(path, text.encode() + b"\n", error)
+
+
+def read_json(
+    path: Path | str, max_bytes: int = MAX_JSON_BYTES, error: type[CgtorchError] = RunError
+) -> Any:
+    """Read a JSON file of at most `max_bytes`.
+
+    Stricter than the standard library: keys that come twice and numbers that are not finite in
+    float64 are errors, and so is whatever else stops it, however the file is made.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise error(f"{str(path)!r} is not a file; check the path")
+        with path.open("rb") as file:
+            raw = file.read(max_bytes + 1)
+    except (OSError, ValueError) as e:
+        if isinstance(e, error):
+            raise
+        raise error(f"cannot read {str(path)!r} ({_reason(e)}); check the path") from e
+    if len(raw) > max_bytes:
+        raise error(f"{str(path)!r} is larger than {max_bytes} bytes; is it the right file?")
+    try:
+        return json.loads(
+            raw.decode(),
+            parse_constant=_refuse,
+            parse_float=_finite,
+            object_pairs_hook=_unique,
+        )
+    except (ValueError, RecursionError) as e:
+        raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
+
+
+def _refuse(number: str) -> NoReturn:
+    raise ValueError(f"number {number[:20]} is not finite")
+
+
+def _finite(number: str) -> float:
+    value = float(number)
+    return value if math.isfinite(value) else _refuse(number)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [k for k, _ in pairs]
+        twice = next(k for i, k in enumerate(keys) if k in keys[:i])
+        raise ValueError(f"key {twice[:40]!r} comes twice")
+    return found
+
+
+def _reason(e: Exception) -> str:
+    """What an error says, on one line."""
+    text = e.strerror if isinstance(e, OSError) and e.strerror else str(e)
+    return " ".join(text.split())[:200] or type(e).__name__

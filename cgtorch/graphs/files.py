@@ -1,0 +1,186 @@
+"""Skill files: a skill with all the skills in it, as JSON.
+
+A file names actions but holds none: they are given when it is read. All nested skills, of
+whatever level, stand side by side under "skills", each once; a node whose action is one of these
+names is that skill.
+"""
+
+import reprlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+
+from cgtorch.actions import ActionSet
+from cgtorch.errors import GraphError
+from cgtorch.files import read_json, write_json
+from cgtorch.graphs.skill import Skill, SubSkill
+from cgtorch.graphs.validity import check_graph
+from cgtorch.graphs.view import View, from_networkx, to_networkx
+
+FORMAT, VERSION = "cgtorch-skill", 1
+MAX_BYTES = 32 * 2**20
+MAX_NODES = 10_000
+MAX_DEPTH = 32
+
+_SKILL: dict[str, type] = {
+    "name": str,
+    "max_transitions": int,
+    "start": str,
+    "nodes": list,
+    "edges": list,
+}
+_FILE: dict[str, type] = {"format": str, "version": int, **_SKILL, "skills": dict}
+_NODE: dict[str, type] = {"name": str, "action": str, "parameters": list}
+_EDGE: dict[str, type] = {"tail": str, "head": str, "outcome": str}
+_KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
+
+
+def save_skill(path: Path | str, skill: Skill) -> None:
+    """Write a skill file, whole or not at all.
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    write_json(path, skill_to_dict(skill))
+
+
+def load_skill(path: Path | str, actions: ActionSet) -> Skill:
+    """Read a skill file; the skill is exactly the one that was saved.
+
+    Args:
+        path: the file.
+        actions: the actions its nodes may use, without sub-skills.
+
+    Raises:
+        GraphError: the file cannot be read or does not describe a skill.
+        ActionError: a node uses an action that is not known.
+    """
+    return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
+
+
+def skill_to_dict(skill: Skill) -> dict[str, Any]:
+    """A skill as the plain data of a skill file."""
+    entries: dict[str, Any] = {}
+    described = _describe(skill, entries, {})
+    return {"format": FORMAT, "version": VERSION, **described, "skills": entries}
+
+
+def _describe(skill: Skill, entries: dict[str, Any], keys: dict[int, str]) -> dict[str, Any]:
+    """One skill; those in it are added to `entries`, their keys by identity to `keys`."""
+    key_of = {name: name for name in skill.actions.names}
+    for name, sub in skill.sub_skills.items():
+        if id(sub) not in keys:
+            described = _describe(sub, entries, keys)
+            key, count = name, 1
+            # Another skill of the same name may be in use at another level.
+            while entries.setdefault(key, described) != described:
+                count += 1
+                key = f"{name}_{count}"
+            keys[id(sub)] = key
+        key_of[name] = keys[id(sub)]
+    view = to_networkx(skill.graph, skill.actions)
+    label = {node: f"{key_of[data['action']]}_{node}" for node, data in view.nodes(data=True)}
+    return {
+        "name": skill.name,
+        "max_transitions": skill.max_transitions,
+        "start": label[view.graph["start"]],
+        "nodes": [
+            {"name": label[n], "action": key_of[d["action"]], "parameters": d["parameters"]}
+            for n, d in view.nodes(data=True)
+        ],
+        "edges": [
+            {"tail": label[tail], "head": label[head], "outcome": data["outcome"]}
+            for tail, head, data in view.edges(data=True)
+        ],
+    }
+
+
+def skill_from_dict(data: object, actions: ActionSet) -> Skill:
+    """A skill from the plain data of a skill file; see `load_skill`."""
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, Mapping) else data
+        raise GraphError(f"not a skill file: format is {_short(found)}, not {FORMAT!r}")
+    if data.get("version") != VERSION or isinstance(data["version"], bool):
+        raise GraphError(
+            f"skill file of version {_short(data.get('version'))}; this cgtorch reads {VERSION}"
+        )
+    _check_keys(data, _FILE, "the skill file")
+    entries: Mapping[str, object] = data["skills"]
+    if taken := sorted(set(entries) & set(actions.names)):
+        raise GraphError(f"sub-skill {_short(taken[0])} has the name of an action; rename it")
+    known: dict[str, SubSkill] = {}
+    skill = _read(data, _SKILL | _FILE, "the skill", entries, actions, known, ())
+    if unused := [key for key in entries if key not in known]:
+        raise GraphError(f"sub-skill {_short(unused[0])} is used by no node; remove it")
+    return skill
+
+
+def _read(
+    data: object,
+    keys: Mapping[str, type],
+    what: str,
+    entries: Mapping[str, object],
+    actions: ActionSet,
+    known: dict[str, SubSkill],
+    path: tuple[str, ...],
+) -> Skill:
+    """One skill of a file; the skills in it are read first, and once, into `known`."""
+    skill = _check_keys(data, keys, what)
+    nodes = [_check_keys(n, _NODE, f"node {i} of {what}") for i, n in enumerate(skill["nodes"])]
+    edges = [_check_keys(e, _EDGE, f"edge {i} of {what}") for i, e in enumerate(skill["edges"])]
+    if len(nodes) > MAX_NODES:
+        raise GraphError(f"{what} has {len(nodes)} nodes; at most {MAX_NODES} can be read")
+    if skill["max_transitions"] < 1 or skill["max_transitions"] > 2**31:
+        raise GraphError(
+            f"{what} has max_transitions {_short(skill['max_transitions'])}; give at least 1"
+        )
+    used = [key for key in dict.fromkeys(n["action"] for n in nodes) if key in entries]
+    for key in used:
+        if key in path:
+            raise GraphError(f"sub-skill {_short(key)} contains itself; remove the cycle")
+        if len(path) >= MAX_DEPTH:
+            raise GraphError(f"sub-skills are nested deeper than {MAX_DEPTH}; flatten them")
+        if key not in known:
+            name = f"sub-skill {_short(key)}"
+            inner = _read(entries[key], _SKILL, name, entries, actions, known, (*path, key))
+            known[key] = SubSkill(inner)
+    actions = actions.extended(used, [known[key] for key in used])
+    graph = from_networkx(_view(skill["start"], nodes, edges, what), actions)
+    check_graph(graph, actions, [n["name"] for n in nodes])
+    return Skill(skill["name"], graph, actions, skill["max_transitions"])
+
+
+def _view(start: str, nodes: list[Any], edges: list[Any], what: str) -> View:
+    """The multigraph that nodes and edges describe, by the nodes' names."""
+    view: View = nx.MultiDiGraph(start=start)
+    for node in nodes:
+        if node["name"] in view:
+            raise GraphError(f"{what} has two nodes {_short(node['name'])}; names must be unique")
+        view.add_node(node["name"], action=node["action"], parameters=node["parameters"])
+    for edge in edges:
+        for end in ("tail", "head"):
+            if edge[end] not in view:
+                raise GraphError(
+                    f"{what} has an edge with {end} {_short(edge[end])}, which is none of its nodes"
+                )
+        view.add_edge(edge["tail"], edge["head"], outcome=edge["outcome"])
+    return view
+
+
+def _check_keys(data: object, keys: Mapping[str, type], what: str) -> Mapping[str, Any]:
+    """`data` if it is an object with exactly these keys, each of its type."""
+    if not isinstance(data, Mapping):
+        raise GraphError(f"{what} is {_short(data)}; give an object with {', '.join(keys)}")
+    if missing := [key for key in keys if key not in data]:
+        raise GraphError(f"{what} has no {missing[0]!r}; it needs {', '.join(keys)}")
+    if unknown := [key for key in data if key not in keys]:
+        raise GraphError(f"{what} has unknown key {_short(unknown[0])}; known: {', '.join(keys)}")
+    for key, kind in keys.items():
+        if not isinstance(data[key], kind) or isinstance(data[key], bool):
+            raise GraphError(f"{what} has {key} {_short(data[key])}; give {_KIND[kind]}")
+    return data
+
+
+_short = reprlib.repr
