@@ -1,0 +1,1 @@
+"""Kernel machines: C-SVC and epsilon-SVR, and the two models built from them."""

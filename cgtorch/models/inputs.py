@@ -1,0 +1,115 @@
+"""Checks at the door: training data as float64 tensors, and the memory that a fit would take."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DataError, SettingsError
+
+MAX_MEMORY = 4 * 1024**3
+"""Bytes that a fit may use for kernel matrices unless told otherwise."""
+
+
+def as_tensor(values: Any, name: str) -> Tensor:
+    """`values` (torch, numpy or nested lists) as a finite float64 tensor on its device.
+
+    Raises:
+        DataError: The values are not numbers, or not all finite.
+    """
+    try:
+        tensor = torch.as_tensor(values).detach().to(torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise DataError(f"{name} is not an array of numbers: {error}") from error
+    bad = int((~torch.isfinite(tensor)).sum())
+    if bad:
+        raise DataError(f"{name} has {bad} NaN or infinite values; remove those rows first")
+    return tensor
+
+
+def as_rows(values: Any, name: str = "x") -> Tensor:
+    """`values` as a finite float64 tensor (n, d) with n, d >= 1.
+
+    Raises:
+        DataError: Another shape, no rows, not numbers, or not finite.
+    """
+    rows = as_tensor(values, name)
+    if rows.ndim != 2 or 0 in rows.shape:
+        raise DataError(f"{name} has shape {tuple(rows.shape)}; pass at least one row, (n, d)")
+    return rows
+
+
+def as_targets(values: Any, rows: int) -> Tensor:
+    """`values` as float64 targets (n,) or (n, outputs) for `rows` rows.
+
+    Raises:
+        DataError: Another shape or length, not numbers, or not finite.
+    """
+    targets = as_tensor(values, "y")
+    if targets.ndim not in (1, 2) or len(targets) != rows or 0 in targets.shape:
+        raise DataError(f"y has shape {tuple(targets.shape)}; pass one target per row, {rows} rows")
+    return targets
+
+
+def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:
+    """The two classes (2,), ascending, and each row's sign (n,): -1 first class, 1 second.
+
+    Raises:
+        DataError: Not one number per row, or not exactly two classes.
+    """
+    labels = as_tensor(values, "y")
+    if labels.shape != (rows,):
+        raise DataError(f"y has shape {tuple(labels.shape)}; pass one label per row, ({rows},)")
+    classes = labels.unique()
+    if len(classes) != 2:
+        shown = ", ".join(f"{value:g}" for value in classes[:5].tolist())
+        raise DataError(f"y has {len(classes)} classes ({shown}); a classifier needs exactly two")
+    return classes, torch.where(labels == classes[1], 1.0, -1.0).to(labels)
+
+
+def as_given(result: Tensor, example: Any) -> Any:
+    """`result` as numpy if `example` is not a tensor, else as it is."""
+    if isinstance(example, Tensor):
+        return result
+    return result.detach().cpu().numpy()
+
+
+def check_memory(rows: int, limit: int) -> None:
+    """Refuse a fit whose kernel matrices would not fit in `limit` bytes.
+
+    The solver keeps the kernel in float64 and float32 and, for the free rows, a copy of each
+    and its factor: at most 36 bytes for each pair of rows.
+
+    Raises:
+        DataError: They would not.
+    """
+    needed = 36 * rows * rows
+    if needed > limit:
+        most = int((limit / 36) ** 0.5)
+        raise DataError(
+            f"{rows} rows would take {needed / 1e9:.1f} GB for kernel matrices and the limit is "
+            f"{limit / 1e9:.1f} GB; train on at most {most} rows or raise max_memory"
+        )
+
+
+def positive(value: Any, name: str) -> float:
+    """`value` as a finite float above 0.
+
+    Raises:
+        SettingsError: It is not.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not 0 < number < float("inf"):
+        raise SettingsError(f"{name} is {value!r}; it must be a positive number")
+    return number
+
+
+def generator_of(seed: int | torch.Generator) -> torch.Generator:
+    """A generator on the CPU from a seed, or the given one."""
+    if isinstance(seed, torch.Generator):
+        return seed
+    return torch.Generator().manual_seed(int(np.int64(seed)))

@@ -1,0 +1,89 @@
+"""Kernel functions: radial basis, linear, polynomial, and whatever the user brings.
+
+A kernel maps rows x (m, d) and centres s (n, d) to values (m, n) and has to be positive
+semidefinite. The formulas are those of libsvm (Chang & Lin 2011).
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DataError, SettingsError
+
+Kernel = Callable[[Tensor, Tensor], Tensor]
+
+KERNELS = ("rbf", "linear", "poly")
+
+
+def squared_distance(x: Tensor, s: Tensor) -> Tensor:
+    """Squared Euclidean distances (m, n) between rows x (m, d) and s (n, d), never negative."""
+    inner = torch.addmm((s * s).sum(1), x, s.T, alpha=-2.0)
+    return inner.add_((x * x).sum(1)[:, None]).clamp_min_(0)
+
+
+def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
+    """exp(-gamma |x - s|^2), (m, n)."""
+    return squared_distance(x, s).mul_(-gamma).exp_()
+
+
+def linear(x: Tensor, s: Tensor) -> Tensor:
+    """x' s, (m, n)."""
+    return x @ s.T
+
+
+def polynomial(x: Tensor, s: Tensor, gamma: float, degree: int, coef0: float) -> Tensor:
+    """(gamma x' s + coef0) ^ degree, (m, n)."""
+    return (gamma * (x @ s.T) + coef0) ** degree
+
+
+def make_kernel(kernel: str | Kernel, gamma: float, degree: int = 3, coef0: float = 0.0) -> Kernel:
+    """The kernel function of a name in `KERNELS`, or the callable itself.
+
+    Raises:
+        SettingsError: The name is unknown.
+    """
+    if callable(kernel):
+        return kernel
+    if kernel == "rbf":
+        return lambda x, s: rbf(x, s, gamma)
+    if kernel == "linear":
+        return linear
+    if kernel == "poly":
+        return lambda x, s: polynomial(x, s, gamma, degree, coef0)
+    raise SettingsError(f"kernel is {kernel!r}; choose one of {KERNELS} or pass a callable")
+
+
+def resolve_gamma(gamma: str | float, x: Tensor) -> float:
+    """The number that `gamma` stands for on training rows x (n, d).
+
+    "scale" is 1 / (d var(x)) over the whole array and "auto" 1 / d, as in scikit-learn.
+
+    Raises:
+        SettingsError: `gamma` is neither of these words nor a positive number.
+    """
+    if gamma == "auto":
+        return 1.0 / x.shape[1]
+    if gamma == "scale":
+        variance = float(x.double().var(correction=0))
+        return 1.0 / (x.shape[1] * variance) if variance > 0 else 1.0
+    if isinstance(gamma, str) or not 0 < float(gamma) < float("inf"):
+        raise SettingsError(f'gamma is {gamma!r}; choose "scale", "auto" or a positive number')
+    return float(gamma)
+
+
+def kernel_matrix(kernel: Kernel, x: Tensor) -> Tensor:
+    """Symmetric kernel matrix (n, n) of rows x (n, d).
+
+    Raises:
+        DataError: The kernel returned another shape or non-finite values.
+    """
+    matrix = kernel(x, x)
+    if matrix.shape != (len(x), len(x)):
+        raise DataError(
+            f"the kernel returned shape {tuple(matrix.shape)} for {len(x)} rows; "
+            f"it must return ({len(x)}, {len(x)})"
+        )
+    if not bool(torch.isfinite(matrix).all()):
+        raise DataError("the kernel gave non-finite values; scale the features or change gamma")
+    return matrix

@@ -1,0 +1,158 @@
+"""What SVC and SVR share: centres, weights and bias as buffers, and the values they give."""
+
+import inspect
+from collections.abc import Mapping
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+
+from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.models.fused import chunk_rows, fused_rbf
+from cgtorch.models.kernels import Kernel, make_kernel
+
+
+class KernelMachine(nn.Module):
+    """A function sum_j w_j K(x, c_j) + b with k outputs.
+
+    The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
+    `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
+    gap of each output, and what a subclass adds. Before `fit` they are empty.
+    """
+
+    centres: Tensor
+    weights: Tensor
+    bias: Tensor
+    gamma_value: Tensor
+    support: Tensor
+    gap: Tensor
+
+    kernel: str | Kernel
+    degree: int
+    coef0: float
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, shape in (("centres", (0, 0)), ("weights", (0, 1)), ("bias", (1,)), ("gap", (1,))):
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+        self.register_buffer("gamma_value", torch.ones((), dtype=torch.float64))
+        self.register_buffer("support", torch.zeros(0, dtype=torch.long))
+
+    @property
+    def fitted(self) -> bool:
+        """Whether there is something to predict with."""
+        return len(self.centres) > 0
+
+    @property
+    def n_features_in_(self) -> int:
+        """Number of features d of a row."""
+        self._check_fitted()
+        return self.centres.shape[1]
+
+    @property
+    def support_(self) -> Tensor:
+        """Training rows that are centres (m,), ascending."""
+        self._check_fitted()
+        return self.support
+
+    @property
+    def support_vectors_(self) -> Tensor:
+        """The centres (m, d)."""
+        self._check_fitted()
+        return self.centres
+
+    @property
+    def dual_coef_(self) -> Tensor:
+        """Weights of the centres (k, m)."""
+        self._check_fitted()
+        return self.weights.T
+
+    @property
+    def intercept_(self) -> Tensor:
+        """Biases (k,)."""
+        self._check_fitted()
+        return self.bias
+
+    def values(self, x: Tensor) -> Tensor:
+        """Values (..., k) of rows x (..., d), in the type of the buffers.
+
+        Raises:
+            ModelError: Not fitted.
+            DataError: Another number of features.
+        """
+        return self.values_and_distance(x)[0]
+
+    def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (..., k), and for an RBF kernel the squared distance (...) to the nearest centre.
+
+        Both come from the same kernel evaluation. For other kernels the distance is 0.
+
+        Raises:
+            ModelError: Not fitted.
+            DataError: Another number of features.
+        """
+        self._check_fitted()
+        if x.shape[-1] != self.centres.shape[1]:
+            raise DataError(
+                f"a row has {x.shape[-1]} features; the model was fitted on {self.centres.shape[1]}"
+            )
+        rows = x.reshape(-1, x.shape[-1]).to(self.centres)
+        if self.kernel == "rbf":
+            values, exponent = fused_rbf(
+                rows, self.centres, self.weights, self.bias, self.gamma_value
+            )
+            distance = exponent.clamp_min(0) / (self.gamma_value * 1.4426950408889634)
+        else:
+            values, distance = self._plain(rows), rows.new_zeros(len(rows))
+        lead = x.shape[:-1]
+        return values.reshape(*lead, values.shape[1]), distance.reshape(lead)
+
+    def _plain(self, rows: Tensor) -> Tensor:
+        """Values (n, k) with any kernel, in chunks of bounded memory."""
+        kernel = make_kernel(self.kernel, float(self.gamma_value), self.degree, self.coef0)
+        size = chunk_rows(len(self.centres), rows.element_size())
+        parts = [kernel(part, self.centres) @ self.weights for part in rows.split(size)]
+        return torch.cat(parts) + self.bias
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """The constructor's arguments by name, as scikit-learn's `clone` wants them."""
+        del deep
+        names = inspect.signature(type(self).__init__).parameters
+        return {name: getattr(self, name) for name in names if name != "self"}
+
+    def set_params(self, **params: Any) -> Self:
+        """Change constructor arguments by name; the next `fit` uses them.
+
+        Raises:
+            SettingsError: A name the constructor does not have.
+        """
+        known = self.get_params()
+        for name, value in params.items():
+            if name not in known:
+                raise SettingsError(f"{name!r} is no parameter; choose among {sorted(known)}")
+            setattr(self, name, value)
+        return self
+
+    def _check_fitted(self) -> None:
+        if not self.fitted:
+            raise ModelError(f"this {type(self).__name__} has not been fitted; call fit(x, y) first")
+
+    def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
+        """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""
+        used = (beta != 0).any(0)
+        if not bool(used.any()):
+            used[0] = True  # a constant still needs a centre to say how many features a row has
+        self.support = used.nonzero().flatten()
+        self.centres, self.weights = x[used].clone(), beta[:, used].T.contiguous()
+        self.bias, self.gap = bias.clone(), gap.clone()
+        self.gamma_value = torch.tensor(gamma, dtype=x.dtype, device=x.device)
+
+    def _load_from_state_dict(
+        self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        """Take the buffers' sizes from the state dict, as a fit does from its data."""
+        for name, buffer in self._buffers.items():
+            given = state_dict.get(prefix + name)
+            if isinstance(given, Tensor) and buffer is not None and given.shape != buffer.shape:
+                self._buffers[name] = buffer.new_zeros(given.shape)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)

@@ -1,0 +1,399 @@
+"""A batched active-set solver for the dual problem of C-SVC and epsilon-SVR.
+
+Both are one convex problem per column of targets (Chang & Lin 2011, eq. 2 and 10):
+
+    min  1/2 beta' K beta - z' beta + epsilon |beta|_1   with  lower <= beta <= upper, 1' beta = 0
+
+(C-SVC: z the signs, epsilon 0, box [0, C] or [-C, 0]; epsilon-SVR: z the targets, box [-C, C];
+a row held out: box [0, 0]). The solver is a primal-dual active set, a semismooth Newton method
+(Hintermueller, Ito & Kunisch 2003) on the optimality system with a ridge h on the diagonal of K,
+which is the dual of rounding the loss's corners over a width h (Chapelle 2007). The ridge falls
+along a ladder, each rung starting from the last one's statuses. Every answer carries its duality
+gap, and problems that do not converge are handed to `cgtorch.models.smo`, which always does.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.models import smo
+from cgtorch.models.problems import Problems
+
+# Status of a coefficient: on a bound (-2 lower, 0 zero, 2 upper) or free (-1 below, 1 above zero).
+_LOWER, _NEGATIVE, _ZERO, _POSITIVE, _UPPER = -2, -1, 0, 1, 2
+
+FINAL_RIDGE = 1e-7
+"""Last ridge of a final fit, in units of 1 / C: a relative duality gap of about 1e-6."""
+
+_FIRST_RIDGE = 1.0
+_LADDER = 0.3
+_CALM = 0.1  # the ridge falls when at most this share of the free set changed
+_MAX_STEPS = 200
+_SMALLEST_SUBSET = 200
+_ACCURATE = 1e-3  # of the ridge: how well the free coefficients solve their equations
+_ROUNDING = 1e-11
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """Answers to a batch of P problems over n rows.
+
+    Attributes:
+        beta: Coefficients (P, n).
+        bias: Bias of the decision function (P,).
+        product: Values K beta without the bias (P, n), held-out rows included.
+        status: Active-set status of each coefficient (P, n), int8, to start a related problem.
+        gap: Duality gap (P,).
+        objective: Dual objective, the minimum above with its sign (P,).
+        direct: True where the active set converged, False where SMO had to finish (P,).
+    """
+
+    beta: Tensor
+    bias: Tensor
+    product: Tensor
+    status: Tensor
+    gap: Tensor
+    objective: Tensor
+    direct: Tensor
+
+    def take(self, index: Tensor) -> "Solutions":
+        """The solutions of `index` (Q,)."""
+        return Solutions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def soft(x: Tensor, width: Tensor) -> Tensor:
+    """Soft threshold: x moved towards 0 by `width`, and 0 within it."""
+    return x.sign() * (x.abs() - width).clamp_min(0)
+
+
+def classify(value: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+    """Status (P, n) of unclipped coefficients `value` (P, n)."""
+    status = torch.zeros_like(value, dtype=torch.int8)
+    status = status.masked_fill((value > 0) & (upper > 0), _POSITIVE)
+    status = status.masked_fill((value < 0) & (lower < 0), _NEGATIVE)
+    status = status.masked_fill((value >= upper) & (upper > 0), _UPPER)
+    return status.masked_fill((value <= lower) & (lower < 0), _LOWER)
+
+
+def duality_gap(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
+    """Primal minus dual objective (P,) at feasible `beta` (P, n).
+
+    It is a sum of one non-negative term per row, u max(0, r - e) - l max(0, -r - e) - r b + e |b|
+    with residual r = z - K beta - bias, so it shows where a solution is not optimal.
+    """
+    residual = problems.z - product - bias[:, None]
+    width = problems.epsilon[:, None]
+    loss = problems.upper * (residual - width).clamp_min(0)
+    loss = loss - problems.lower * (-residual - width).clamp_min(0)
+    return (loss - residual * beta + width * beta.abs()).sum(1)
+
+
+def dual_objective(problems: Problems, beta: Tensor, product: Tensor) -> Tensor:
+    """The minimised function (P,) at `beta` (P, n) with `product` = K beta."""
+    linear = (0.5 * product - problems.z) * beta + problems.epsilon[:, None] * beta.abs()
+    return linear.sum(1)
+
+
+def _on_bounds(problems: Problems, value: Tensor, status: Tensor) -> Tensor:
+    """`value` with every coefficient that is not free moved to the bound of its status."""
+    value = torch.where(status == _UPPER, problems.upper, value)
+    value = torch.where(status == _LOWER, problems.lower, value)
+    return value.masked_fill(status == _ZERO, 0.0)
+
+
+def _newton_step(
+    kernel: Tensor, single: Tensor, free: Tensor, ridge: float, right: Tensor, precise: bool
+) -> tuple[Tensor, Tensor, bool]:
+    """Solve (K_FF + ridge I) x = [right, 1] and return both columns and whether float64 was used.
+
+    The factor is made in float32 and again in float64 where its smallest pivot says that
+    rounding would show.
+    """
+    columns = torch.stack([right, torch.ones_like(right)], dim=1)
+    for source in (kernel,) if precise else (single, kernel):
+        matrix = source.index_select(0, free).index_select(1, free)
+        matrix.diagonal().add_(ridge)
+        scale = float(matrix.diagonal().max())
+        factor, info = torch.linalg.cholesky_ex(matrix)
+        smallest = float(factor.diagonal().min()) ** 2 / scale
+        if int(info) == 0 and (source is kernel or smallest > 2e-5):
+            solved = torch.cholesky_solve(columns.to(source.dtype), factor).to(kernel.dtype)
+            return solved[:, 0], solved[:, 1], source is kernel
+    # Rounding made even the float64 matrix indefinite: a little more ridge is a shorter step.
+    values, vectors = torch.linalg.eigh(matrix)
+    values = values.clamp_min(scale * 1e-14 * len(free))
+    solved = vectors @ ((vectors.T @ columns) / values[:, None])
+    return solved[:, 0], solved[:, 1], True
+
+
+def _slope(problems: Problems, h: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    """Derivative of the rounded loss, the coefficients (P, n) that `residual` asks for, and h."""
+    value = soft(residual, problems.epsilon[:, None]) / h[:, None]
+    return value, torch.minimum(torch.maximum(value, problems.lower), problems.upper)
+
+
+def _rounded_primal(
+    problems: Problems, h: Tensor, beta: Tensor, product: Tensor, residual: Tensor
+) -> Tensor:
+    """The primal objective (P,) with the corners of its loss rounded over a width h C."""
+    slope = _slope(problems, h, residual)[1]
+    loss = (residual - 0.5 * h[:, None] * slope) * slope - problems.epsilon[:, None] * slope.abs()
+    return (0.5 * beta * product + loss).sum(1)
+
+
+def _line_search(
+    problems: Problems,
+    h: Tensor,
+    residual: Tensor,
+    change: Tensor,
+    linear: Tensor,
+    square: Tensor,
+) -> Tensor:
+    """Steps (P,) at most 1 that minimise the rounded primal along a Newton direction.
+
+    The derivative along the step t is linear + t square - slope(residual - t change)' change, which
+    only grows with t, so bisection finds its zero.
+
+    Args:
+        problems: The problems.
+        h: Ridges (P,).
+        residual: Residuals at t = 0 (P, n).
+        change: Fall of the residuals at t = 1 (P, n).
+        linear: beta' K d of the direction d (P,).
+        square: d' K d (P,).
+    """
+
+    def derivative(t: Tensor) -> Tensor:
+        slope = _slope(problems, h, residual - t[:, None] * change)[1]
+        return linear + t * square - (slope * change).sum(1)
+
+    low, high = torch.zeros_like(h), torch.ones_like(h)
+    noise = 1e-13 * (residual.abs() * problems.cap[:, None] * change.abs()).sum(1)
+    full = derivative(high) <= 0.5 * derivative(low).abs() + noise
+    if bool(full.all()):
+        return high
+    for _ in range(12):
+        middle = (low + high) / 2
+        before = derivative(middle) < 0
+        low, high = torch.where(before, middle, low), torch.where(before, high, middle)
+    return torch.where(full, 1.0, high)
+
+
+def _first_point(
+    kernel: Tensor, problems: Problems, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Coefficients (P, n) and bias (P,) from the solution on a random quarter with 4 C."""
+    beta, bias = torch.zeros_like(problems.z), problems.z.median(1).values
+    live = ((problems.upper > 0) | (problems.lower < 0)).any(0).nonzero().flatten()
+    if len(live) > _SMALLEST_SUBSET:
+        order = torch.randperm(len(live), generator=generator)[: len(live) // 4]
+        part = live[order.to(live.device)]
+        sub = kernel.index_select(0, part).index_select(1, part)
+        quarter = active_set(sub, problems.rows(part, 4.0), None, generator, last=0.03)
+        beta[:, part], bias = quarter.beta, quarter.bias
+    return beta, bias
+
+
+def _free_set(part: Problems, status: Tensor, value: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
+    """Which coefficients are free (P, n), and which of them only because a problem had none.
+
+    Without a free coefficient the bias would have no equation, so the one nearest to being free
+    is freed.
+    """
+    free = status.abs() == 1
+    empty = (~free.any(1)).nonzero().flatten()
+    forced = torch.zeros_like(free)
+    if len(empty):
+        distance = (value - slope).abs()[empty]
+        distance = distance.masked_fill((part.upper == part.lower)[empty], torch.inf)
+        forced[empty, distance.argmin(1)] = True
+    return free | forced, forced
+
+
+def _direction(
+    kernel: Tensor,
+    single: Tensor,
+    part: Problems,
+    h: Tensor,
+    point: tuple[Tensor, Tensor, Tensor],
+    status: Tensor,
+    precise: list[bool],
+) -> tuple[Tensor, Tensor]:
+    """Newton direction of the coefficients (P, n) and biases (P,) for given statuses.
+
+    Coefficients on a bound go there; the free ones solve (K_FF + h) d + shift = right with
+    coefficients that sum to 0. `precise` is updated with who needed float64.
+    """
+    beta, bias, product = point
+    residual = part.z - product - bias[:, None]
+    value, slope = _slope(part, h, residual)
+    free, forced = _free_set(part, status, value, slope)
+    d = (_on_bounds(part, value, status) - beta).masked_fill(free, 0.0)
+    right = residual - part.epsilon[:, None] * status.sign() - h[:, None] * beta
+    right = torch.where(forced, h[:, None] * (slope - beta), right) - d @ kernel
+    total = (beta + d).sum(1)
+    shift = torch.zeros_like(bias)
+    for row in range(len(h)):
+        index = free[row].nonzero().flatten()
+        u, v, precise[row] = _newton_step(
+            kernel, single, index, float(h[row]), right[row, index], precise[row]
+        )
+        shift[row] = (u.sum() + total[row]) / v.sum()
+        d[row, index] = u - shift[row] * v
+    return d, shift
+
+
+def active_set(
+    kernel: Tensor,
+    problems: Problems,
+    start: tuple[Tensor, Tensor, Tensor] | None,
+    generator: torch.Generator,
+    *,
+    first: float = _FIRST_RIDGE,
+    last: float = 1e-3,
+) -> Solutions:
+    """Run the active set down the ladder of ridges `first` / C ... `last` / C.
+
+    On each rung, Newton steps with a line search minimise the primal with its corners rounded,
+    which converges from every start. When few statuses change, the ridge falls and one full step
+    with the statuses of the rung before predicts the solution on the next; a prediction that
+    makes things worse is undone and tried again with a smaller fall.
+
+    Args:
+        kernel: Positive semidefinite kernel matrix (n, n), float64.
+        problems: P problems over its rows.
+        start: Coefficients (P, n), biases (P,) and statuses (P, n) to start from, or None to
+            begin on a quarter of the rows.
+        generator: Source of the random quarter.
+        first: First ridge, in units of 1 / C.
+        last: Last ridge, in units of 1 / C; the gap is at most about n last C / 4.
+
+    Returns:
+        The solutions, exact only where `direct`.
+    """
+    if start is None:
+        beta, bias = _first_point(kernel, problems, generator)
+        status = torch.zeros_like(beta, dtype=torch.int8)
+    else:
+        beta, bias, status = (tensor.clone() for tensor in start)
+    product = beta @ kernel
+    single = kernel.float()
+    known = torch.full_like(bias, start is not None, dtype=torch.bool)  # statuses to be kept
+    jump = known.clone()  # this step predicts the solution on a new rung
+    strict = torch.zeros_like(known)  # a prediction failed: finish the rung before the next one
+    done = torch.zeros_like(known)
+    level, former = torch.full_like(bias, first), torch.full_like(bias, first)
+    ratio = torch.full_like(bias, _LADDER)
+    precise = [False] * len(beta)
+    for _ in range(_MAX_STEPS):
+        live = (~done).nonzero().flatten()
+        if len(live) == 0:
+            break
+        part = problems.take(live)
+        x0, b0, g0, rung = beta[live], bias[live], product[live], level[live]
+        h, jumped = rung / part.cap, jump[live]
+        residual = part.z - g0 - b0[:, None]
+        old = classify(_slope(part, h, residual)[0], part.lower, part.upper)
+        old = torch.where(known[live][:, None], status[live], old)
+        exact = [precise[problem] for problem in live.tolist()]
+        d, shift = _direction(kernel, single, part, h, (x0, b0, g0), old, exact)
+        move = d @ kernel
+        linear, square = (g0 * d).sum(1), (move * d).sum(1)
+        t = _line_search(part, h, residual, move + shift[:, None], linear, square)
+        t = torch.where(jumped, 1.0, t)
+        x, b, g = x0 + t[:, None] * d, b0 + t * shift, g0 + t[:, None] * move
+
+        before = _rounded_primal(part, h, x0, g0, residual)
+        residual = part.z - g - b[:, None]
+        full = t == 1
+        free = old.abs() == 1
+        value = torch.where(free & full[:, None], x, _slope(part, h, residual)[0])
+        new = classify(value, part.lower, part.upper)
+        new = torch.where((old * new == -1), torch.zeros_like(new), new)
+        flips = (new != old).sum(1)
+        wrong = (residual - part.epsilon[:, None] * old.sign() - h[:, None] * x) * free
+        accurate = wrong.abs().amax(1) <= (_ACCURATE * rung).clamp_min(_ROUNDING)
+        worse = _rounded_primal(part, h, x, g, residual) > before
+        back = jumped & (worse | (flips > free.sum(1))) & (flips > 0)
+        settled = full & (flips == 0)
+        calm = full & ~back & (settled | (~strict[live] & (flips <= _CALM * free.sum(1))))
+        final = rung <= last * 1.0001
+
+        for row, problem in enumerate(live.tolist()):
+            precise[problem] = exact[row] or bool(settled[row] and not accurate[row])
+        done[live] = final & settled & accurate
+        keep = back[:, None]
+        beta[live], product[live] = torch.where(keep, x0, x), torch.where(keep, g0, g)
+        bias[live] = torch.where(back, b0, b)
+        status[live] = torch.where(keep, status[live], new)
+        step = torch.where(jumped, (ratio[live] ** 1.5).clamp_min(_LADDER), ratio[live])
+        step = torch.where(settled & ~strict[live], step**2, step).clamp_min(_LADDER**3)
+        ratio[live] = torch.where(back, ratio[live].sqrt(), step)
+        strict[live] = torch.where(jumped, back, strict[live])
+        jump[live] = calm & ~final
+        known[live] = full & ~back
+        lower = (rung * ratio[live]).clamp_min(last)
+        level[live] = torch.where(calm, lower, torch.where(back, former[live], rung))
+        former[live] = torch.where(calm, rung, former[live])
+    gap = duality_gap(problems, beta, bias, product)
+    objective = dual_objective(problems, beta, product)
+    return Solutions(beta, bias, product, status, gap, objective, done)
+
+
+def solve(
+    kernel: Tensor,
+    problems: Problems,
+    generator: torch.Generator,
+    start: tuple[Tensor, Tensor, Tensor] | None = None,
+    *,
+    first: float = _FIRST_RIDGE,
+    last: float = 1e-3,
+    tolerance: float = 1e-3,
+) -> Solutions:
+    """Solve every problem, by the active set where it converges and by SMO elsewhere.
+
+    Args:
+        kernel: Positive semidefinite kernel matrix (n, n), float64.
+        problems: P problems over its rows.
+        generator: Source of the random quarter.
+        start: Coefficients, biases and statuses of related solutions, or None.
+        first: First ridge of the ladder, in units of 1 / C.
+        last: Last ridge of the ladder, in units of 1 / C.
+        tolerance: Optimality violation at which SMO stops (Fan, Chen & Lin 2005).
+
+    Returns:
+        Feasible solutions with their duality gaps.
+    """
+    found = active_set(kernel, problems, start, generator, first=first, last=last)
+    beta = torch.minimum(torch.maximum(found.beta, problems.lower), problems.upper)
+    bias = found.bias.clone()
+    failed = (~found.direct).nonzero().flatten()
+    for problem in failed.tolist():
+        beta[problem], bias[problem] = smo.solve(
+            kernel,
+            problems.z[problem],
+            problems.lower[problem],
+            problems.upper[problem],
+            float(problems.epsilon[problem]),
+            beta[problem],
+            tolerance,
+        )
+    product = beta @ kernel
+    status = found.status.clone()
+    if len(failed):
+        status[failed] = _status_of(problems.take(failed), beta[failed])
+    return Solutions(
+        beta,
+        bias,
+        product,
+        status,
+        duality_gap(problems, beta, bias, product),
+        dual_objective(problems, beta, product),
+        found.direct,
+    )
+
+
+def _status_of(problems: Problems, beta: Tensor) -> Tensor:
+    """Statuses (P, n) that feasible coefficients show; those on a bound are taken to stay."""
+    return classify(beta, problems.lower, problems.upper)
