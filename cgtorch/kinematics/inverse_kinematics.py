@@ -1,0 +1,286 @@
+"""Inverse kinematics in closed form for arms with a spherical wrist.
+
+It fits every arm whose seven joints turn about z, y, x, y, x, y, x (pan, lift, roll, elbow flex,
+forearm roll, wrist flex, wrist roll), with the upper arm and the forearm along x: the PR2, the
+Fetch and their kind. The arm has one joint more than a pose needs. Once the pan angle is chosen
+the other six follow exactly, in a few branches (elbow up or down, shoulder rolled or not, wrist
+flipped or not) of which the joint limits leave two on the PR2; so the pan angle is searched on a
+grid and everything else is algebra.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+PAN_SAMPLES = 36
+_AXES = (2, 1, 0, 1, 0, 1, 0)
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class SphericalArm:
+    """The lengths and limits of an arm that has a closed form; angles about positive axes.
+
+    Attributes:
+        base: (4, 4) pose of the pan joint in the arm's base link.
+        shoulder: (3,) where the lift axis stands in the turned pan frame, m.
+        upper_arm: From the lift axis to the elbow axis, m.
+        forearm: From the elbow axis to the wrist's centre, m.
+        tool: (4, 4) pose of the tool frame in the wrist's last frame, its origin in the wrist's
+            centre.
+        signs: (7,) 1 or -1: which way each joint turns.
+        lower: (7,) lower limits, rad.
+        upper: (7,) upper limits, rad.
+        branches: (S, 3) signs of the sine of the elbow, the cosine of the shoulder roll and the
+            sine of the wrist flex that the limits allow.
+        elbow_cosines: The least and the greatest cosine of the elbow that the limits allow.
+    """
+
+    base: Tensor
+    shoulder: Tensor
+    upper_arm: float
+    forearm: float
+    tool: Tensor
+    signs: Tensor
+    lower: Tensor
+    upper: Tensor
+    branches: Tensor
+    elbow_cosines: tuple[float, float]
+
+    def to(self, like: Tensor) -> "SphericalArm":
+        """The same arm on the device and in the dtype of a tensor."""
+        return SphericalArm(
+            self.base.to(like), self.shoulder.to(like), self.upper_arm, self.forearm,
+            self.tool.to(like), self.signs.to(like), self.lower.to(like), self.upper.to(like),
+            self.branches.to(like), self.elbow_cosines,
+        )  # fmt: skip
+
+
+def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | None:
+    """Read the closed form's parameters off a chain of URDF joints.
+
+    Args:
+        joints: The `yourdfpy` joints from the arm's base link to its tool frame.
+        limits: (n, 2) limits of the joints that move, rad; a continuous joint has at least a full
+            turn.
+
+    Returns:
+        The parameters, or None if the chain is of another kind.
+    """
+    offsets = [torch.eye(4, dtype=torch.float64)]
+    signs: list[float] = []
+    for joint in joints:
+        if joint.origin is not None:
+            offsets[-1] = offsets[-1] @ torch.as_tensor(joint.origin, dtype=torch.float64)
+        if joint.type == "fixed":
+            continue
+        axis = torch.as_tensor(joint.axis, dtype=torch.float64)
+        if joint.type == "prismatic" or len(signs) == len(_AXES):
+            return None
+        sign = float(axis[_AXES[len(signs)]])
+        if abs(abs(sign) - 1) > _TOLERANCE:
+            return None
+        signs.append(math.copysign(1.0, sign))
+        offsets.append(torch.eye(4, dtype=torch.float64))
+    if len(signs) != len(_AXES):
+        return None
+    base, shoulder, *middle, tool = offsets
+    straight = [pose[:3, 3] for pose in middle]
+    turned = any(
+        (pose[:3, :3] - torch.eye(3)).abs().max() > _TOLERANCE for pose in [shoulder, *middle]
+    )
+    if turned or any(shift[1:].abs().max() > _TOLERANCE for shift in straight):
+        return None
+    upper_arm = float(straight[0][0] + straight[1][0])
+    forearm = float(straight[2][0] + straight[3][0])
+    if upper_arm <= 0 or forearm <= 0:
+        return None
+    to_wrist = torch.eye(4, dtype=torch.float64)
+    to_wrist[:3, 3] = straight[4]
+    turns = torch.tensor(signs, dtype=torch.float64)
+    ends = (limits.double() * turns[:, None]).sort(dim=1).values
+    return SphericalArm(
+        base=base,
+        shoulder=shoulder[:3, 3],
+        upper_arm=upper_arm,
+        forearm=forearm,
+        tool=to_wrist @ tool,
+        signs=turns,
+        lower=ends[:, 0],
+        upper=ends[:, 1],
+        branches=_branches([(float(a), float(b)) for a, b in ends]),
+        elbow_cosines=_cosines(*ends[3].tolist()),
+    )
+
+
+def _cosines(lower: float, upper: float) -> tuple[float, float]:
+    """The least and the greatest cosine of an angle within limits around zero, a little widened."""
+    ends = math.cos(lower), math.cos(upper)
+    least = -1.0 if lower <= -math.pi or upper >= math.pi else min(ends)
+    most = 1.0 if lower <= 0 <= upper else max(ends)
+    return least - _TOLERANCE, most + _TOLERANCE
+
+
+def _branches(limits: list[tuple[float, float]]) -> Tensor:
+    """The combinations of signs that some angle within the limits has."""
+
+    def kept(lower: float, upper: float, phase: float) -> list[float]:
+        steps = max(2, math.ceil((upper - lower) / 0.01))
+        values = [math.sin(lower + (upper - lower) * i / steps + phase) for i in range(steps + 1)]
+        return [s for s in (1.0, -1.0) if any(s * value > 1e-9 for value in values)]
+
+    elbow, wrist = kept(*limits[3], 0.0), kept(*limits[5], 0.0)
+    roll = kept(*limits[2], math.pi / 2)
+    return torch.tensor(list(itertools.product(elbow, roll, wrist)), dtype=torch.float64)
+
+
+def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
+    """(samples,) pan angles over the joint's range, at most one turn of it, rad."""
+    lower, upper = float(arm.lower[0]), float(arm.upper[0])
+    if upper - lower > math.tau:
+        middle = (lower + upper) / 2
+        lower, upper = middle - math.pi, middle + math.pi - math.tau / samples
+    return torch.linspace(lower, upper, samples, dtype=arm.lower.dtype, device=arm.lower.device)
+
+
+def closed_form_candidates(
+    arm: SphericalArm, pose: Tensor, samples: int = PAN_SAMPLES
+) -> tuple[Tensor, Tensor]:
+    """All joint angles within limits that reach poses, over the grid of pan angles.
+
+    Args:
+        arm: The arm.
+        pose: (B, 4, 4) poses of the tool frame in the arm's base link.
+        samples: How many pan angles to try.
+
+    Returns:
+        The row each solution belongs to, ascending, (M,), and its joint angles (M, 7), rad.
+    """
+    wrist, rotation = _wrist(arm, pose)
+    pan = pan_grid(arm, samples)
+    x, y, z = _from_shoulder(arm, wrist[:, None], pan)
+    elbow = _cos_elbow(arm, x, y, z)
+    least, most = arm.elbow_cosines
+    row, sample = ((elbow >= least) & (elbow <= most)).nonzero(as_tuple=True)
+    q, sound = _solve(arm, wrist[row], rotation[row], pan[sample])
+    which, branch = sound.nonzero(as_tuple=True)
+    return row[which], q[which, branch]
+
+
+def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Joint angles along waypoints, in the branch and at the pan angle of a solution.
+
+    Args:
+        arm: The arm.
+        q: (M, 7) joint angles to start from, rad.
+        pose: (M, W, 4, 4) poses of the tool frame in the arm's base link.
+
+    Returns:
+        Joint angles (M, W, 7), rad, and whether each waypoint was reached within limits (M, W);
+        where it was not, the angles mean nothing.
+    """
+    angle = q * arm.signs
+    signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
+    branch = (signs[:, None] * arm.branches > 0).sum(-1).argmax(dim=1)
+    count, steps = pose.shape[:2]
+    wrist, rotation = _wrist(arm, pose)
+    path, sound = _solve(arm, wrist, rotation, angle[:, :1].expand(count, steps))
+    index = branch[:, None, None].expand(count, steps, 1)
+    path = path.gather(2, index[..., None].expand(count, steps, 1, 7)).squeeze(2)
+    return path, sound.gather(2, index).squeeze(2)
+
+
+def _wrist(arm: SphericalArm, pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Position (..., 3) and rotation (..., 3, 3) of the wrist's last frame in the pan frame."""
+    last = torch.linalg.inv(arm.base) @ pose @ torch.linalg.inv(arm.tool)
+    return last[..., :3, 3], last[..., :3, :3]
+
+
+def _from_shoulder(arm: SphericalArm, wrist: Tensor, pan: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The wrist's centre seen from the lift axis, in the turned pan frame."""
+    cos, sin = pan.cos(), pan.sin()
+    x = cos * wrist[..., 0] + sin * wrist[..., 1] - arm.shoulder[0]
+    y = cos * wrist[..., 1] - sin * wrist[..., 0] - arm.shoulder[1]
+    return x, y, (wrist[..., 2] - arm.shoulder[2]).expand_as(x)
+
+
+def _cos_elbow(arm: SphericalArm, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """The law of cosines in the triangle of shoulder, elbow and wrist."""
+    a, b = arm.upper_arm, arm.forearm
+    return (x * x + y * y + z * z - (a * a + b * b)) / (2 * a * b)
+
+
+def _solve(
+    arm: SphericalArm, wrist: Tensor, rotation: Tensor, pan: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Solve for six joints at given pan angles, in every branch.
+
+    Args:
+        arm: The arm.
+        wrist: (..., 3) centre of the wrist in the pan frame, m.
+        rotation: (..., 3, 3) rotation of the wrist's last frame there.
+        pan: (...) pan angles, rad.
+
+    Returns:
+        Joint angles (..., S, 7), rad, and whether they are a solution within limits (..., S).
+    """
+    elbow_sign, roll_sign, wrist_sign = arm.branches.unbind(-1)
+    x, y, z = (value[..., None] for value in _from_shoulder(arm, wrist, pan))
+    cos1, sin1 = pan.cos()[..., None], pan.sin()[..., None]
+
+    # Elbow: the triangle's third side. With the elbow bent the forearm leaves the upper arm's
+    # line by (along, drop); the shoulder's roll and lift then turn that onto the wrist.
+    cos4 = _cos_elbow(arm, x, y, z)
+    sound = cos4.abs() <= 1
+    cos4 = cos4.clamp(-1, 1)
+    sin4 = elbow_sign * (1 - cos4 * cos4).sqrt()
+    along = arm.upper_arm + arm.forearm * cos4
+    drop = -arm.forearm * sin4
+
+    # Roll: it alone gives the sideways part y. Lift: the turn left over in the x-z plane.
+    sin3 = -y / drop
+    sound = sound & (sin3.abs() <= 1)
+    sin3 = sin3.clamp(-1, 1)
+    cos3 = roll_sign * (1 - sin3 * sin3).sqrt()
+    down = cos3 * drop
+    reach = (x * x + z * z).clamp_min(1e-12)
+    cos2 = (along * x + down * z) / reach
+    sin2 = (down * x - along * z) / reach
+
+    # Wrist: what rotation is left, as forearm roll (x), flex (y) and wrist roll (x). Its first
+    # column is the tool's direction seen from the forearm, its first row the forearm's direction
+    # seen from the tool.
+    dx, dy, dz = (rotation[..., i, 0][..., None] for i in range(3))
+    dx, dy = cos1 * dx + sin1 * dy, cos1 * dy - sin1 * dx
+    dx, dz = cos2 * dx - sin2 * dz, sin2 * dx + cos2 * dz
+    dy, dz = cos3 * dy + sin3 * dz, cos3 * dz - sin3 * dy
+    dx, dz = cos4 * dx - sin4 * dz, sin4 * dx + cos4 * dz
+    fx, fy, fz = cos4, sin3 * sin4, -cos3 * sin4
+    fx, fz = cos2 * fx + sin2 * fz, cos2 * fz - sin2 * fx
+    fx, fy = cos1 * fx - sin1 * fy, sin1 * fx + cos1 * fy
+    row = [
+        rotation[..., 0, i][..., None] * fx
+        + rotation[..., 1, i][..., None] * fy
+        + rotation[..., 2, i][..., None] * fz
+        for i in (1, 2)
+    ]
+    sin6 = wrist_sign * (dy * dy + dz * dz).sqrt()
+
+    angles = [
+        pan[..., None].expand_as(sin6),
+        torch.atan2(sin2, cos2),
+        torch.atan2(sin3, cos3),
+        torch.atan2(sin4, cos4),
+        torch.atan2(wrist_sign * dy, -wrist_sign * dz),
+        torch.atan2(sin6, dx),
+        torch.atan2(wrist_sign * row[0], wrist_sign * row[1]),
+    ]
+    q = torch.stack([angle.expand_as(sin6) for angle in angles], dim=-1)
+    middle = (arm.lower + arm.upper) / 2
+    q = q + math.tau * ((middle - q) / math.tau).round()
+    within = (q >= arm.lower - _TOLERANCE) & (q <= arm.upper + _TOLERANCE)
+    return q * arm.signs, sound & within.all(dim=-1)
