@@ -48,8 +48,11 @@ class ModelEnvironment:
         return percept.new_zeros(len(percept), 0), percept
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """The percepts that Γ predicts; where the control is blocked they stay as they are."""
-        free = ~self.blocked(lanes.percept, control)
+        """The percepts that Γ predicts; where the control is blocked they stay as they are.
+
+        A control that is not finite, such as that of a lane without a message, is always blocked.
+        """
+        free = ~self.blocked(lanes.percept, control) & control.isfinite().all(1)
         rows = free.nonzero()[:, 0]
         percept = lanes.percept.clone()
         percept[rows] = self.gamma(lanes.percept[rows], control[rows])

@@ -25,6 +25,7 @@ class Program:
         parameters: (T, K) float.
         start: (P,) long, first node of each graph.
         entry: (number of sub-skills,) long, first node of each sub-skill.
+        limit: (number of sub-skills,) long, the most transitions of each.
         depth: levels of skills within skills, 1 if there are none.
         message_size: length of the longest message.
         memory_size: length of the common memory.
@@ -36,6 +37,7 @@ class Program:
     parameters: Tensor
     start: Tensor
     entry: Tensor
+    limit: Tensor
     depth: int
     message_size: int
     memory_size: int
@@ -68,6 +70,9 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
         parameters=parameters,
         start=rows + graphs.start,
         entry=torch.tensor(entry, dtype=torch.long, device=kind.device),
+        limit=torch.tensor(
+            [s.max_transitions for s in skills.values()], dtype=torch.long, device=kind.device
+        ),
         depth=1 + max((s.depth for s in skills.values()), default=0),
         message_size=max(s.message_size for s in sets),
         memory_size=max(s.memory_size for s in sets),

@@ -40,14 +40,14 @@ class Rollouts:
 class _Frames:
     """Where each of L lanes stands: its node and, per level of sub-skills, what it returns to.
 
-    `caller` (L, depth) is the sub-skill node that opened each level, `count` (L, depth) the
-    transitions made in it, `level` (L,) the innermost open one.
+    `caller` (L, depth) is the sub-skill node that opened each level, `left` (L, depth) how many
+    transitions it may still make, `level` (L,) the innermost open one.
     """
 
     node: Tensor
     level: Tensor
     caller: Tensor
-    count: Tensor
+    left: Tensor
 
 
 def rollout(
@@ -62,19 +62,20 @@ def rollout(
 ) -> Rollouts:
     """Run P graphs on B scenarios of the environment.
 
-    A sub-skill counts as one transition of the skill it is in and has `max_transitions` of its
-    own; `max_steps` bounds the actions a lane executes on all levels together. A lane that has
-    ended leaves the batch.
+    A sub-skill counts as one transition of the skill it is in and has a limit of its own
+    (`Skill.max_transitions`); `max_steps` bounds the actions a lane executes on all levels
+    together. A lane that has ended leaves the batch.
 
     Args:
         graphs: P valid graphs.
         actions: what their action indices mean.
         environment: where they run.
         scenarios: (B,) long, indices into the environment's scenarios; all if not given.
-        max_transitions: per graph and per run of a sub-skill.
+        max_transitions: of each graph, not counting those within its sub-skills.
         max_steps: actions per lane on all levels.
         trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
-            the program's node table that ran, their outcomes (n,), and the lanes afterwards.
+            the program's node table that ran, their outcomes (n,), and the lanes afterwards,
+            which the next step overwrites.
     """
     program = compile_graphs(graphs, actions)
     device = program.kind.device
@@ -88,7 +89,7 @@ def rollout(
             node=program.start.repeat_interleave(b),
             level=torch.zeros(p * b, dtype=torch.long, device=device),
             caller=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
-            count=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
+            left=torch.full((p * b, program.depth), max_transitions, device=device),
         ),
     )
     status = torch.zeros(p * b, dtype=torch.long, device=device)
@@ -100,7 +101,7 @@ def rollout(
         lanes, outcome = _act(program, lanes, node, environment)
         if trace:
             trace(active, node, outcome, lanes)
-        frames, ended = _follow(program, frames, outcome, max_transitions)
+        frames, ended = _follow(program, frames, outcome)
         out_of_steps = lanes.step >= max_steps
         done = (ended != 0) | out_of_steps
         if done.any():
@@ -114,7 +115,7 @@ def rollout(
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
-        percept=percept.view(p, b, -1),
+        percept=percept.view(p, b, percept.shape[1]),
         transitions=transitions.view(p, b),
     )
 
@@ -140,7 +141,7 @@ def _enter(program: Program, frames: _Frames) -> _Frames:
     if program.depth == 1:
         return frames
     node, level = frames.node.clone(), frames.level.clone()
-    caller, count = frames.caller.clone(), frames.count.clone()
+    caller, left = frames.caller.clone(), frames.left.clone()
     first = len(program.primitives)
     for _ in range(program.depth):
         here = (program.kind[node] >= first).nonzero()[:, 0]
@@ -148,25 +149,24 @@ def _enter(program: Program, frames: _Frames) -> _Frames:
             break
         level[here] += 1
         caller[here, level[here]] = node[here]
-        count[here, level[here]] = 0
-        node[here] = program.entry[program.kind[node[here]] - first]
-    return _Frames(node, level, caller, count)
+        skill = program.kind[node[here]] - first
+        left[here, level[here]] = program.limit[skill]
+        node[here] = program.entry[skill]
+    return _Frames(node, level, caller, left)
 
 
-def _follow(
-    program: Program, frames: _Frames, outcome: Tensor, max_transitions: int
-) -> tuple[_Frames, Tensor]:
+def _follow(program: Program, frames: _Frames, outcome: Tensor) -> tuple[_Frames, Tensor]:
     """Follow each lane's edge, out of the sub-skills that end with it.
 
     Returns:
         The frames and (n,) how the lane ended: `SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on.
     """
     row = torch.arange(len(outcome), device=outcome.device)
-    level, count = frames.level, frames.count.clone()
+    level, left = frames.level, frames.left.clone()
     head = program.heads[frames.node, outcome]
-    count[row, level] += 1
+    left[row, level] -= 1
     for _ in range(program.depth):
-        head = torch.where((head >= 0) & (count[row, level] >= max_transitions), TIMEOUT, head)
+        head = torch.where((head >= 0) & (left[row, level] <= 0), TIMEOUT, head)
         leaves = (head < 0) & (level > 0)
         if not leaves.any():
             break
@@ -174,5 +174,5 @@ def _follow(
         returned = program.heads[frames.caller[row, level], (head != SUCCESS).long()]
         head = torch.where(leaves, returned, head)
         level = level - leaves.long()
-        count[row, level] += leaves.long()
-    return _Frames(head.clamp_min(0), level, frames.caller, count), head.clamp_max(0)
+        left[row, level] -= leaves.long()
+    return _Frames(head.clamp_min(0), level, frames.caller, left), head.clamp_max(0)

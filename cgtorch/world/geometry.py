@@ -98,7 +98,7 @@ def sweep_blocked(
         clearance: m, added to the footprint on every side.
 
     Returns:
-        (n,) bool. NaN in a motion counts as blocked.
+        (n,) bool. A motion that is not finite counts as blocked.
     """
     body = _footprint_corners(footprint, clearance).expand(len(motion), 4, 2)
     table = corners(rectangle)
@@ -109,7 +109,7 @@ def sweep_blocked(
     blocked = polygons_overlap(
         torch.cat([body, end], 1), table, torch.cat([unit, direction, sides], 1)
     )
-    return blocked | _turn_blocked(motion, table, body, sides) | motion.isnan().any(1)
+    return blocked | _turn_blocked(motion, table, body, sides) | ~motion.isfinite().all(1)
 
 
 def _turn_blocked(motion: Tensor, table: Tensor, body: Tensor, sides: Tensor) -> Tensor:
