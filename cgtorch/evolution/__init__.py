@@ -4,5 +4,9 @@ from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
 from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
+from cgtorch.evolution.fitness import Evaluation as Evaluation
+from cgtorch.evolution.fitness import evaluate as evaluate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
+from cgtorch.evolution.search import Generation as Generation
+from cgtorch.evolution.search import evolve as evolve

@@ -1,0 +1,79 @@
+"""The fitness of eq. 3."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment, start_lanes
+from cgtorch.graphs import Graphs
+from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, rollout
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What P individuals achieved.
+
+    Attributes:
+        fitness: (P,), in [0, 1].
+        succeeded: (P, B) bool; False where an individual had already lost W and was not run.
+        transitions: actions executed in all.
+    """
+
+    fitness: Tensor
+    succeeded: Tensor
+    transitions: int
+
+
+def evaluate(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    keep: Tensor,
+    max_transitions: int = MAX_TRANSITIONS,
+) -> Evaluation:
+    """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
+
+    Where an individual runs out of transitions, C(p_t) counts half, so that getting near is worth
+    something and ending in success is worth more. W comes first: who fails there is not run on
+    the rest.
+
+    Args:
+        graphs: P individuals.
+        actions: what their action indices mean.
+        environment: the models, on B scenarios.
+        keep: (B,) bool, the scenarios of W; the others are those of M.
+        max_transitions: see `rollout`.
+    """
+    p, b = len(graphs), len(keep)
+    succeeded = torch.zeros(p, b, dtype=torch.bool)
+    score = torch.zeros(p, b)
+    alive = torch.arange(p)
+    transitions = 0
+    for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
+        if not len(part) or not len(alive):
+            continue
+        runs = rollout(
+            graphs[alive],
+            actions,
+            environment,
+            scenarios=part,
+            max_transitions=max_transitions,
+        )
+        transitions += int(runs.transitions.sum())
+        succeeded[alive[:, None], part] = runs.succeeded
+        score[alive[:, None], part] = _last_success(runs, environment)
+        alive = alive[succeeded[alive][:, keep].all(1)]
+    fitness = torch.zeros(p)
+    fitness[alive] = score[alive].mean(1)
+    return Evaluation(torch.nan_to_num(fitness), succeeded, transitions)
+
+
+def _last_success(runs: Rollouts, environment: Environment) -> Tensor:
+    """(P, B) C(p_t) at the last percept, half of it where the lane did not succeed."""
+    p, b, d = runs.percept.shape
+    lanes = start_lanes(environment, torch.zeros(p * b, dtype=torch.long), 0, 0)
+    lanes = type(lanes)(**{**vars(lanes), "percept": runs.percept.reshape(p * b, d)})
+    probability = environment.success(lanes).view(p, b)
+    return torch.where(runs.succeeded, probability, probability / 2)
