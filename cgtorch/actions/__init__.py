@@ -5,6 +5,8 @@ from cgtorch.actions.action_set import ActionSet as ActionSet
 from cgtorch.actions.action_set import paper_actions as paper_actions
 from cgtorch.actions.networks import BranchingNN as BranchingNN
 from cgtorch.actions.networks import ContinuousNN as ContinuousNN
+from cgtorch.actions.registry import check_action as check_action
+from cgtorch.actions.registry import resolve_actions as resolve_actions
 from cgtorch.actions.routines import Detect as Detect
 from cgtorch.actions.routines import Grasp as Grasp
 from cgtorch.actions.routines import MoveBase as MoveBase

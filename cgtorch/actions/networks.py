@@ -14,6 +14,16 @@ def network_parameters(inputs: int, hidden: int, outputs: int) -> int:
     return hidden * (inputs + 1) + outputs * (hidden + 1)
 
 
+def sigmoid(x: Tensor) -> Tensor:
+    """The logistic function, bit for bit the same for a number wherever it stands in `x`.
+
+    `torch.sigmoid` rounds the last few numbers of a tensor in another way than the rest, so that
+    a lane could come to depend on its neighbours. The bound, past which the result is 0 in all
+    but name, keeps gradients finite.
+    """
+    return 1 / (1 + torch.exp((-x).clamp_max(80)))
+
+
 def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> Tensor:
     """A small network per row: sigmoid hidden layer, linear output.
 
@@ -30,7 +40,7 @@ def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> T
     inputs = x.shape[-1]
     w1, b1, w2, b2 = weights.split([hidden * inputs, hidden, outputs * hidden, outputs], dim=-1)
     # Networks this small are bound by memory traffic: a product and a sum beat a batched matmul.
-    h = torch.sigmoid((w1.unflatten(-1, (hidden, inputs)) * x[..., None, :]).sum(-1) + b1)
+    h = sigmoid((w1.unflatten(-1, (hidden, inputs)) * x[..., None, :]).sum(-1) + b1)
     return (w2.unflatten(-1, (outputs, hidden)) * h[..., None, :]).sum(-1) + b2
 
 
@@ -77,5 +87,5 @@ class BranchingNN(_Network):
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
-        out = torch.sigmoid(self.network(lanes, parameters))
+        out = sigmoid(self.network(lanes, parameters))
         return lanes, (out[:, 1] > out[:, 0]).long()

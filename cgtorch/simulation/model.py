@@ -64,8 +64,11 @@ class ModelEnvironment:
         return percept.new_zeros(len(percept), 1), percept
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """The percepts that Γ predicts; where the control is not possible they stay."""
-        free = self.possible(lanes.percept, control)
+        """The percepts that Γ predicts; where the control is not possible they stay.
+
+        A control that is not finite, such as that of a lane without a message, never is.
+        """
+        free = self.possible(lanes.percept, control) & control.isfinite().all(1)
         rows = free.nonzero()[:, 0]
         predicted = self.gamma(lanes.percept[rows], control[rows])
         if self.errors is not None:

@@ -1,0 +1,147 @@
+"""Finding actions by name, and checking that they keep the interface."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from importlib.metadata import EntryPoint, entry_points
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions.action import Action
+from cgtorch.actions.action_set import ActionSet, paper_actions
+from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.errors import ActionError
+
+ENTRY_POINTS = "cgtorch.actions"
+
+
+def resolve_actions(names: Sequence[str] = ()) -> ActionSet:
+    """The five actions of the paper and those named.
+
+    Args:
+        names: each the name of a built-in action, the name of an entry point of the group
+            "cgtorch.actions" that an installed package declares, or "package.module:Class". Naming
+            an action twice, or one of the five, changes nothing.
+
+    Raises:
+        ActionError: a name is unknown, or stands for nothing that can be made into an action.
+    """
+    actions = paper_actions()
+    declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
+    for spec in dict.fromkeys(names):
+        if spec in actions.names:
+            continue
+        if ":" not in spec and spec not in declared:
+            known = ", ".join(sorted({*actions.names, *declared}))
+            raise ActionError(
+                f"unknown action {spec!r}; known are {known}, or give 'package.module:Class'"
+            )
+        name = spec.rpartition(":")[2].rpartition(".")[2]
+        entry = declared.get(spec) or EntryPoint(name, spec, ENTRY_POINTS)
+        actions = actions.extended([entry.name], [_made(spec, entry)])
+    return actions
+
+
+def _made(spec: str, entry: EntryPoint) -> Action:
+    """The action that an entry point leads to."""
+    try:
+        found = entry.load()
+    except Exception as e:  # whatever a foreign module raises when it is imported
+        raise ActionError(
+            f"cannot import action {spec!r} ({_reason(e)}); is it spelt right and its package "
+            "installed or on PYTHONPATH?"
+        ) from e
+    if not (isinstance(found, type) and issubclass(found, Action)):
+        raise ActionError(f"action {spec!r} is {found!r:.80}; give a subclass of Action")
+    try:
+        return found()
+    except Exception as e:
+        raise ActionError(
+            f"action {spec!r} cannot be made as {found.__name__}() ({_reason(e)}); give it a "
+            "constructor that needs no arguments and implement forward"
+        ) from e
+
+
+def check_action(name: str, action: Action, environment: Environment) -> None:
+    """Try an action on two fresh lanes, to find early what it does against the interface.
+
+    Args:
+        name: how the messages call it.
+        action: what to check.
+        environment: where it runs; it needs at least one scenario.
+
+    Raises:
+        ActionError: naming the method and what is wrong with what it returned.
+    """
+    generator = torch.Generator().manual_seed(0)
+    parameters = _parameters(name, action, generator)
+    scenario = torch.tensor([0, min(1, environment.num_scenarios - 1)])
+    lanes = start_lanes(environment, scenario, action.message_size, action.memory_size)
+    kept = Lanes(*(getattr(lanes, f.name).clone() for f in fields(Lanes)))
+    try:
+        returned = action(lanes, parameters, environment)
+    except ActionError:
+        raise
+    except Exception as e:
+        raise ActionError(f"action {name!r}: forward raised {_reason(e)} on two lanes") from e
+    try:
+        after, outcome = returned
+    except (TypeError, ValueError):
+        after = outcome = None
+    if not isinstance(after, Lanes):
+        raise ActionError(
+            f"action {name!r}: forward returned {_kind(returned)}; return (lanes, outcomes)"
+        )
+    _expect(name, "forward", "outcomes", outcome, (2,), torch.long)
+    if not ((outcome >= 0) & (outcome < len(action.outcomes))).all():
+        raise ActionError(
+            f"action {name!r}: forward returned outcomes {outcome.tolist()}; they index "
+            f"{action.outcomes}, so give 0 to {len(action.outcomes) - 1}"
+        )
+    for f in fields(Lanes):
+        was: Tensor = getattr(kept, f.name)
+        _expect(name, "forward", f"lanes.{f.name}", getattr(after, f.name), was.shape, was.dtype)
+        if not torch.equal(getattr(lanes, f.name), was):
+            raise ActionError(
+                f"action {name!r}: forward changed lanes.{f.name} in place; return new lanes, "
+                f"as with dataclasses.replace(lanes, {f.name}=...)"
+            )
+
+
+def _parameters(name: str, action: Action, generator: Generator) -> Tensor:
+    """The parameters of two nodes, if they are as the action promises."""
+    for attribute in ("num_parameters", "message_size", "memory_size"):
+        value = getattr(action, attribute)
+        if not isinstance(value, int) or value < 0:
+            raise ActionError(f"action {name!r}: {attribute} is {value!r}; give a whole number")
+    try:
+        values = action.initial_parameters(2, generator)
+    except Exception as e:
+        raise ActionError(f"action {name!r}: initial_parameters raised {_reason(e)}") from e
+    shape = (2, action.num_parameters)
+    _expect(name, "initial_parameters", "values", values, shape, torch.float32)
+    if not values.isfinite().all():
+        raise ActionError(
+            f"action {name!r}: initial_parameters returned numbers that are not finite"
+        )
+    return values
+
+
+def _expect(
+    name: str, method: str, what: str, value: object, shape: Sequence[int], dtype: torch.dtype
+) -> None:
+    if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
+        raise ActionError(
+            f"action {name!r}: {method} returned {what} as {_kind(value)}; "
+            f"return {_kind(torch.empty(*shape, dtype=dtype))}"
+        )
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, Tensor):
+        return f"a tensor {tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
+    return f"a {type(value).__name__}"
+
+
+def _reason(e: Exception) -> str:
+    return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"

@@ -1,0 +1,152 @@
+"""Algorithm 3 as the paper has it: one skill, one scenario, one action at a time.
+
+Slow and plain, in Python numbers; only what the environment does is asked of the environment.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import torch
+from support import Counter
+from torch import Tensor
+
+from cgtorch.actions import Action, ActionSet, BranchingNN, ContinuousNN, Detect, Grasp, MoveBase
+from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs import Graphs, SubSkill, to_networkx
+
+End = Literal["success", "failure", "timeout"]
+
+
+class OutOfSteps(Exception):  # noqa: N818
+    """The lane has executed as many actions as it may on all levels."""
+
+
+@dataclass
+class Robot:
+    """All that a running skill changes."""
+
+    environment: Environment
+    scenario: int
+    max_steps: int
+    percept: Tensor
+    state: Tensor
+    message: list[float] = field(default_factory=lambda: [0.0] * 8)
+    has_message: bool = False
+    memory: list[float] = field(default_factory=lambda: [0.0] * 8)
+    steps: int = 0
+
+    def lanes(self) -> Lanes:
+        return Lanes(
+            percept=self.percept[None],
+            state=self.state[None],
+            message=self.percept.new_tensor([self.message]),
+            has_message=torch.tensor([self.has_message]),
+            memory=self.percept.new_tensor([self.memory]),
+            scenario=torch.tensor([self.scenario]),
+            step=torch.tensor([self.steps]),
+        )
+
+    def takes(self, lanes: Lanes) -> None:
+        self.percept, self.state = lanes.percept[0], lanes.state[0]
+
+
+def run(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    scenario: int,
+    max_transitions: int,
+    max_steps: int,
+) -> tuple[End, list[float], int]:
+    """How the first graph ends on a scenario, its last percept, and the actions it executed."""
+    state, percept = environment.start(torch.tensor([scenario]))
+    robot = Robot(environment, scenario, max_steps, percept[0], state[0])
+    try:
+        end = execute_graph(graphs, actions, robot, max_transitions)
+    except OutOfSteps:
+        end = "timeout"
+    return end, robot.percept.tolist(), robot.steps
+
+
+def execute_graph(graphs: Graphs, actions: ActionSet, robot: Robot, max_transitions: int) -> End:
+    """Lines 1 to 16 of Algorithm 3."""
+    view = to_networkx(graphs, actions)
+    node = view.graph["start"]
+    for _ in range(max_transitions):
+        data = view.nodes[node]
+        action = actions.actions[actions.names.index(data["action"])]
+        outcome = execute_action(action, data["parameters"], robot)
+        if outcome in action.terminal:
+            return "success" if action.terminal[outcome] else "failure"
+        (node,) = [
+            head for _, head, edge in view.out_edges(node, data=True) if edge["outcome"] == outcome
+        ]
+    return "timeout"
+
+
+def execute_action(action: Action, parameters: list[float], robot: Robot) -> str:
+    """Lines 5 to 7: the action's effect on the robot, and its outcome."""
+    if isinstance(action, SubSkill):
+        skill = action.skill
+        end = execute_graph(skill.graph, skill.actions, robot, skill.max_transitions)
+        return "success" if end == "success" else "failure"
+    if robot.steps >= robot.max_steps:
+        raise OutOfSteps
+    outcome = execute_primitive(action, parameters, robot)
+    robot.steps += 1
+    return outcome
+
+
+def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str:
+    percept = robot.percept.tolist()
+    match action:
+        case MoveBase():
+            if not robot.has_message:
+                return "failure"
+            control = robot.percept.new_tensor([robot.message[:3]])
+            lanes, moved = robot.environment.step(robot.lanes(), control)
+            robot.takes(lanes)
+            return "success" if moved.item() else "failure"
+        case Detect():
+            robot.takes(robot.environment.observe(robot.lanes()))
+            return "success"
+        case Grasp():
+            probability = robot.environment.success(robot.lanes()).item()
+            return "success" if probability > 0.5 else "failure"
+        case ContinuousNN():
+            robot.message[:3] = network(percept, parameters, 3)
+            robot.has_message = True
+            return "success"
+        case BranchingNN():
+            first, second = (sigmoid(y) for y in network(percept, parameters, 2))
+            return "out2" if second > first else "out1"
+        case Counter():
+            robot.memory[0] += 1
+            robot.memory[1] = percept[4]
+            robot.message[3] += parameters[0]
+            if percept[4] > 1.2 + abs(parameters[1]):
+                return "lost"
+            return "enough" if robot.memory[0] + robot.message[3] > 3 else "again"
+    raise NotImplementedError(action)
+
+
+def network(inputs: list[float], weights: list[float], outputs: int) -> list[float]:
+    """A 7-3-outputs network: all weights of the hidden layer, its biases, then the outputs'."""
+    rest = iter(weights)
+    w1 = [[next(rest) for _ in inputs] for _ in range(3)]
+    b1 = [next(rest) for _ in range(3)]
+    w2 = [[next(rest) for _ in range(3)] for _ in range(outputs)]
+    b2 = [next(rest) for _ in range(outputs)]
+    hidden = [
+        sigmoid(b + sum(w * x for w, x in zip(row, inputs, strict=True)))
+        for row, b in zip(w1, b1, strict=True)
+    ]
+    return [
+        b + sum(w * h for w, h in zip(row, hidden, strict=True))
+        for row, b in zip(w2, b2, strict=True)
+    ]
+
+
+def sigmoid(x: float) -> float:
+    return 1 / (1 + math.exp(-x))

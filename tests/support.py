@@ -1,0 +1,124 @@
+"""Actions, environments and populations that many tests use."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import Action, ActionSet, paper_actions
+from cgtorch.environment import Environment, Lanes
+from cgtorch.evolution.population import random_population
+from cgtorch.graphs import Graphs, Skill, SubSkill
+from cgtorch.simulation import ModelEnvironment
+from cgtorch.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
+
+FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
+
+
+class Counter(Action):
+    """Counts its visits in the common memory: "again", then "enough" and, far away, "lost"."""
+
+    outcomes: tuple[str, ...] = ("again", "enough", "lost")
+    terminal: Mapping[str, bool] = {"lost": False}
+    num_parameters: int = 2
+    message_size: int = 4
+    memory_size: int = 2
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        memory, message = lanes.memory.clone(), lanes.message.clone()
+        memory[:, 0] += 1
+        memory[:, 1] = lanes.percept[:, 4]
+        # It speaks only in its last number, which no other action overwrites, and reads it back.
+        message[:, 3] += parameters[:, 0]
+        lost = lanes.percept[:, 4] > 1.2 + parameters[:, 1].abs()
+        enough = memory[:, 0] + message[:, 3] > 3
+        return replace(lanes, memory=memory, message=message), torch.where(lost, 2, enough.long())
+
+
+def seeded(seed: int) -> Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def random_graphs(
+    seed: int, count: int, actions: ActionSet, capacity: int = 12, nodes: tuple[int, int] = (3, 10)
+) -> Graphs:
+    return random_population(count, actions, capacity, nodes, seeded(seed)).graphs
+
+
+def random_skill(seed: int, name: str, actions: ActionSet, max_transitions: int = 20) -> Skill:
+    """A random skill that visits every sub-skill of its set, if there are any."""
+    many = random_graphs(seed, 300, actions, capacity=10, nodes=(6, 10))
+    wanted = [i for i, a in enumerate(actions.actions) if isinstance(a, SubSkill)]
+    has_all = torch.stack([(many.action == i).any(1) for i in wanted] + [many.num_nodes > 3]).all(0)
+    return Skill(name, many[has_all.nonzero()[:1, 0]], actions, max_transitions)
+
+
+def custom_actions() -> ActionSet:
+    """The paper's actions and one of our own."""
+    return paper_actions().extended(["Counter"], [Counter()])
+
+
+def nested_actions(seed: int = 0) -> ActionSet:
+    """Custom actions and skills, one of them within the other, each with its own limit."""
+    base = custom_actions()
+    inner = random_skill(seed, "S0", base, max_transitions=3)
+    one = base.extended(["S0"], [SubSkill(inner)])
+    outer = random_skill(seed + 1, "S1", one, max_transitions=5)
+    return one.extended(["S1"], [SubSkill(outer)])
+
+
+def graspable(at: Tensor, table: Tensor) -> Tensor:
+    """A simple stand-in for the arms: what is near and in front can be grasped."""
+    distance: Tensor = at[:, :2].norm(dim=1)
+    return (at[:, 0] > 0.2) & (distance < 1.8) & (at[:, 1].abs() < 0.6)
+
+
+def world(
+    seed: int, count: int, noise: Noise = LAB_NOISE, dtype: torch.dtype = torch.float32
+) -> TabletopWorld:
+    scenarios = random_scenarios("perimeter", count, seeded(seed))
+    pose, table, placed = (x.to(dtype) for x in (scenarios.pose, scenarios.table, scenarios.object))
+    scenarios = replace(scenarios, pose=pose, table=table, object=placed)
+    made = TabletopWorld(scenarios, graspable, FOOTPRINT, noise)
+    made.footprint = made.footprint.to(dtype)
+    return made
+
+
+def model(seed: int, count: int, dtype: torch.dtype = torch.float32) -> ModelEnvironment:
+    """Γ, C and obstacles as simple formulas."""
+
+    def gamma(percept: Tensor, control: Tensor) -> Tensor:
+        shift = control[:, [0, 0, 1, 1, 0, 1]]
+        turned = torch.cat([percept[:, :6] - shift, percept[:, 6:]], 1)
+        return turned + 0.1 * torch.sin(control[:, 2:])
+
+    def classifier(percept: Tensor) -> Tensor:
+        return torch.sigmoid(4 * (1.4 - percept[:, 4:6].norm(dim=1)))
+
+    def possible(percept: Tensor, control: Tensor) -> Tensor:
+        return (percept[:, 0] - control[:, 0] > 0.3) | (control[:, 1].abs() > 0.5)
+
+    _, percepts = world(seed, count, dtype=dtype).start(torch.arange(count))
+    errors = 0.05 * torch.randn(count, 3, 7, generator=seeded(seed))
+    return ModelEnvironment(percepts, gamma, classifier, possible, errors=errors)
+
+
+def as_double(graphs: Graphs) -> Graphs:
+    """The same graphs with parameters in float64."""
+    return replace(graphs, parameters=graphs.parameters.double())
+
+
+def as_double_actions(actions: ActionSet) -> ActionSet:
+    """The same actions with sub-skills whose parameters are in float64."""
+
+    def made(action: Action) -> Action:
+        if not isinstance(action, SubSkill):
+            return action
+        skill = action.skill
+        inner = as_double_actions(skill.actions)
+        return SubSkill(replace(skill, graph=as_double(skill.graph), actions=inner))
+
+    return ActionSet(actions.names, tuple(made(a) for a in actions.actions))
