@@ -70,9 +70,9 @@ def numerical_follow(
         Joint positions (M, W, n) and whether each waypoint was reached within limits (M, W).
     """
     count, steps = pose.shape[:2]
-    start = q[:, None].expand(count, steps, -1).reshape(count * steps, -1)
+    start = q.repeat_interleave(steps, dim=0)
     path, converged = refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
-    return path.reshape(count, steps, -1), converged.reshape(count, steps)
+    return path.reshape(count, steps, len(lower)), converged.reshape(count, steps)
 
 
 def refine(

@@ -12,7 +12,7 @@ from lxml import etree
 
 from cgtorch.errors import RobotError
 
-MAX_BYTES = 32_000_000
+MAX_BYTES = 8_000_000
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _VECTORS = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"), ("box", "size"))
 _SCALARS = (
@@ -190,14 +190,14 @@ def _check_tree(root: Any, where: str) -> None:
                 raise RobotError(f"{where}: a {what} has no name: give it one")
             if count > 1:
                 raise RobotError(f"{where}: {what} {name!r} is there {count} times: keep one")
-    parents: dict[Any, Any] = {}
+    known, parents = set(links), dict[Any, Any]()
     for joint in joints:
         name = joint.get("name")
         ends = {}
         for role in ("parent", "child"):
             element = joint.find(role)
             ends[role] = None if element is None else element.get("link")
-            if ends[role] not in links:
+            if ends[role] not in known:
                 raise RobotError(
                     f"{where}: joint {name!r} has the {role} link {ends[role]!r}, which is not "
                     "there: name an existing link"
@@ -212,12 +212,15 @@ def _check_tree(root: Any, where: str) -> None:
         raise RobotError(
             f"{where} has {len(roots)} root links {roots[:4]}: connect all links to one by joints"
         )
-    for link in links:
-        steps, ancestor = 0, link
-        while ancestor in parents and steps <= len(links):
-            ancestor, steps = parents[ancestor], steps + 1
-        if ancestor != roots[0]:
-            raise RobotError(f"{where}: link {link!r} is in a loop of joints: break the loop")
+    children: dict[Any, list[Any]] = {}
+    for child, parent in parents.items():
+        children.setdefault(parent, []).append(child)
+    reached, front = 0, roots
+    while front:
+        reached += len(front)
+        front = [child for link in front for child in children.get(link, ())]
+    if reached < len(links):
+        raise RobotError(f"{where}: some links hang from each other in a loop: break the loop")
 
 
 def _check_joints(root: Any, where: str) -> None:

@@ -1,0 +1,29 @@
+import math
+
+import pytest
+import torch
+
+from cgtorch.kinematics import Robot, load_robot
+
+
+@pytest.fixture(scope="session")
+def pr2() -> Robot:
+    return load_robot()
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def _random_joints(arm, count, generator):
+    lower = torch.where(arm.continuous, -math.pi, arm.lower)
+    upper = torch.where(arm.continuous, math.pi, arm.upper)
+    share = torch.rand(count, len(lower), generator=generator, dtype=torch.float64)
+    return lower + (upper - lower) * share
+
+
+@pytest.fixture(scope="session")
+def random_joints():
+    """Joint positions (count, n) within an arm's limits, float64."""
+    return _random_joints
