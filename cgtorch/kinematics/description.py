@@ -7,7 +7,7 @@ It is a small JSON file beside the URDF::
       "base_frame": "base_footprint",
       "footprint": [-0.334, 0.334, -0.334, 0.334],
       "torso_joint": "torso_lift_joint",
-      "torso_position": 0.2,
+      "torso_position": 0.15,
       "arms": [
         {"name": "left", "base_link": "torso_lift_link", "tool_frame": "l_gripper_tool_frame"}
       ],

@@ -1,8 +1,12 @@
 """The PR2's URDF says what the robot's public description says."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
+
+from cgtorch.kinematics.grasping import GRASP_HEIGHT, waypoints
 
 FIXED, LIFT = "fixed", "prismatic"
 TURN, ROLL = "revolute", "continuous"
@@ -134,3 +138,14 @@ def test_shoulder_height_follows_the_torso(pr2):
         torso = pr2.description.torso_position
         assert arm.mount[2, 3] == pytest.approx(0.790675 + torso)
         assert torch.equal(arm.mount[:3, :3], torch.eye(3, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("steepness", "reach"), [(90, 0.74), (45, 0.87), (0, 0.90)])
+def test_furthest_forward_reach(pr2, steepness, reach):
+    """With the torso at 0.15 m and the tool 0.75 m above the floor, straight ahead."""
+    assert pr2.description.torso_position == 0.15
+    x = torch.arange(0.4, 1.1, 0.005)
+    objects = torch.stack([x, 0 * x, 0 * x + 0.75 - GRASP_HEIGHT], dim=1)
+    pose = waypoints(objects, math.radians(steepness), 0.0)[:, 2]
+    furthest = max(x[arm.candidates(pose)[0]].max().item() for arm in pr2.arms)
+    assert furthest == pytest.approx(reach, abs=0.01)
