@@ -157,11 +157,11 @@ def balanced_labels(world_of: WorldOf, count: int, generator: Generator) -> tupl
         )
     boundary = label(world_of, _displaced(around, percept, graspable, 2 * third, generator))
     anywhere = label(world_of, _around(third, 2 * ARENA, generator))
-    last = tuple(torch.cat(pair) for pair in zip(anywhere, (percept, graspable), strict=True))
+    far, fails = torch.cat([anywhere[0], percept]), torch.cat([anywhere[1], graspable])
     parts = [
         _balanced(percept, graspable, count - 2 * third, generator),
         _balanced(*boundary, third, generator),
-        _balanced(*last, third, generator, first=third),
+        _balanced(far, fails, third, generator, first=third),
     ]
     p, y = (torch.cat(part) for part in zip(*parts, strict=True))
     order = torch.randperm(len(p), generator=generator)

@@ -6,7 +6,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.graphs import NO_NODE, Graphs, concatenate, pruned, resized
+from cgtorch.graphs import NO_NODE, Graphs, compacted, concatenate, pruned, resized
 
 STRATEGY = (
     "crossover",
@@ -84,9 +84,13 @@ def seeded_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Half of it copies of earlier individuals, in turn, half random (section IV-B)."""
+    """Half of it copies of earlier individuals, in turn, half random (section IV-B).
+
+    Raises:
+        GraphError: an earlier individual has more nodes than `capacity`.
+    """
     half = size // 2
     fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
     copies = seeds[torch.arange(half) % len(seeds)]
-    return join(Population(resized(copies.graphs, *shape), copies.strategy), fresh)
+    return join(Population(resized(compacted(copies.graphs), *shape), copies.strategy), fresh)

@@ -1,0 +1,78 @@
+"""Composition: earlier skills as nodes under branching nodes (section IV-A)."""
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet, BranchingNN
+from cgtorch.errors import ActionError
+from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
+
+
+def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
+    """The index and module of the set's branching network.
+
+    Raises:
+        ActionError: there is none.
+    """
+    for i, action in enumerate(actions.actions):
+        if isinstance(action, BranchingNN):
+            return i, action
+    raise ActionError(f"no BranchingNN among {', '.join(actions.names)}; composition needs one")
+
+
+def compose(
+    name: str,
+    members: list[Skill],
+    branches: Tensor,
+    actions: ActionSet,
+    max_transitions: int,
+) -> Skill:
+    """A skill that branches to one of its members, each a frozen sub-skill.
+
+    The branches are asked in turn; a member that fails hands back to the first branch, which
+    decides again from the percept that is then seen.
+
+    Args:
+        name: of the new skill.
+        members: M skills with different names.
+        branches: (M - 1, K) parameters of the branching networks.
+        actions: the primitive actions.
+        max_transitions: of the new skill.
+    """
+    kind, branch = branching_action(actions)
+    m = len(members)
+    both = actions.extended([s.name for s in members], [SubSkill(s) for s in members])
+    if m == 1:
+        return Skill(name, members[0].graph, members[0].actions, max_transitions)
+    n, first_member = 2 * m - 1, m - 1
+    action = torch.cat([torch.full((m - 1,), kind), len(actions) + torch.arange(m)])
+    edges = torch.full((1, n, both.outcome_capacity), NO_NODE)
+    parameters = torch.zeros(1, n, both.parameter_capacity)
+    for i in range(m - 1):
+        edges[0, i, 0] = first_member + i
+        edges[0, i, 1] = i + 1 if i < m - 2 else n - 1
+        parameters[0, i, : branch.num_parameters] = branches[i]
+    edges[0, first_member:, 1] = 0
+    graph = Graphs(action[None], edges, parameters, torch.zeros(1, dtype=torch.long))
+    return Skill(name, graph, both, max_transitions)
+
+
+def fewest_members(solves: Tensor, keep: Tensor) -> list[int]:
+    """Members that together solve all that any solve, chosen greedily; few where possible.
+
+    Args:
+        solves: (B, M) bool.
+        keep: (M,) bool, members that stay in any case.
+
+    Returns:
+        Their indices, ascending.
+    """
+    chosen = keep.nonzero()[:, 0].tolist()
+    covered = solves[:, chosen].any(1)
+    while True:
+        gain = (solves & ~covered[:, None]).sum(0)
+        best = int(gain.argmax()) if len(gain) else 0
+        if not len(gain) or gain[best] == 0:
+            return sorted(chosen)
+        chosen.append(best)
+        covered |= solves[:, best]

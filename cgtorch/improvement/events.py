@@ -1,0 +1,76 @@
+"""What happens during improvement, for whoever watches: display, TensorBoard, ledger."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from torch import Tensor
+
+from cgtorch.evolution import Generation
+from cgtorch.graphs import Skill
+from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.world import Scenarios
+
+
+@dataclass(frozen=True)
+class ModelsFitted:
+    """Γ and C were trained, in `seconds`."""
+
+    stage: str
+    knowledge: Knowledge
+    seconds: float
+
+
+@dataclass(frozen=True)
+class GenerationDone:
+    """A generation was evaluated in the models.
+
+    `solved_w` and `solved_m` are what the best individual solves of the scenarios it is evolved
+    on, `size_w` and `size_m` how many these are; `seconds` is what the generation took.
+    """
+
+    stage: str
+    generation: Generation
+    solved_w: int
+    size_w: int
+    solved_m: int
+    size_m: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class WorldTested:
+    """A candidate was tried in the world: what it solves of W and of M.
+
+    Of the group it was evolved on, it solved `promised` in the models and `kept` in the world.
+    """
+
+    stage: str
+    candidate: str
+    solved_w: int
+    size_w: int
+    solved_m: int
+    size_m: int
+    kept: int | None = None
+    promised: int | None = None
+
+
+@dataclass(frozen=True)
+class SkillAccepted:
+    """Eq. 1 holds in the world for a new skill.
+
+    `succeeded` (B,) is its result on each of `scenarios`, of which the first `size_w` are W;
+    `targets` (B,) bool marks the five test placements of the stage.
+    """
+
+    stage: str
+    skill: Skill
+    scenarios: Scenarios
+    succeeded: Tensor
+    targets: Tensor
+    size_w: int
+    seconds: float
+
+
+Event: TypeAlias = ModelsFitted | GenerationDone | WorldTested | SkillAccepted
+Watch: TypeAlias = Callable[[Event], None]

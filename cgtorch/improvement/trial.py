@@ -1,0 +1,38 @@
+"""Trying a skill in the world (Algorithm 1, line 2)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.data import Dataset
+from cgtorch.environment import Environment
+from cgtorch.graphs import Skill
+from cgtorch.simulation import Recording, rollout
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a skill did on B scenarios of a world.
+
+    Attributes:
+        succeeded: (B,) bool.
+        transitions: (B,) long, actions executed.
+        experience: the transitions and grasps it went through.
+    """
+
+    succeeded: Tensor
+    transitions: Tensor
+    experience: Dataset
+
+
+def try_skill(skill: Skill, world: Environment) -> Trial:
+    """Run a skill once on every scenario."""
+    recording = Recording(world)
+    runs = rollout(skill.graph, skill.actions, recording, max_transitions=skill.max_transitions)
+    return Trial(runs.succeeded[0], runs.transitions[0], Dataset(*recording.experience()))
+
+
+def first_percepts(world: Environment) -> Tensor:
+    """(B, D) what the robot sees at the start of each scenario."""
+    return world.start(torch.arange(world.num_scenarios))[1]
