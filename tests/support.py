@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import networkx as nx
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import Action, ActionSet, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import Graphs, Skill, SubSkill
+from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 
@@ -122,3 +123,41 @@ def as_double_actions(actions: ActionSet) -> ActionSet:
         return SubSkill(replace(skill, graph=as_double(skill.graph), actions=inner))
 
     return ActionSet(actions.names, tuple(made(a) for a in actions.actions))
+
+
+def is_valid(graphs: Graphs, actions: ActionSet, index: int = 0, connected: bool = True) -> bool:
+    """Whether one graph is valid and its unused places empty, told slot by slot."""
+    action, edges = graphs.action[index].tolist(), graphs.edges[index].tolist()
+    parameters, start = graphs.parameters[index].tolist(), int(graphs.start[index])
+    nodes = {i for i, a in enumerate(action) if a != NO_NODE}
+    if start not in nodes:
+        return False
+    network: nx.MultiDiGraph[int] = nx.MultiDiGraph()
+    network.add_nodes_from(nodes)
+    for i in range(len(action)):
+        if i not in nodes:
+            if any(h != NO_NODE for h in edges[i]) or any(x != 0 for x in parameters[i]):
+                return False
+            continue
+        if not 0 <= action[i] < len(actions):
+            return False
+        module = actions.actions[action[i]]
+        if any(x != 0 for x in parameters[i][module.num_parameters :]):
+            return False
+        for j, head in enumerate(edges[i]):
+            leads = j < len(module.outcomes) and module.outcomes[j] not in module.terminal
+            if leads != (head in nodes) or (not leads and head != NO_NODE):
+                return False
+            if leads:
+                network.add_edge(i, head)
+    return not connected or nx.descendants(network, start) | {start} == nodes
+
+
+def all_valid(graphs: Graphs, actions: ActionSet, connected: bool = True) -> bool:
+    return all(is_valid(graphs, actions, i, connected) for i in range(len(graphs)))
+
+
+def same(first: Graphs, second: Graphs) -> bool:
+    return all(
+        torch.equal(a, b) for a, b in zip(vars(first).values(), vars(second).values(), strict=True)
+    )

@@ -11,6 +11,7 @@ from cgtorch.environment import Environment
 from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, initial_state, tell
 from cgtorch.evolution.fitness import evaluate
 from cgtorch.evolution.population import Population
+from cgtorch.evolution.selection import ranking
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
@@ -22,7 +23,7 @@ class Generation:
         number: counted from 0.
         population: the individuals that were evaluated.
         fitness: (P,).
-        best: index of the best.
+        best: index of the best, of equal ones the smallest.
         succeeded: (B,) bool, what the best solves in the models.
         transitions: actions executed by all.
     """
@@ -67,7 +68,7 @@ def evolve(
     while True:
         population = state.population
         result = evaluate(population.graphs, actions, environment, keep, max_transitions)
-        best = int(result.fitness.argmax())
+        best = int(ranking(result.fitness, population.graphs.num_nodes)[0])
         yield Generation(
             number=state.generation,
             population=population,

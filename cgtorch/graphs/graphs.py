@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from cgtorch.errors import GraphError
+
 NO_NODE = -1
 
 
@@ -63,12 +65,21 @@ def concatenate(graphs: Sequence[Graphs]) -> Graphs:
 
 
 def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graphs:
-    """The same graphs with other capacities; none may be smaller than what is used."""
+    """The same graphs with other capacities; `compacted` first makes the most of fewer nodes.
+
+    Raises:
+        GraphError: a capacity is smaller than what is used.
+    """
 
     def grow(x: Tensor, shape: tuple[int, ...], fill: float) -> Tensor:
         out = x.new_full((len(x), *shape), fill)
         part = tuple(slice(min(a, b)) for a, b in zip(shape, x.shape[1:], strict=True))
         out[:, *part] = x[:, *part]
+        if (out != fill).sum() < (x != fill).sum():
+            raise GraphError(
+                f"graphs of {int(graphs.num_nodes.max())} nodes do not fit into {nodes} nodes, "
+                f"{outcomes} outcomes and {parameters} parameters; give more"
+            )
         return out
 
     return Graphs(

@@ -1,0 +1,205 @@
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import custom_actions, model, nested_actions, same, seeded
+from torch import Tensor
+
+from cgtorch.errors import GraphError, SettingsError
+from cgtorch.evolution import (
+    EvolutionSettings,
+    EvolutionState,
+    Population,
+    evaluate,
+    evolve,
+    initial_state,
+    tell,
+)
+from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
+from cgtorch.evolution.sampling import bernoulli, choose, choose_many
+from cgtorch.evolution.selection import ranking, tournament
+from cgtorch.graphs import compacted
+from cgtorch.simulation import rollout
+
+ACTIONS = custom_actions()
+
+
+def same_population(first: Population, second: Population) -> bool:
+    return same(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
+
+
+@given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 3)), min_size=1))
+def test_ranking_is_by_fitness_then_size_then_place(pairs: list[tuple[float, int]]) -> None:
+    fitness, size = (torch.tensor(x) for x in zip(*pairs, strict=True))
+    wanted = sorted(range(len(pairs)), key=lambda i: (-pairs[i][0], pairs[i][1], i))
+    assert ranking(fitness, size).tolist() == wanted
+
+
+@pytest.mark.parametrize("rounds", [1, 2, 5])
+def test_tournament_pressure(rounds: int) -> None:
+    """The best of t draws from P is within the best r with probability 1 - (1 - r/P)^t."""
+    order = torch.randperm(20, generator=seeded(0))
+    winners = tournament(order, 40_000, rounds, seeded(1))
+    place = torch.argsort(order)[winners]
+    for r in range(1, 20):
+        wanted = 1 - (1 - r / 20) ** rounds
+        assert (place < r).float().mean().item() == pytest.approx(wanted, abs=0.013)
+
+
+def test_choices_are_uniform_and_only_where_allowed() -> None:
+    mask = torch.tensor([[False, True, True, False, True], [False] * 5]).repeat(3000, 1)
+    for picked in (
+        choose(mask, seeded(0)).view(-1, 2)[:, 0],
+        choose_many(mask, (1,), seeded(0)).view(-1, 2)[:, 0],
+    ):
+        counts = torch.bincount(picked, minlength=5)
+        assert counts[0] == counts[3] == 0
+        assert ((counts[[1, 2, 4]] - 1000).abs() < 5 * 1000**0.5).all()
+    assert (choose(mask, seeded(0))[1::2] == 0).all()
+    draws = bernoulli(torch.tensor([0.0, 0.3, 1.0]), (4000,), seeded(0)).float().mean(1)
+    assert draws[0] == 0
+    assert draws[1].item() == pytest.approx(0.3, abs=0.03)
+    assert draws[2] == 1
+
+
+def test_a_random_population_is_as_random_as_it_says() -> None:
+    population = random_population(3000, ACTIONS, 20, (4, 12), seeded(0))
+    graphs = population.graphs
+    assert torch.equal(population.strategy, torch.tensor(INITIAL_STRATEGY).repeat(3000, 1))
+    counts = torch.bincount(graphs.action[graphs.used])
+    assert (counts > 0).all()
+    assert len(counts) == len(ACTIONS)
+    of_network = graphs.parameters[graphs.action == ACTIONS.index("ContinuousNN")]
+    assert of_network.mean().item() == pytest.approx(0, abs=0.01)
+    assert of_network.std().item() == pytest.approx(1, abs=0.01)
+
+
+def test_half_of_a_seeded_population_copies_the_seeds_in_turn() -> None:
+    old = random_population(3, ACTIONS, 12, (4, 12), seeded(0))
+    wider = nested_actions()
+    population = seeded_population(9, old, wider, 16, (4, 12), seeded(1))
+    assert len(population) == 9
+    for i in range(4):
+        copy, seed = population[i : i + 1].graphs, compacted(old.graphs[i % 3 : i % 3 + 1])
+        assert torch.equal(copy.action[:, :12], seed.action)
+        assert torch.equal(copy.edges[:, :12], seed.edges)
+        assert torch.equal(copy.parameters[:, :12, : seed.parameters.shape[2]], seed.parameters)
+        assert int(copy.num_nodes[0]) == int(seed.num_nodes[0])
+        assert torch.equal(population.strategy[i], old.strategy[i % 3])
+
+
+def test_seeds_that_do_not_fit_are_refused() -> None:
+    old = random_population(50, ACTIONS, 20, (20, 20), seeded(0))
+    big = old[(old.graphs.num_nodes > 6).nonzero()[:, 0]]
+    with pytest.raises(GraphError, match="do not fit into 6 nodes"):
+        seeded_population(10, big, ACTIONS, 6, (2, 6), seeded(0))
+
+
+SETTINGS = EvolutionSettings(population=30, capacity=12, initial_nodes=(2, 10), elite=2)
+
+
+def told(fitness: Tensor) -> tuple[EvolutionState, EvolutionState]:
+    state = initial_state(SETTINGS, ACTIONS, seeded(0))
+    return state, tell(state, fitness, SETTINGS, ACTIONS, seeded(1))
+
+
+def test_the_elite_goes_on_unchanged() -> None:
+    fitness = torch.rand(30, generator=seeded(2))
+    before, after = told(fitness)
+    order = fitness.argsort(descending=True)
+    assert same_population(after.population[:2], before.population[order[:2]])
+    assert same_population(after.best, before.population[order[:1]])
+    assert after.best_fitness == fitness.max()
+    assert len(after.population) == 30
+
+
+def test_fitness_that_is_not_a_number_is_the_worst() -> None:
+    fitness = torch.full((30,), torch.nan)
+    fitness[[7, 3]] = torch.tensor([-5.0, -6.0])
+    before, after = told(fitness)
+    assert same_population(after.population[:2], before.population[torch.tensor([7, 3])])
+    assert after.best_fitness == -5
+    told(torch.full((30,), torch.nan))
+
+
+def test_evolution_depends_on_its_seed_alone() -> None:
+    def run(seed: int) -> Population:
+        generator = seeded(seed)
+        state = initial_state(SETTINGS, ACTIONS, generator)
+        for _ in range(5):
+            fitness = state.population.graphs.num_nodes.float()
+            state = tell(state, fitness, SETTINGS, ACTIONS, generator)
+        return state.population
+
+    one = run(3)
+    torch.rand(100)  # the global generator must not matter
+    assert same_population(one, run(3))
+    assert not same_population(one, run(4))
+
+
+def test_selection_makes_what_is_rewarded_common() -> None:
+    settings = EvolutionSettings(population=100, capacity=12, initial_nodes=(2, 10))
+    generator, grasp = seeded(0), ACTIONS.index("Grasp")
+    state = initial_state(settings, ACTIONS, generator)
+    means, bests = [], []
+    for _ in range(25):
+        graphs = state.population.graphs
+        fitness = ((graphs.action == grasp).sum(1) / graphs.num_nodes).float()
+        state = tell(state, fitness, settings, ACTIONS, generator)
+        means.append(float(fitness.mean()))
+        bests.append(state.best_fitness)
+    assert bests == sorted(bests)  # elitism
+    assert means[-1] > means[0] + 0.2
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"population": 1}, "population is 1"),
+        ({"tournament": 0}, "tournament is 0"),
+        ({"population": 4, "elite": 4}, "elite is 4; give 0 to 3"),
+        ({"elite": -1}, "elite is -1"),
+        ({"initial_nodes": (0, 3)}, "initial nodes are 0 to 3"),
+        ({"initial_nodes": (5, 3)}, "initial nodes are 5 to 3"),
+        ({"capacity": 4, "initial_nodes": (2, 5)}, "within 1 to 4"),
+        ({"tau": float("nan")}, "tau is nan"),
+        ({"tau": -1.0}, "tau is -1.0"),
+    ],
+)
+def test_settings_that_cannot_work(values: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        EvolutionSettings(**values)  # type: ignore[arg-type]
+
+
+@given(st.integers(0, 2**31), st.lists(st.booleans(), min_size=4, max_size=4))
+def test_fitness_is_that_of_equation_3(seed: int, kept: list[bool]) -> None:
+    graphs = random_population(12, ACTIONS, 12, (2, 10), seeded(seed)).graphs
+    environment, keep = model(seed, 4), torch.tensor(kept)
+    found = evaluate(graphs, ACTIONS, environment, keep)
+    runs = rollout(graphs, ACTIONS, environment)
+    for i in range(12):
+        lost = any(k and not s for k, s in zip(kept, runs.succeeded[i].tolist(), strict=True))
+        score = [
+            float(environment.classifier(runs.percept[i, j : j + 1])[0])
+            * (1 if runs.succeeded[i, j] else 0.5)
+            for j in range(4)
+        ]
+        assert float(found.fitness[i]) == pytest.approx(0 if lost else sum(score) / 4, abs=1e-6)
+        if not lost:
+            assert torch.equal(found.succeeded[i], runs.succeeded[i])
+
+
+def test_evolve_yields_generations_that_improve() -> None:
+    settings = EvolutionSettings(population=100, capacity=12)
+    search = evolve(model(0, 3), ACTIONS, settings, seeded(0))
+    generations = [next(search) for _ in range(20)]
+    assert [g.number for g in generations] == list(range(20))
+    best = [float(g.fitness[g.best]) for g in generations]
+    assert best == sorted(best)
+    assert best[-1] > best[0]
+    for g in generations:
+        assert same_population(g.champion, g.population[g.best : g.best + 1])
+        assert g.transitions > 0
+        equal = g.fitness == g.fitness[g.best]
+        sizes = g.population.graphs.num_nodes
+        assert sizes[g.best] == sizes[equal].min()

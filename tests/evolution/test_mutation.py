@@ -1,0 +1,206 @@
+import math
+from collections import Counter
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import custom_actions, random_graphs, same, seeded
+from torch import Tensor
+
+from cgtorch.evolution import STRATEGY, Population
+from cgtorch.evolution.mutation import (
+    PROBABILITY_MAX,
+    SIGMA_MAX,
+    STRATEGY_MIN,
+    add_node,
+    change_edges,
+    delete_node,
+    drift,
+    mutate,
+    new_start,
+    perturb_parameters,
+    replace_nodes,
+)
+from cgtorch.graphs import NO_NODE, Graphs
+
+ACTIONS = custom_actions()
+seeds = st.integers(0, 2**31)
+P = 8
+ALWAYS = torch.ones(P)
+
+
+def graphs_of(seed: int) -> Graphs:
+    return random_graphs(seed, P, ACTIONS, capacity=12, nodes=(1, 12))
+
+
+def edges_of(graphs: Graphs, index: int) -> dict[tuple[int, int], int]:
+    """Heads by (node, outcome)."""
+    rows = enumerate(graphs.edges[index].tolist())
+    return {(i, j): h for i, row in rows for j, h in enumerate(row) if h != NO_NODE}
+
+
+@given(seeds)
+def test_add_node_takes_over_one_edge_of_a_node_with_two(seed: int) -> None:
+    old = graphs_of(seed)
+    new = add_node(old, ACTIONS, ALWAYS, seeded(seed))
+    for i in range(P):
+        before, after = edges_of(old, i), edges_of(new, i)
+        indegree = Counter(before.values())
+        nodes = set(old.used[i].nonzero()[:, 0].tolist())
+        if len(nodes) == 12 or max(indegree.values(), default=0) < 2:
+            assert after == before
+            continue
+        (added,) = set(new.used[i].nonzero()[:, 0].tolist()) - nodes
+        (changed,) = [edge for edge in before if after[edge] != before[edge]]
+        assert indegree[before[changed]] >= 2
+        assert after[changed] == added
+        assert all(h in nodes for (tail, _), h in after.items() if tail == added)
+        assert new.start[i] == old.start[i]
+
+
+@given(seeds)
+def test_delete_node_turns_edges_to_others_and_leaves_two(seed: int) -> None:
+    old = graphs_of(seed)
+    new = delete_node(old, ALWAYS, seeded(seed))
+    for i in range(P):
+        before, after = edges_of(old, i), edges_of(new, i)
+        nodes, rest = (set(g.used[i].nonzero()[:, 0].tolist()) for g in (old, new))
+        if len(nodes) <= 2:
+            assert after == before
+            continue
+        (gone,) = nodes - rest
+        assert set(after) == {edge for edge in before if edge[0] != gone}
+        for edge, head in after.items():
+            assert head in rest
+            assert before[edge] in (head, gone)
+        assert int(new.start[i]) in rest
+        assert int(old.start[i]) in (int(new.start[i]), gone)
+
+
+def test_every_node_is_deleted_equally_often() -> None:
+    many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(3000, dtype=torch.long)]
+    n = int(many.num_nodes[0])
+    new = delete_node(many, torch.ones(3000), seeded(0))
+    gone = (many.used & ~new.used).sum(0)[many.used[0]]
+    assert ((gone - 3000 / n).abs() < 5 * (3000 / n) ** 0.5).all()
+
+
+@given(seeds)
+def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
+    old = graphs_of(seed)
+    new = replace_nodes(old, ACTIONS, ALWAYS, seeded(seed))
+    assert torch.equal(new.used, old.used)
+    assert torch.equal(new.start, old.start)
+    real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
+    assert (new.parameters != old.parameters).any(2)[real].all()
+
+
+def test_replaced_nodes_take_every_action_equally_often() -> None:
+    many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(3000, dtype=torch.long)]
+    new = replace_nodes(many, ACTIONS, torch.ones(3000), seeded(0))
+    count = torch.bincount(new.action[new.used], minlength=len(ACTIONS))
+    wanted = count.sum() / len(ACTIONS)
+    assert ((count - wanted).abs() < 5 * wanted.sqrt()).all()
+
+
+@given(seeds)
+def test_change_edges_gives_at_most_one_new_head_to_a_node(seed: int) -> None:
+    old = graphs_of(seed)
+    new = change_edges(old, ALWAYS, seeded(seed))
+    differs = (new.edges != old.edges).sum(2)
+    assert int(differs.max()) <= 1
+    assert torch.equal(new.action, old.action)
+    assert torch.equal(new.start, old.start)
+    assert torch.equal(new.parameters, old.parameters)
+
+
+def test_change_edges_reaches_every_edge_and_every_head() -> None:
+    one = random_graphs(2, 1, ACTIONS, nodes=(10, 10))
+    many = one[torch.zeros(5000, dtype=torch.long)]
+    new = change_edges(many, torch.ones(5000), seeded(0))
+    for (tail, outcome), head in edges_of(one, 0).items():
+        heads = set(new.edges[:, tail, outcome].tolist())
+        assert heads == set(one.used[0].nonzero()[:, 0].tolist()), (tail, outcome, head)
+
+
+def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() -> None:
+    one = random_graphs(2, 1, ACTIONS, nodes=(10, 10))
+    many = one[torch.zeros(4000, dtype=torch.long)]
+    sigma = torch.where(torch.arange(4000) < 2000, 0.1, 3.0)
+    rate = torch.where(torch.arange(4000) % 2 == 0, 0.25, 1.0)
+    new = perturb_parameters(many, ACTIONS, rate, sigma, seeded(0))
+    change = new.parameters - many.parameters
+    count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
+    real = torch.arange(change.shape[2]) < count[:, None]
+    assert (change[:, ~real] == 0).all()
+    change = change[:, real]
+    moved = change != 0
+    assert moved[0::2].float().mean() == pytest.approx(0.25, abs=0.01)
+    assert moved[1::2].float().mean() == pytest.approx(1.0, abs=1e-3)
+    for half, size in ((slice(0, 2000), 0.1), (slice(2000, 4000), 3.0)):
+        steps = change[half][moved[half]]
+        assert steps.mean() == pytest.approx(0.0, abs=0.02 * size)
+        assert steps.std() == pytest.approx(size, rel=0.02)
+        within = (steps.abs() < size).float().mean()
+        assert within == pytest.approx(math.erf(0.5**0.5), abs=0.01)  # Gaussian, not uniform
+
+
+@given(seeds)
+def test_a_new_start_leads_to_another_node(seed: int) -> None:
+    old = graphs_of(seed)
+    new = new_start(old, ALWAYS, seeded(seed))
+    for i in range(P):
+        leads = {tail for (tail, _), head in edges_of(old, i).items() if head != tail}
+        assert int(new.start[i]) in (leads or {int(old.start[i])})
+    assert same(Graphs(new.action, new.edges, new.parameters, old.start), old)
+
+
+def test_drift_is_log_normal_with_variance_tau() -> None:
+    strategy: Tensor = torch.full((20_000, len(STRATEGY)), 0.05)
+    for tau in (0.01, 0.05):
+        log = (drift(strategy, tau, seeded(0)) / strategy).log()
+        assert log.mean().item() == pytest.approx(0, abs=0.002)
+        assert log.var().item() == pytest.approx(tau, rel=0.02)
+        within = (log.abs() < tau**0.5).float().mean()
+        assert within == pytest.approx(math.erf(0.5**0.5), abs=0.005)
+        together = torch.corrcoef(log.T) - torch.eye(len(STRATEGY))
+        assert together.abs().max() < 0.05  # every parameter drifts by itself
+
+
+def test_drift_without_variance_changes_nothing() -> None:
+    strategy = torch.rand(50, len(STRATEGY)).clamp_min(STRATEGY_MIN)
+    assert torch.equal(drift(strategy, 0.0, seeded(0)), strategy)
+
+
+def test_drift_stays_within_its_bounds() -> None:
+    strategy = torch.full((50, len(STRATEGY)), 0.5)
+    generator = seeded(0)
+    for _ in range(200):
+        strategy = drift(strategy, 1.0, generator)
+        assert strategy.min() >= STRATEGY_MIN
+        assert strategy[:, :-1].max() <= PROBABILITY_MAX
+        assert strategy[:, -1].max() <= SIGMA_MAX
+    assert STRATEGY[-1] == "sigma"
+    assert strategy[:, -1].max() > PROBABILITY_MAX
+
+
+def test_mutate_uses_each_individuals_own_rates() -> None:
+    """One rate at a time is 1: only what it stands for changes."""
+    many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(200, dtype=torch.long)]
+    for name in STRATEGY[1:-1]:
+        strategy = torch.zeros(200, len(STRATEGY))
+        strategy[:100, STRATEGY.index(name)] = 1.0
+        strategy[:, STRATEGY.index("sigma")] = 1.0
+        new = mutate(Population(many, strategy), ACTIONS, seeded(0)).graphs
+        assert same(new[100:], many[100:]), name
+        changed = {
+            field: bool((getattr(new, field)[:100] != getattr(many, field)[:100]).any())
+            for field in ("action", "edges", "parameters", "start")
+        }
+        if name == "mutate_parameter":
+            assert [field for field, differs in changed.items() if differs] == ["parameters"]
+        elif name == "new_start":
+            assert changed["start"]
+        else:
+            assert changed["edges"], name

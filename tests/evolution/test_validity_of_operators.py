@@ -1,0 +1,139 @@
+"""After every operator every graph is valid: nothing else in the library checks again."""
+
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import all_valid, custom_actions, nested_actions, same, seeded
+from torch import Tensor
+
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.evolution import STRATEGY, EvolutionSettings, Population, initial_state, tell
+from cgtorch.evolution import mutation as m
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.population import random_population, seeded_population
+from cgtorch.graphs import pruned, valid
+
+SETS = [paper_actions(), custom_actions(), nested_actions()]
+SIZE = 8
+
+seeds = st.integers(0, 2**31)
+action_sets = st.sampled_from(SETS)
+rates = st.sampled_from([0.0, 0.3, 1.0])
+
+
+@st.composite
+def sizes(draw: st.DrawFn) -> tuple[int, tuple[int, int]]:
+    """A capacity and the nodes of first graphs: from a single one to all that fit."""
+    capacity = draw(st.integers(1, 14))
+    low = draw(st.integers(1, capacity))
+    return capacity, (low, draw(st.integers(low, capacity)))
+
+
+def made(
+    seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]], rate: float
+) -> Population:
+    population = random_population(SIZE, actions, *size, seeded(seed))
+    strategy = torch.full_like(population.strategy, rate)
+    return Population(population.graphs, strategy)
+
+
+def check(population: Population, actions: ActionSet, capacity: int) -> None:
+    graphs = population.graphs
+    assert all_valid(graphs, actions)
+    assert valid(graphs, actions).all()
+    assert graphs.capacity == capacity
+    assert graphs.parameters.isfinite().all()
+
+
+@given(seeds, action_sets, sizes())
+def test_random(seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]]) -> None:
+    population = random_population(SIZE, actions, *size, seeded(seed))
+    check(population, actions, size[0])
+    assert int(population.graphs.num_nodes.max()) <= size[1][1]
+
+
+@given(seeds, action_sets, sizes(), sizes())
+def test_seeded(
+    seed: int,
+    actions: ActionSet,
+    size: tuple[int, tuple[int, int]],
+    earlier: tuple[int, tuple[int, int]],
+) -> None:
+    """Earlier individuals may have more slots than there now are, if not more nodes."""
+    old = random_population(3, actions, *earlier, seeded(seed))
+    fits = old.graphs.num_nodes <= size[0]
+    if fits.any():
+        population = seeded_population(SIZE, old[fits], actions, *size, seeded(seed))
+        assert len(population) == SIZE
+        check(population, actions, size[0])
+
+
+@given(seeds, action_sets, sizes(), rates)
+def test_crossover(
+    seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]], rate: float
+) -> None:
+    first, second = made(seed, actions, size, rate), made(seed + 1, actions, size, rate)
+    children = crossover(first, second, seeded(seed))
+    assert len(children) == 2 * SIZE
+    check(children, actions, size[0])
+    if rate == 0:
+        assert same(children[:SIZE].graphs, first.graphs)
+        assert same(children[SIZE:].graphs, second.graphs)
+
+
+@given(seeds, action_sets, sizes(), rates)
+def test_each_mutation(
+    seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]], rate: float
+) -> None:
+    graphs, generator = made(seed, actions, size, 0).graphs, seeded(seed)
+    rate_of: Tensor = torch.full((SIZE,), rate)
+    for mutated in (
+        m.add_node(graphs, actions, rate_of, generator),
+        m.delete_node(graphs, rate_of, generator),
+        m.replace_nodes(graphs, actions, rate_of, generator),
+        m.change_edges(graphs, rate_of, generator),
+        m.perturb_parameters(graphs, actions, rate_of, rate_of, generator),
+        m.new_start(graphs, rate_of, generator),
+    ):
+        # Pruning comes last, once for all mutations; all else must hold after each.
+        assert all_valid(mutated, actions, connected=False)
+        check(Population(pruned(mutated), rate_of), actions, size[0])
+        if rate == 0:
+            assert same(mutated, graphs)
+
+
+@given(seeds, action_sets, sizes(), rates)
+def test_mutate(
+    seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]], rate: float
+) -> None:
+    population = made(seed, actions, size, rate)
+    mutated = m.mutate(population, actions, seeded(seed))
+    check(mutated, actions, size[0])
+    assert mutated.strategy.shape == (SIZE, len(STRATEGY))
+    if rate == 0:
+        assert same(mutated.graphs, population.graphs)
+
+
+@given(seeds, action_sets, sizes(), st.integers(0, 7), st.integers(1, 5))
+def test_generations(
+    seed: int,
+    actions: ActionSet,
+    size: tuple[int, tuple[int, int]],
+    elite: int,
+    tournament: int,
+) -> None:
+    settings = EvolutionSettings(
+        population=SIZE,
+        tournament=tournament,
+        elite=elite,
+        capacity=size[0],
+        initial_nodes=size[1],
+    )
+    generator = seeded(seed)
+    state = initial_state(settings, actions, generator)
+    for generation in range(6):
+        check(state.population, actions, size[0])
+        assert state.generation == generation
+        assert len(state.population) == SIZE
+        fitness = torch.rand(SIZE, generator=generator)
+        state = tell(state, fitness, settings, actions, generator)
