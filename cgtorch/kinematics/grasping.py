@@ -26,6 +26,7 @@ TABLE_THICKNESS = 0.04
 MAX_STEP = 0.6
 """How far a joint may move between waypoints 0.05 m apart, rad or m."""
 _CHUNK = 2048
+_GROUP = 256
 
 SIDES = tuple(
     sign * math.tau * step / 12 for step in range(7) for sign in ((1, -1) if 0 < step < 6 else (1,))
@@ -118,25 +119,37 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
 def _grasp(
     robot: Robot, position: Tensor, table: Tensor, rows: slice, solution: GraspSolution
 ) -> None:
-    """Fill in the solution of some rows; rows that are solved leave the search."""
+    """Fill in the solution of some rows; rows that are solved leave the search.
+
+    When few rows are left, several approaches are tried at once; the one that comes first counts,
+    so that a row's solution does not depend on the others.
+    """
     position, table = position[rows], table[rows]
     slab, body = table_slab(table), robot.body.to(position)
+    approaches = position.new_tensor(APPROACHES)
     open_rows = (~_standing_in_table(robot, table)).nonzero().squeeze(1)
-    for approach, (steepness, side) in enumerate(APPROACHES):
+    start = 0
+    while start < len(APPROACHES) and len(open_rows):
+        group = torch.arange(start, len(APPROACHES), device=position.device)
+        group = group[: max(1, _GROUP // len(open_rows))]
+        start += len(group)
+        rank = torch.full_like(open_rows, len(APPROACHES) * len(robot.arms))
         for which, arm in enumerate(robot.arms):
-            if not len(open_rows):
-                return
-            path = waypoints(position[open_rows], steepness, side)
-            boxes = Boxes(slab.centre[open_rows], slab.rotation[open_rows], slab.half[open_rows])
-            solved, joints = _try(arm, path, boxes, body)
-            done = open_rows[solved] + rows.start
+            order = group * len(robot.arms) + which
+            row, column = (order < rank[:, None]).nonzero(as_tuple=True)
+            at = open_rows[row]
+            path = waypoints(position[at], *approaches[group[column]].unbind(1))
+            solved, joints = _try(arm, path, _rows(slab, at), body)
+            first = _first_of_each(row[solved])
+            solved, joints = solved[first], joints[first]
+            rank[row[solved]] = order[column[solved]]
+            done = open_rows[row[solved]] + rows.start
             solution.found[done] = True
             solution.arm[done] = which
-            solution.approach[done] = approach
+            solution.approach[done] = group[column[solved]]
+            solution.joints[done] = 0
             solution.joints[done, :, : joints.shape[-1]] = joints
-            left = torch.ones(len(open_rows), dtype=torch.bool, device=position.device)
-            left[solved] = False
-            open_rows = open_rows[left]
+        open_rows = open_rows[rank == len(APPROACHES) * len(robot.arms)]
 
 
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
@@ -161,9 +174,15 @@ def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor,
     for step in (0, 4, 1, 3):
         free = ~touches(arm, joints[:, step], _rows(slab, row), body)
         row, joints = row[free], joints[free]
+    first = _first_of_each(row)
+    return row[first], joints[first]
+
+
+def _first_of_each(row: Tensor) -> Tensor:
+    """(M,) which of ascending rows is the first of its kind."""
     first = torch.ones_like(row, dtype=torch.bool)
     first[1:] = row[1:] != row[:-1]
-    return row[first], joints[first]
+    return first
 
 
 def _rows(boxes: Boxes, row: Tensor) -> Boxes:
@@ -192,13 +211,14 @@ def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
     return hit | collide(start[:, loose], end[:, loose], capsules.radius[loose], body)
 
 
-def waypoints(position: Tensor, steepness: float, side: float) -> Tensor:
+def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
     """The tool's way to an object and up: straight in, then straight up.
 
     Args:
         position: (B, 3) objects on the table in the base frame, m.
-        steepness: How steeply down the tool comes, from 0 (level) to pi / 2 (from above), rad.
-        side: Turn of the approach from the line base to object, rad.
+        steepness: How steeply down the tool comes, from 0 (level) to pi / 2 (from above), rad; one
+            angle or (B,).
+        side: Turn of the approach from the line base to object, rad; one angle or (B,).
 
     Returns:
         (B, 5, 4, 4) poses at pre-grasp, half-way, grasp, half-way up and lifted: x along the
@@ -207,8 +227,9 @@ def waypoints(position: Tensor, steepness: float, side: float) -> Tensor:
     heading = torch.atan2(position[:, 1], position[:, 0]) + side
     cos, sin = heading.cos(), heading.sin()
     zero = torch.zeros_like(cos)
-    level, down = math.cos(steepness), math.sin(steepness)
-    along = torch.stack([level * cos, level * sin, zero - down], dim=1)
+    steep = torch.as_tensor(steepness).to(position).expand(len(position))
+    level, down = steep.cos(), steep.sin()
+    along = torch.stack([level * cos, level * sin, -down], dim=1)
     across = torch.stack([-sin, cos, zero], dim=1)
     upward = torch.linalg.cross(along, across)
     up = torch.stack([zero, zero, zero + 1], dim=1)

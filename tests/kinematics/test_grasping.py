@@ -107,6 +107,16 @@ def test_a_row_does_not_depend_on_the_others(pr2):
     assert torch.equal(label, graspable(pr2, position, table))
 
 
+def test_a_solution_does_not_depend_on_the_others(pr2):
+    position, table = random_scene(120, seed=7)
+    together = grasp_solution(pr2, position, table)
+    for row in range(120):
+        alone = grasp_solution(pr2, position[row : row + 1], table[row : row + 1])
+        assert alone.found.item() == together.found[row].item()
+        assert alone.arm.item() == together.arm[row].item()
+        assert alone.approach.item() == together.approach[row].item()
+
+
 def test_float64_agrees_with_float32(pr2):
     position, table = random_scene(400, seed=3, dtype=torch.float64)
     double = graspable(pr2, position, table)
