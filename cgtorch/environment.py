@@ -42,6 +42,15 @@ class Lanes:
         """The lanes at `index` (k,)."""
         return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
 
+    def differs(self, other: "Lanes") -> Tensor:
+        """(n,) bool, whether anything but the step count differs from lanes of the same rows."""
+        changed = torch.zeros(len(self), dtype=torch.bool, device=self.percept.device)
+        for f in fields(self):
+            mine, theirs = getattr(self, f.name), getattr(other, f.name)
+            if mine is not theirs and f.name not in ("scenario", "step"):
+                changed |= (mine != theirs).view(len(self), -1).any(1)
+        return changed
+
     def write(self, index: Tensor, before: "Lanes", after: "Lanes") -> None:
         """Overwrite in place the lanes at `index` (k,) with what differs between two versions."""
         for f in fields(self):

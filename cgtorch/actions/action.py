@@ -21,6 +21,7 @@ class Action(nn.Module, ABC):
         num_parameters: how many real parameters each node of this action carries.
         message_size: length of the message it reads or writes, 0 for none.
         memory_size: how much of the common memory it uses, from its beginning.
+        deterministic: whether equal lanes and parameters always give equal results.
     """
 
     outcomes: tuple[str, ...] = ("success",)
@@ -28,6 +29,7 @@ class Action(nn.Module, ABC):
     num_parameters: int = 0
     message_size: int = 0
     memory_size: int = 0
+    deterministic: bool = True
 
     @abstractmethod
     def forward(

@@ -40,14 +40,17 @@ class Rollouts:
 class _Frames:
     """Where each of L lanes stands: its node and, per level of sub-skills, what it returns to.
 
-    `caller` (L, depth) is the sub-skill node that opened each level, `left` (L, depth) how many
-    transitions it may still make, `level` (L,) the innermost open one.
+    `level` (L,) is the innermost open level; `caller` (L, depth) the sub-skill node that opened
+    each, `left` (L, depth) the transitions it has left. `anchor` (L,) is a node the lane was at
+    `since` (L,) or fewer transitions ago with nothing having changed since then.
     """
 
     node: Tensor
     level: Tensor
     caller: Tensor
     left: Tensor
+    anchor: Tensor
+    since: Tensor
 
 
 def rollout(
@@ -64,7 +67,8 @@ def rollout(
 
     A sub-skill counts as one transition of the skill it is in and has a limit of its own
     (`Skill.max_transitions`); `max_steps` bounds the actions a lane executes on all levels
-    together. A lane that has ended leaves the batch.
+    together. A lane that has ended leaves the batch, and one that comes back to a node with
+    nothing changed can only run out of transitions, so these are counted but not executed.
 
     Args:
         graphs: P valid graphs.
@@ -75,7 +79,7 @@ def rollout(
         max_steps: actions per lane on all levels.
         trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
             the program's node table that ran, their outcomes (n,), and the lanes afterwards,
-            which the next step overwrites.
+            which the next step overwrites. Then every transition is executed.
     """
     program = compile_graphs(graphs, actions)
     device = program.kind.device
@@ -90,6 +94,8 @@ def rollout(
             level=torch.zeros(p * b, dtype=torch.long, device=device),
             caller=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
             left=torch.full((p * b, program.depth), max_transitions, device=device),
+            anchor=torch.full((p * b,), -1, device=device),
+            since=torch.zeros(p * b, dtype=torch.long, device=device),
         ),
     )
     status = torch.zeros(p * b, dtype=torch.long, device=device)
@@ -98,17 +104,20 @@ def rollout(
     active = torch.arange(p * b, device=device)
     while len(active):
         node = frames.node
-        lanes, outcome = _act(program, lanes, node, environment)
+        lanes, outcome, changed = _act(program, lanes, node, environment)
         if trace:
             trace(active, node, outcome, lanes)
-        frames, ended = _follow(program, frames, outcome)
+            changed = torch.ones_like(changed)
+        frames, ended, skipped = _follow(program, frames, outcome, changed)
+        lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
+        ended = torch.where(out_of_steps & (skipped > 0), TIMEOUT, ended)
         done = (ended != 0) | out_of_steps
         if done.any():
             gone, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
             status[active[gone]] = ended[gone]
             percept[active[gone]] = lanes.percept[gone]
-            transitions[active[gone]] = lanes.step[gone]
+            transitions[active[gone]] = lanes.step[gone].clamp_max(max_steps)
             active, lanes = active[stay], lanes.rows(stay)
             frames = _Frames(*(x[stay] for x in vars(frames).values()))
         frames = _enter(program, frames)
@@ -122,10 +131,16 @@ def rollout(
 
 def _act(
     program: Program, lanes: Lanes, node: Tensor, environment: Environment
-) -> tuple[Lanes, Tensor]:
-    """Run each lane's action, one batch per kind of action; `lanes` is overwritten."""
+) -> tuple[Lanes, Tensor, Tensor]:
+    """Run each lane's action, one batch per kind of action; `lanes` is overwritten.
+
+    Returns:
+        The lanes, (n,) their outcomes, and (n,) bool whether anything about a lane has changed
+        on which a later action could depend.
+    """
     kind = program.kind[node]
     outcome = torch.empty_like(node)
+    changed = torch.zeros_like(node, dtype=torch.bool)
     for i, action in enumerate(program.primitives):
         here = (kind == i).nonzero()[:, 0]
         if len(here):
@@ -133,7 +148,8 @@ def _act(
             before = lanes.rows(here)
             after, outcome[here] = action(before, parameters, environment)
             lanes.write(here, before, after)
-    return replace(lanes, step=lanes.step + 1), outcome
+            changed[here] = after.differs(before) if action.deterministic else True
+    return lanes, outcome, changed
 
 
 def _enter(program: Program, frames: _Frames) -> _Frames:
@@ -152,19 +168,31 @@ def _enter(program: Program, frames: _Frames) -> _Frames:
         skill = program.kind[node[here]] - first
         left[here, level[here]] = program.limit[skill]
         node[here] = program.entry[skill]
-    return _Frames(node, level, caller, left)
+    return replace(frames, node=node, level=level, caller=caller, left=left)
 
 
-def _follow(program: Program, frames: _Frames, outcome: Tensor) -> tuple[_Frames, Tensor]:
+def _follow(
+    program: Program, frames: _Frames, outcome: Tensor, changed: Tensor
+) -> tuple[_Frames, Tensor, Tensor]:
     """Follow each lane's edge, out of the sub-skills that end with it.
 
+    Args:
+        program: the node table.
+        frames: where the lanes stand.
+        outcome: (n,) of the action they have just executed.
+        changed: (n,) bool, whether it changed anything.
+
     Returns:
-        The frames and (n,) how the lane ended: `SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on.
+        The frames, (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on),
+        and (n,) the transitions of an endless loop that need not be executed.
     """
     row = torch.arange(len(outcome), device=outcome.device)
     level, left = frames.level, frames.left.clone()
     head = program.heads[frames.node, outcome]
     left[row, level] -= 1
+    loops = ~changed & (head >= 0) & (head == frames.anchor)
+    skipped = torch.where(loops, left[row, level], 0)
+    left[row, level] -= skipped
     for _ in range(program.depth):
         head = torch.where((head >= 0) & (left[row, level] <= 0), TIMEOUT, head)
         leaves = (head < 0) & (level > 0)
@@ -175,4 +203,10 @@ def _follow(program: Program, frames: _Frames, outcome: Tensor) -> tuple[_Frames
         head = torch.where(leaves, returned, head)
         level = level - leaves.long()
         left[row, level] -= leaves.long()
-    return _Frames(head.clamp_min(0), level, frames.caller, left), head.clamp_max(0)
+    # Brent's cycle detection: anchors at growing distances meet a cycle of any length.
+    enters = program.kind[head.clamp_min(0)] >= len(program.primitives)
+    same = ~changed & (level == frames.level) & ~enters
+    since = torch.where(same, frames.since + 1, 0)
+    anchor = torch.where((since & (since - 1)) == 0, head, frames.anchor)
+    frames = _Frames(head.clamp_min(0), level, frames.caller, left, anchor, since)
+    return frames, head.clamp_max(0), skipped
