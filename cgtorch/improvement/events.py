@@ -13,6 +13,20 @@ from cgtorch.world import Scenarios
 
 
 @dataclass(frozen=True)
+class StageStarted:
+    """A stage begins: so many scenarios in W, so many to be solved anew.
+
+    `stages` are all stages of this run, in order; `attempts` bounds the evolutions in each.
+    """
+
+    stage: str
+    stages: tuple[str, ...]
+    size_w: int
+    size_m: int
+    attempts: int
+
+
+@dataclass(frozen=True)
 class ModelsFitted:
     """Γ and C were trained, in `seconds`."""
 
@@ -25,12 +39,15 @@ class ModelsFitted:
 class GenerationDone:
     """A generation was evaluated in the models.
 
+    It belongs to the evolution of `candidate`, which ends after `limit` generations at the latest.
     `solved_w` and `solved_m` are what the best individual solves of the scenarios it is evolved
     on, `size_w` and `size_m` how many these are; `seconds` is what the generation took.
     """
 
     stage: str
+    candidate: str
     generation: Generation
+    limit: int
     solved_w: int
     size_w: int
     solved_m: int
@@ -72,5 +89,5 @@ class SkillAccepted:
     seconds: float
 
 
-Event: TypeAlias = ModelsFitted | GenerationDone | WorldTested | SkillAccepted
+Event: TypeAlias = StageStarted | ModelsFitted | GenerationDone | WorldTested | SkillAccepted
 Watch: TypeAlias = Callable[[Event], None]

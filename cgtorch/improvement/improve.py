@@ -229,6 +229,7 @@ def recruit(
         generator,
         watch,
         task.stage,
+        name,
         seeds=team.hints or team.population,
         max_transitions=setup.max_transitions,
     )

@@ -35,6 +35,7 @@ def evolve_candidate(
     generator: Generator,
     watch: Watch,
     stage: str,
+    name: str,
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
@@ -62,7 +63,9 @@ def evolve_candidate(
         watch(
             GenerationDone(
                 stage,
+                name,
                 generation,
+                budget.generations,
                 solved_w=int(result[keep].sum()),
                 size_w=int(keep.sum()),
                 solved_m=int(result[~keep].sum()),

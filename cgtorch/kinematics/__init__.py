@@ -1,8 +1,9 @@
 """Robots from URDF files: forward and inverse kinematics, collision, and what can be grasped."""
 
+from cgtorch.kinematics.arm import ArmModel
 from cgtorch.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.kinematics.grasping import GraspSolution, grasp_solution, graspable
-from cgtorch.kinematics.robot import ArmModel, Robot, load_robot, robots_folder
+from cgtorch.kinematics.robot import Robot, load_robot, robots_folder
 from cgtorch.kinematics.urdf import Urdf, load_urdf
 
 __all__ = [

@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from cgtorch.errors import RobotError
+from cgtorch.kinematics.arm import ArmModel
 from cgtorch.kinematics.collision import SHOULDER_JOINTS, Boxes, collide, rectangles_overlap
-from cgtorch.kinematics.robot import ArmModel, Robot
+from cgtorch.kinematics.robot import Robot
 
 GRASP_HEIGHT = 0.05
 """The grasp point above the table top, m: the middle of an object 0.10 m high."""
@@ -171,7 +172,7 @@ def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor,
     steps = arm.difference(joints[:, 1:], joints[:, :-1]).abs().amax(dim=(1, 2))
     smooth = reached.all(dim=1) & (steps < MAX_STEP)
     row, joints = row[smooth], joints[smooth]
-    for step in (0, 4, 1, 3):
+    for step in (0, 1, 3):
         free = ~touches(arm, joints[:, step], _rows(slab, row), body)
         row, joints = row[free], joints[free]
     first = _first_of_each(row)

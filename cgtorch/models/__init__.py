@@ -1,1 +1,13 @@
-"""Kernel machines: C-SVC and epsilon-SVR, and the two models built from them."""
+"""Kernel machines in torch, and the two models that evolving needs: Γ and C."""
+
+from cgtorch.models.grid_search import Choice as Choice
+from cgtorch.models.grid_search import GridResult as GridResult
+from cgtorch.models.grid_search import grid_search as grid_search
+from cgtorch.models.success import SuccessClassifier as SuccessClassifier
+from cgtorch.models.success import SuccessReport as SuccessReport
+from cgtorch.models.success import fit_success_classifier as fit_success_classifier
+from cgtorch.models.svc import SVC as SVC
+from cgtorch.models.svr import SVR as SVR
+from cgtorch.models.transition import TransitionModel as TransitionModel
+from cgtorch.models.transition import TransitionReport as TransitionReport
+from cgtorch.models.transition import fit_transition_model as fit_transition_model
