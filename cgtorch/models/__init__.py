@@ -11,3 +11,6 @@ from cgtorch.models.svr import SVR as SVR
 from cgtorch.models.transition import TransitionModel as TransitionModel
 from cgtorch.models.transition import TransitionReport as TransitionReport
 from cgtorch.models.transition import fit_transition_model as fit_transition_model
+from cgtorch.models.storage import load_model as load_model
+from cgtorch.models.storage import load_report as load_report
+from cgtorch.models.storage import save_model as save_model

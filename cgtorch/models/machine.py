@@ -33,7 +33,12 @@ class KernelMachine(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        for name, shape in (("centres", (0, 0)), ("weights", (0, 1)), ("bias", (1,)), ("gap", (1,))):
+        for name, shape in (
+            ("centres", (0, 0)),
+            ("weights", (0, 1)),
+            ("bias", (1,)),
+            ("gap", (1,)),
+        ):
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
         self.register_buffer("gamma_value", torch.ones((), dtype=torch.float64))
         self.register_buffer("support", torch.zeros(0, dtype=torch.long))
@@ -135,7 +140,9 @@ class KernelMachine(nn.Module):
 
     def _check_fitted(self) -> None:
         if not self.fitted:
-            raise ModelError(f"this {type(self).__name__} has not been fitted; call fit(x, y) first")
+            raise ModelError(
+                f"this {type(self).__name__} has not been fitted; call fit(x, y) first"
+            )
 
     def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
         """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""

@@ -195,7 +195,9 @@ def _first_point(
     return beta, bias
 
 
-def _free_set(part: Problems, status: Tensor, value: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
+def _free_set(
+    part: Problems, status: Tensor, value: Tensor, slope: Tensor
+) -> tuple[Tensor, Tensor]:
     """Which coefficients are free (P, n), and which of them only because a problem had none.
 
     Without a free coefficient the bias would have no equation, so the one nearest to being free

@@ -142,9 +142,7 @@ class SVC(KernelMachine):
         held = classification(signs, problem.cap.expand(count).contiguous(), weight)
         beta = found.beta.expand(count, -1) * masks
         start = beta, found.bias.expand(count), found.status.expand(count, -1) * masks
-        parts = solve(
-            matrix, held, generator, start, first=0.03, last=FINAL_RIDGE, tolerance=1e-6
-        )
+        parts = solve(matrix, held, generator, start, first=0.03, last=FINAL_RIDGE, tolerance=1e-6)
         values = parts.product + parts.bias[:, None]
         decision = values[folds.to(signs.device), torch.arange(len(signs), device=signs.device)]
         return torch.stack(fit_platt(decision, signs))

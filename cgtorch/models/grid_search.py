@@ -1,0 +1,310 @@
+"""Cross-validated choice of C, gamma and epsilon in one batched exact solve.
+
+One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
+only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
+Along C each solution starts from the one before, and a solution that touches no bound holds for
+every larger C unchanged.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import SettingsError
+from cgtorch.models import inputs
+from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
+from cgtorch.models.kernels import kernel_matrix, make_kernel
+from cgtorch.models.problems import Problems, classification, regression
+from cgtorch.models.solver import Solutions, solve
+from cgtorch.models.svc import SVC, row_weights
+from cgtorch.models.svr import SVR
+
+Progress = Callable[[int, int], None]
+"""Called with the number of cells done and of all cells."""
+
+GRID_RIDGE = 1e-3
+_WARM_RIDGE = 0.1
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The best cell for one output."""
+
+    C: float
+    gamma: float
+    epsilon: float
+    score: float
+
+
+@dataclass(frozen=True)
+class GridResult:
+    """Scores of every cell; axes are gamma (G), epsilon (E), C (N), output (K), fold (F), row (n).
+
+    Attributes:
+        C: Costs, ascending (N,).
+        gamma: Kernel widths (G,).
+        epsilon: Tube widths (E,), 0 for a classifier.
+        scoring: Name of the score.
+        scores: Score on the held-out rows of each fold (G, E, N, K, F), more is better.
+        held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
+        gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
+        direct: False where a fold of the cell had to be finished by SMO (G, E, N, K).
+        folds: Fold number of each row (n,).
+        best: Best cell of each output.
+        common: Best cells of the outputs at the one gamma with the best mean over the outputs.
+    """
+
+    C: Tensor
+    gamma: Tensor
+    epsilon: Tensor
+    scoring: str
+    scores: Tensor
+    held_out: Tensor
+    gap: Tensor
+    direct: Tensor
+    folds: Tensor
+    best: tuple[Choice, ...]
+    common: tuple[Choice, ...]
+
+    @property
+    def mean(self) -> Tensor:
+        """Mean score over the folds (G, E, N, K)."""
+        return self.scores.mean(-1)
+
+
+def accuracy(value: Tensor, truth: Tensor) -> Tensor:
+    """Share of rows (..., n) whose decision value has the sign of the truth."""
+    return ((value > 0) == (truth > 0)).double().mean(-1)
+
+
+def balanced_accuracy(value: Tensor, truth: Tensor) -> Tensor:
+    """Mean over the two classes of the share of their rows that are right."""
+    right, positive = (value > 0) == (truth > 0), (truth > 0).expand_as(value)
+    first = (right & positive).sum(-1) / positive.sum(-1).clamp_min(1)
+    second = (right & ~positive).sum(-1) / (~positive).sum(-1).clamp_min(1)
+    return (first.double() + second.double()) / 2
+
+
+def r2(value: Tensor, truth: Tensor) -> Tensor:
+    """Share of the variance of the truth (..., n) that is explained."""
+    spread = (truth - truth.mean(-1, keepdim=True)).square().sum(-1)
+    return 1 - (value - truth).square().sum(-1) / spread.clamp_min(1e-300)
+
+
+def neg_mean_absolute_error(value: Tensor, truth: Tensor) -> Tensor:
+    """Minus the mean absolute error over rows (..., n)."""
+    return -(value - truth).abs().mean(-1)
+
+
+def neg_mean_squared_error(value: Tensor, truth: Tensor) -> Tensor:
+    """Minus the mean squared error over rows (..., n)."""
+    return -(value - truth).square().mean(-1)
+
+
+SCORES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    score.__name__: score
+    for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error, neg_mean_squared_error)
+}
+
+
+def grid_search(
+    model: SVC | SVR,
+    x: Any,
+    y: Any,
+    *,
+    C: Sequence[float],
+    gamma: Sequence[float],
+    epsilon: Sequence[float] | None = None,
+    folds: Any = 5,
+    seed: int | torch.Generator = 0,
+    scoring: str | None = None,
+    progress: Progress | None = None,
+) -> GridResult:
+    """Score every (gamma, epsilon, C) by cross-validation.
+
+    Args:
+        model: An `SVC` or `SVR` whose kernel, class weights and memory limit are used.
+        x: Rows (n, d).
+        y: Labels (n,), or targets (n,) or (n, k).
+        C: Costs to try.
+        gamma: Kernel widths to try.
+        epsilon: Tube widths to try, for `SVR`; the model's own if None.
+        folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
+        seed: Seed or generator of the folds and of the solver.
+        scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
+        progress: Called after every cell with (done, all).
+
+    Returns:
+        The scores and the choice.
+
+    Raises:
+        DataError: Data that the model's `fit` would refuse, or too few rows for the folds.
+        SettingsError: An empty grid, a value that is not positive, or an unknown score.
+    """
+    classifier = isinstance(model, SVC)
+    scoring = scoring or ("accuracy" if classifier else "r2")
+    if scoring not in SCORES:
+        raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    rows = inputs.as_rows(x)
+    generator = inputs.generator_of(seed)
+    inputs.check_memory(len(rows), model.max_memory)
+    costs, widths = _axis(C, "C").sort().values.to(rows), _axis(gamma, "gamma").to(rows)
+    if isinstance(model, SVC):
+        classes, signs = inputs.as_binary(y, len(rows))
+        targets = signs.to(rows)[None]
+        tubes = torch.zeros(1).to(rows)
+    else:
+        targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
+        tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon").to(rows)
+    if not isinstance(folds, int):
+        numbers = given_folds(folds, len(rows))
+    elif classifier:
+        numbers = stratified_folds(targets[0], folds, generator)
+    else:
+        numbers = plain_folds(len(rows), folds, generator)
+    masks = training_masks(numbers).to(rows.device)
+    every = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
+    masks = torch.cat([every, masks])
+
+    if isinstance(model, SVC):
+        weight = row_weights(targets[0], classes, model.class_weight, masks)
+    else:
+        weight = masks.to(rows)
+
+    def problems(cap: Tensor, tube: Tensor) -> Problems:
+        """All rows, then the folds (P = 1 + F, times K outputs in the last place)."""
+        count = len(masks) * len(targets)
+        caps = cap.expand(count).contiguous()
+        each = weight.repeat_interleave(len(targets), 0)
+        if classifier:
+            return classification(targets[0], caps, each)
+        return regression(
+            targets.repeat(len(masks), 1), caps, tube.expand(count).contiguous(), each
+        )
+
+    shape = len(widths), len(tubes), len(costs), len(targets)
+    held_out = torch.zeros(*shape, len(rows), dtype=rows.dtype, device=rows.device)
+    gap = torch.zeros(shape, dtype=rows.dtype, device=rows.device)
+    direct = torch.ones(shape, dtype=torch.bool, device=rows.device)
+    done = 0
+    for g, width in enumerate(widths):
+        kernel = make_kernel(model.kernel, float(width), model.degree, model.coef0)
+        matrix = kernel_matrix(kernel, rows)
+        for e, tube in enumerate(tubes):
+            before = None
+            for c, cap in enumerate(costs):
+                before = _solve_cell(matrix, problems(cap, tube), len(targets), before, generator)
+                folded = before.product + before.bias[:, None]
+                folded = folded[len(targets) :].reshape(len(masks) - 1, len(targets), -1)
+                held_out[g, e, c] = folded.permute(1, 0, 2)[
+                    :, numbers.to(rows.device), torch.arange(len(rows), device=rows.device)
+                ]
+                relative = before.gap / before.objective.abs().clamp_min(1e-12)
+                gap[g, e, c] = relative.reshape(len(masks), -1).amax(0)
+                direct[g, e, c] = before.direct.reshape(len(masks), -1).all(0)
+                done += 1
+                if progress is not None:
+                    progress(done, len(widths) * len(tubes) * len(costs))
+    scores = torch.stack(
+        [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks[1:]],
+        dim=-1,
+    )
+    best, common = _choices(scores.mean(-1), widths, tubes, costs)
+    return GridResult(
+        costs, widths, tubes, scoring, scores, held_out, gap, direct, numbers, best, common
+    )
+
+
+def _axis(values: Any, name: str) -> Tensor:
+    """The distinct positive numbers of one axis of the grid, in the order given."""
+    given = [values] if isinstance(values, int | float) else list(values)
+    if not given:
+        raise SettingsError(f"the grid has no value of {name}; give at least one")
+    return torch.tensor([inputs.positive(value, name) for value in given], dtype=torch.float64)
+
+
+def _solve_cell(
+    matrix: Tensor,
+    problems: Problems,
+    outputs: int,
+    before: Solutions | None,
+    generator: torch.Generator,
+) -> Solutions:
+    """Solve all rows and the folds at one C, from the solutions at the next smaller C.
+
+    The first C has nothing to start from: all rows are solved from a quarter, then the folds
+    from that.
+    """
+    if before is None:
+        count = len(problems.z)
+        first = torch.arange(count, device=matrix.device) < outputs
+        whole = solve(matrix, problems.take(first), generator, last=GRID_RIDGE)
+        times = count // outputs - 1
+        start = _restart(problems.take(~first), _repeat(whole, times))
+        parts = solve(
+            matrix, problems.take(~first), generator, start, first=_WARM_RIDGE, last=GRID_RIDGE
+        )
+        return _join(whole, parts)
+    loose = ~((before.beta != 0) & (before.status.abs() == 2)).any(1)
+    if bool(loose.all()):
+        return before
+    open_ = (~loose).nonzero().flatten()
+    part, old = problems.take(open_), before.take(open_)
+    found = solve(matrix, part, generator, _restart(part, old), first=_WARM_RIDGE, last=GRID_RIDGE)
+    merged = {}
+    for name in Solutions.__dataclass_fields__:
+        tensor = getattr(before, name).clone()
+        tensor[open_] = getattr(found, name)
+        merged[name] = tensor
+    return replace(before, **merged)
+
+
+def _restart(problems: Problems, old: Solutions) -> tuple[Tensor, Tensor, Tensor]:
+    """Coefficients, biases and statuses of `old`, moved into the boxes of `problems`."""
+    closed = problems.lower == problems.upper
+    status = old.status.masked_fill(closed, 0)
+    beta = torch.where(status == 2, problems.upper, old.beta)
+    beta = torch.where(status == -2, problems.lower, beta).masked_fill(closed, 0.0)
+    return beta, old.bias, status
+
+
+def _repeat(old: Solutions, times: int) -> Solutions:
+    """The same solutions `times` times."""
+    index = torch.arange(len(old.bias), device=old.bias.device).repeat(times)
+    return old.take(index)
+
+
+def _join(first: Solutions, second: Solutions) -> Solutions:
+    """Two batches of solutions as one."""
+    names = Solutions.__dataclass_fields__
+    return Solutions(*(torch.cat([getattr(first, n), getattr(second, n)]) for n in names))
+
+
+def _choices(
+    mean: Tensor, widths: Tensor, tubes: Tensor, costs: Tensor
+) -> tuple[tuple[Choice, ...], tuple[Choice, ...]]:
+    """The best cell of each output, freely and at the gamma that is best for their mean.
+
+    Of equal scores the first wins: the smallest C, epsilon and gamma in the order given.
+    """
+
+    def pick(scores: Tensor, fixed: int | None) -> Choice:
+        if fixed is not None:
+            scores = scores[fixed : fixed + 1]
+        g, e, c = torch.unravel_index(scores.argmax(), scores.shape)
+        return Choice(
+            C=float(costs[c]),
+            gamma=float(widths[int(g) + (fixed or 0)]),
+            epsilon=float(tubes[e]),
+            score=float(scores[g, e, c]),
+        )
+
+    outputs = range(mean.shape[-1])
+    shared = int(mean.flatten(1, 2).amax(1).mean(1).argmax())
+    return (
+        tuple(pick(mean[..., k], None) for k in outputs),
+        tuple(pick(mean[..., k], shared) for k in outputs),
+    )

@@ -1,0 +1,199 @@
+"""Models on disk: safetensors with a JSON header, never pickle, written all or not at all."""
+
+import json
+import math
+import os
+import tempfile
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from cgtorch.errors import ModelError
+from cgtorch.models.success import SuccessClassifier
+from cgtorch.models.svc import SVC
+from cgtorch.models.svr import SVR
+from cgtorch.models.transition import TransitionModel
+
+Model = SVC | SVR | TransitionModel | SuccessClassifier
+
+VERSION = 1
+MAX_BYTES = 1024**3
+"""Largest model file that `load_model` reads."""
+
+_KINDS: dict[str, type[Model]] = {
+    kind.__name__: kind for kind in (SVC, SVR, TransitionModel, SuccessClassifier)
+}
+_MACHINE_SETTINGS = ("kernel", "degree", "coef0")
+
+
+def _machine(model: Model) -> SVC | SVR:
+    return model.machine if isinstance(model, TransitionModel | SuccessClassifier) else model
+
+
+def save_model(path: str | Path, model: Model, report: Any = None) -> None:
+    """Write a fitted model, and the report of its fit if given, to one file.
+
+    Args:
+        path: The file, replaced only when all of the new one is on disk.
+        model: A fitted `SVC`, `SVR`, `TransitionModel` or `SuccessClassifier`.
+        report: A dataclass or JSON value to keep with it.
+
+    Raises:
+        ModelError: The model is not fitted, its kernel is a callable, or the file cannot be
+            written.
+    """
+    kind = type(model).__name__
+    machine = _machine(model)
+    machine._check_fitted()
+    if not isinstance(machine.kernel, str):
+        raise ModelError("a model with a callable kernel cannot be saved; use a named kernel")
+    settings = {name: getattr(machine, name) for name in _MACHINE_SETTINGS}
+    header = {
+        "format": "cgtorch-model",
+        "version": VERSION,
+        "kind": kind,
+        "settings": settings,
+        "report": asdict(report)
+        if is_dataclass(report) and not isinstance(report, type)
+        else report,
+    }
+    state = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    data = save(state, metadata={"cgtorch": json.dumps(header)})
+    target = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise ModelError(f"cannot write the model file {target}: {error.strerror}") from error
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model that `save_model` wrote, in evaluation mode.
+
+    Raises:
+        ModelError: The file is missing, damaged, of another version, too large, or no model.
+    """
+    return _read(Path(path))[0]
+
+
+def load_report(path: str | Path) -> Any:
+    """The report stored with a model, as plain JSON values, or None.
+
+    Raises:
+        ModelError: As for `load_model`.
+    """
+    return _read(Path(path))[1].get("report")
+
+
+def _read(path: Path) -> tuple[Model, dict[str, Any]]:
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ModelError(f"model file {path} has {size} bytes; the most is {MAX_BYTES}")
+        with safe_open(path, framework="pt") as file:
+            header = _header(path, (file.metadata() or {}).get("cgtorch"))
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except OSError as error:
+        raise ModelError(f"cannot read the model file {path}: {error.strerror or error}") from error
+    except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"model file {path} is damaged: {error}") from error
+    model = _KINDS[header["kind"]]()
+    _machine(model).set_params(**header["settings"])
+    _check(path, model, state)
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
+    return model.to(_machine_type(model, state)).eval(), header
+
+
+def _machine_type(model: Model, state: dict[str, Tensor]) -> torch.dtype:
+    prefix = "" if _machine(model) is model else "machine."
+    return state[prefix + "centres"].dtype
+
+
+def _header(path: Path, text: str | None) -> dict[str, Any]:
+    """The checked JSON header.
+
+    Raises:
+        ModelError: It is missing or wrong.
+    """
+    try:
+        header = json.loads(text or "")
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path} is no cgtorch model: it has no readable header") from error
+    if not isinstance(header, dict) or header.get("format") != "cgtorch-model":
+        raise ModelError(f"{path} is no cgtorch model")
+    if header.get("version") != VERSION:
+        raise ModelError(
+            f"model file {path} has version {header.get('version')!r}; this cgtorch reads {VERSION}"
+        )
+    settings = header.get("settings")
+    if header.get("kind") not in _KINDS or not isinstance(settings, dict):
+        raise ModelError(f"model file {path} holds an unknown model {header.get('kind')!r}")
+    good = (
+        set(settings) == set(_MACHINE_SETTINGS)
+        and settings["kernel"] in ("rbf", "linear", "poly")
+        and type(settings["degree"]) is int
+        and 0 <= settings["degree"] <= 100
+        and isinstance(settings["coef0"], int | float)
+        and math.isfinite(settings["coef0"])
+    )
+    if not good:
+        raise ModelError(f"model file {path} has unusable settings {settings!r:.200}")
+    return header
+
+
+def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
+    """Refuse tensors that do not fit together.
+
+    Raises:
+        ModelError: A tensor is missing, of another type or shape, or not finite.
+    """
+    expected = model.state_dict()
+    if set(expected) != set(state):
+        odd = sorted(set(expected) ^ set(state))[:3]
+        raise ModelError(f"model file {path} has missing or unknown tensors: {', '.join(odd)}")
+    prefix = "" if _machine(model) is model else "machine."
+    for name, value in state.items():
+        floating = expected[name].is_floating_point()
+        if value.is_floating_point() != floating or (
+            floating and value.dtype not in (torch.float32, torch.float64)
+        ):
+            raise ModelError(f"model file {path}: {name} has type {value.dtype}")
+        if not floating and value.dtype != expected[name].dtype:
+            raise ModelError(f"model file {path}: {name} has type {value.dtype}")
+        if floating and name != prefix + "platt" and not bool(torch.isfinite(value).all()):
+            raise ModelError(f"model file {path}: {name} has NaN or infinite values")
+        if value.ndim != expected[name].ndim:
+            raise ModelError(f"model file {path}: {name} has shape {tuple(value.shape)}")
+    m, d = state[prefix + "centres"].shape
+    k = state[prefix + "bias"].shape[0]
+    shapes: dict[str, tuple[int, ...]] = {
+        "weights": (m, k), "gap": (k,), "support": (m,), "classes": (2,), "platt": (2,),
+    }  # fmt: skip
+    if isinstance(model, TransitionModel):
+        fixed = d == len(model.mean) and k == 7
+        outer: dict[str, tuple[int, ...]] = {"mean": (d,), "scale": (d,), "residual_scale": (7,)}
+    else:
+        fixed = k == 1 or not isinstance(model, SVC | SuccessClassifier)
+        outer = {"mean": (d,), "scale": (d,)} if isinstance(model, SuccessClassifier) else {}
+    wrong = [n for n, s in shapes.items() if prefix + n in state and state[prefix + n].shape != s]
+    wrong += [n for n, s in outer.items() if state[n].shape != s]
+    if wrong or not fixed or m == 0 or d == 0:
+        raise ModelError(f"model file {path}: {', '.join(wrong) or 'centres'} of a wrong shape")

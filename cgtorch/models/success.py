@@ -1,0 +1,241 @@
+"""C, the success classifier: the probability that a skill succeeds from a percept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from cgtorch.errors import DataError
+from cgtorch.models import geometry, inputs
+from cgtorch.models.folds import stratified_folds
+from cgtorch.models.grid_search import Choice, Progress, balanced_accuracy, grid_search
+from cgtorch.models.platt import fit_platt, probability
+from cgtorch.models.svc import SVC, ClassWeight
+
+C_GRID = (1.0, 8.0, 64.0, 512.0)
+GAMMA_GRID = (0.01, 0.03, 0.1, 0.3)
+GRID_ROWS = 700
+
+
+@dataclass(frozen=True)
+class SuccessReport:
+    """What the fit of a success classifier found.
+
+    Attributes:
+        rows: Labelled percepts it learnt from.
+        positive: Share of them that succeed.
+        balanced_accuracy: Cross-validated, of all rows at the chosen cell.
+        brier: Mean squared difference of cross-validated probability and label.
+        calibration_error: Mean gap between probability and frequency over 10 equal bins,
+            weighted by their rows.
+        reliability: Mean probability, frequency and rows of each bin that is not empty.
+        choice: Hyper-parameters.
+        gap: Duality gap.
+        centres: Number of centres.
+        grid_C: Costs tried.
+        grid_gamma: Kernel widths tried.
+        grid_scores: Mean balanced accuracy by gamma and C.
+        finished_by_smo: Cells of the grid that the active set left to SMO.
+    """
+
+    rows: int
+    positive: float
+    balanced_accuracy: float
+    brier: float
+    calibration_error: float
+    reliability: tuple[tuple[float, float, int], ...]
+    choice: Choice
+    gap: float
+    centres: int
+    grid_C: tuple[float, ...]
+    grid_gamma: tuple[float, ...]
+    grid_scores: list[Any]
+    finished_by_smo: int
+
+
+class SuccessClassifier(nn.Module):
+    """C: percept (..., D) -> probability of success (...), differentiable in the percept.
+
+    Percepts of seven numbers or more are widened by `geometry.placement_features`. Buffers: the
+    features' `mean` and `scale`; the machine's are in `machine`.
+    """
+
+    mean: Tensor
+    scale: Tensor
+    machine: SVC
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(0, dtype=torch.float64))
+        self.register_buffer("scale", torch.ones(0, dtype=torch.float64))
+        self.machine = SVC()
+
+    def forward(self, percept: Tensor) -> Tensor:
+        """Probability (...) that the skill succeeds.
+
+        Raises:
+            DataError: Another number of coordinates than it was fitted on.
+            ModelError: Not fitted.
+        """
+        return self.machine(self._features(percept)).to(percept.dtype)
+
+    def decision_function(self, percept: Tensor) -> Tensor:
+        """Signed decision value (...), positive for success."""
+        return self.machine.values(self._features(percept))[..., 0].to(percept.dtype)
+
+    def _features(self, percept: Tensor) -> Tensor:
+        self.machine._check_fitted()
+        features = features_of(percept)
+        if features.shape[-1] != len(self.mean):
+            raise DataError(
+                f"a percept has {percept.shape[-1]} coordinates; the classifier was fitted on "
+                "another number"
+            )
+        return (features.to(self.mean) - self.mean) / self.scale
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        for name in ("mean", "scale"):
+            given = state_dict.get(prefix + name)
+            if isinstance(given, Tensor) and given.ndim == 1:
+                self._buffers[name] = self.mean.new_zeros(given.shape)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+
+
+def features_of(percept: Tensor) -> Tensor:
+    """The features (..., F) that the classifier sees of a percept (..., D)."""
+    return geometry.placement_features(percept) if percept.shape[-1] >= 7 else percept
+
+
+def fit_success_classifier(
+    percept: Any,
+    label: Any,
+    *,
+    seed: int | torch.Generator = 0,
+    folds: int = 5,
+    C: Sequence[float] = C_GRID,
+    gamma: Sequence[float] = GAMMA_GRID,
+    grid_rows: int | None = GRID_ROWS,
+    class_weight: ClassWeight = None,
+    progress: Progress | None = None,
+    max_memory: int = inputs.MAX_MEMORY,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[SuccessClassifier, SuccessReport]:
+    """Choose the hyper-parameters by cross-validation and fit C on all labels.
+
+    Args:
+        percept: Percepts (n, D), m.
+        label: True or 1 where the skill succeeded (n,).
+        seed: Seed or generator of folds, subset and solver.
+        folds: Number of stratified folds, for the grid and for Platt's probabilities.
+        C: Costs to try.
+        gamma: Kernel widths to try, on standardised features.
+        grid_rows: Random rows that the grid is scored on, None for all.
+        class_weight: None, "balanced", or a factor on C per class.
+        progress: Called with (cells done, all cells).
+        max_memory: Bytes that kernel matrices may take.
+        dtype: Type of the returned model's buffers.
+
+    Returns:
+        The model and the report.
+
+    Raises:
+        DataError: Wrong shapes, NaN, one class only, too few rows or too many.
+        SettingsError: A grid that cannot be used.
+    """
+    rows = inputs.as_rows(percept, "percept")
+    _, signs = inputs.as_binary(label, len(rows))
+    signs = signs.to(rows)
+    inputs.check_memory(len(rows), max_memory)
+    generator = inputs.generator_of(seed)
+    raw = features_of(rows)
+    model = SuccessClassifier().to(rows.device)
+    spread, mean = raw.std(0, correction=0), raw.mean(0)
+    model.mean = mean
+    model.scale = torch.where(spread <= 1e-9 * (1 + mean.abs()), 1.0, spread)
+    features = (raw - model.mean) / model.scale
+
+    some = torch.randperm(len(rows), generator=generator)[: grid_rows or len(rows)]
+    some = some.to(rows.device)
+    plain = SVC(class_weight=class_weight, max_memory=max_memory)
+    grid = grid_search(
+        plain,
+        features[some],
+        signs[some],
+        C=C,
+        gamma=gamma,
+        folds=folds,
+        seed=generator,
+        scoring="balanced_accuracy",
+        progress=progress,
+    )
+    best = grid.best[0]
+    numbers = stratified_folds(signs, folds, generator)
+    model.machine = SVC(
+        best.C,
+        gamma=best.gamma,
+        class_weight=class_weight,
+        probability=True,
+        folds=numbers,
+        seed=generator,
+        max_memory=max_memory,
+    ).fit(features, signs)
+    value = grid_search(
+        plain, features, signs, C=[best.C], gamma=[best.gamma], folds=numbers, seed=generator
+    ).held_out[0, 0, 0, 0]
+    chance = _cross_fitted(value, signs, numbers.to(rows.device))
+    truth = (signs > 0).to(chance)
+    error, reliability = calibration(chance, truth)
+    report = SuccessReport(
+        rows=len(rows),
+        positive=float(truth.mean()),
+        balanced_accuracy=float(balanced_accuracy(value, signs)),
+        brier=float((chance - truth).square().mean()),
+        calibration_error=error,
+        reliability=reliability,
+        choice=best,
+        gap=float(model.machine.gap[0]),
+        centres=len(model.machine.centres),
+        grid_C=tuple(grid.C.tolist()),
+        grid_gamma=tuple(grid.gamma.tolist()),
+        grid_scores=grid.mean[:, 0, :, 0].tolist(),
+        finished_by_smo=int((~grid.direct).sum()),
+    )
+    return model.to(dtype), report
+
+
+def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
+    """Probabilities (n,) of held-out values, each fold's Platt curve fitted on the others."""
+    chance = torch.zeros_like(value)
+    for number in folds.unique():
+        inside = folds == number
+        slope, offset = fit_platt(value[~inside], signs[~inside])
+        chance[inside] = probability(value[inside], slope, offset)
+    return chance
+
+
+def calibration(
+    chance: Tensor, truth: Tensor, bins: int = 10
+) -> tuple[float, tuple[tuple[float, float, int], ...]]:
+    """Expected calibration error and the reliability curve of probabilities (n,) (Naeini 2015).
+
+    Args:
+        chance: Probabilities (n,).
+        truth: 1 where it came true, else 0 (n,).
+        bins: Number of equal bins.
+
+    Returns:
+        The error, and (mean probability, frequency, rows) of each bin that is not empty.
+    """
+    number = (chance * bins).long().clamp(0, bins - 1)
+    curve = []
+    error = 0.0
+    for index in number.unique():
+        inside = number == index
+        mean, frequency = float(chance[inside].mean()), float(truth[inside].mean())
+        curve.append((mean, frequency, int(inside.sum())))
+        error += abs(mean - frequency) * int(inside.sum()) / len(chance)
+    return error, tuple(curve)
