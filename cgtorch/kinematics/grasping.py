@@ -172,7 +172,7 @@ def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor,
     steps = arm.difference(joints[:, 1:], joints[:, :-1]).abs().amax(dim=(1, 2))
     smooth = reached.all(dim=1) & (steps < MAX_STEP)
     row, joints = row[smooth], joints[smooth]
-    for step in (0, 1, 3):
+    for step in (0, 4, 1, 3):
         free = ~touches(arm, joints[:, step], _rows(slab, row), body)
         row, joints = row[free], joints[free]
     first = _first_of_each(row)

@@ -5,7 +5,6 @@ import torch
 
 from cgtorch.errors import RobotError
 from cgtorch.kinematics import grasp_solution, graspable
-from cgtorch.kinematics.collision import Boxes
 from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches, waypoints
 
 HEIGHT = 0.74
@@ -149,10 +148,8 @@ def test_solutions_do_what_they_claim(pr2):
         assert bool((joints >= arm.lower - 1e-5).all() and (joints <= arm.upper + 1e-5).all())
         step = arm.difference(joints[1:], joints[:-1])
         assert step.abs().max() < MAX_STEP
-        fine = joints[:-1, None] + torch.linspace(0, 1, 6)[:, None] * step[:, None]
-        slab = table_slab(table[row : row + 1].expand(24, 6))
-        body = Boxes(*(part.float() for part in vars(pr2.body).values()))
-        assert touches(arm, fine.reshape(-1, 7), slab, body).float().mean() < 0.3
+        slab = table_slab(table[row : row + 1].expand(5, 6))
+        assert not touches(arm, joints, slab, pr2.body.to(joints)).any()
     assert torch.equal(
         solution.joints[~solution.found], torch.zeros_like(solution.joints[~solution.found])
     )

@@ -7,11 +7,12 @@ and lets it change on the way, and tests collision by points sampled along every
 import math
 
 import numpy as np
+import pytest
 import torch
 from test_grasping import random_scene
 
 from cgtorch.kinematics import graspable
-from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP
+from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches
 
 PANS = 72
 UPPER_ARM, FOREARM, TOOL, SHOULDER = 0.4, 0.321, 0.18, 0.1
@@ -191,3 +192,16 @@ def test_labels_agree_with_the_reference(pr2):
     assert 20 <= sum(reference) <= 80
     agreed = sum(a == b for a, b in zip(labels, reference, strict=True))
     assert agreed >= 97
+
+
+@pytest.mark.parametrize("height", [0.74, -9.0])
+def test_random_postures_collide_as_in_the_reference(pr2, random_joints, generator, height):
+    """With a table before the robot, and with none near, so that only the body is in the way."""
+    arm = pr2.arm("left")
+    q = random_joints(arm, 1000, generator)
+    table = torch.tensor([[0.8, 0.1, 0.2, 0.8, 1.2, height]], dtype=torch.float64)
+    hit = touches(arm, q, table_slab(table.expand(1000, 6)), pr2.body)
+    body = [(c.numpy(), h.numpy()) for c, h in zip(pr2.body.centre, pr2.body.half, strict=True)]
+    apart = free(arm, q.numpy(), sampled_capsules(arm), table[0].numpy(), body)
+    assert 0.02 < hit.double().mean() < 0.9
+    assert (hit.numpy() != apart).mean() >= 0.99
