@@ -3,6 +3,9 @@
 from cgtorch.models.grid_search import Choice as Choice
 from cgtorch.models.grid_search import GridResult as GridResult
 from cgtorch.models.grid_search import grid_search as grid_search
+from cgtorch.models.storage import load_model as load_model
+from cgtorch.models.storage import load_report as load_report
+from cgtorch.models.storage import save_model as save_model
 from cgtorch.models.success import SuccessClassifier as SuccessClassifier
 from cgtorch.models.success import SuccessReport as SuccessReport
 from cgtorch.models.success import fit_success_classifier as fit_success_classifier
@@ -11,6 +14,3 @@ from cgtorch.models.svr import SVR as SVR
 from cgtorch.models.transition import TransitionModel as TransitionModel
 from cgtorch.models.transition import TransitionReport as TransitionReport
 from cgtorch.models.transition import fit_transition_model as fit_transition_model
-from cgtorch.models.storage import load_model as load_model
-from cgtorch.models.storage import load_report as load_report
-from cgtorch.models.storage import save_model as save_model

@@ -77,8 +77,10 @@ def turn_features(parts: Tensor, motion: Tensor) -> Tensor:
 
 
 def placement_features(percept: Tensor) -> Tensor:
-    """Features (..., D + 5) of a percept (..., D >= 7): itself, the object's distances to the
-    four sides of the box and its distance from the robot, in metres.
+    """Features (..., D + 5) of a percept (..., D >= 7), m.
+
+    They are the percept itself, the object's distances to the four sides of the box, and its
+    distance from the robot.
     """
     x_min, x_max, y_min, y_max, x, y = percept[..., :6].unbind(-1)
     reach = (x * x + y * y + 1e-12).sqrt()

@@ -28,7 +28,7 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
 
 
 def linear(x: Tensor, s: Tensor) -> Tensor:
-    """x' s, (m, n)."""
+    """Inner products x' s, (m, n)."""
     return x @ s.T
 
 

@@ -34,7 +34,7 @@ class SuccessReport:
         choice: Hyper-parameters.
         gap: Duality gap.
         centres: Number of centres.
-        grid_C: Costs tried.
+        grid_cost: Costs tried.
         grid_gamma: Kernel widths tried.
         grid_scores: Mean balanced accuracy by gamma and C.
         finished_by_smo: Cells of the grid that the active set left to SMO.
@@ -49,7 +49,7 @@ class SuccessReport:
     choice: Choice
     gap: float
     centres: int
-    grid_C: tuple[float, ...]
+    grid_cost: tuple[float, ...]
     grid_gamma: tuple[float, ...]
     grid_scores: list[Any]
     finished_by_smo: int
@@ -199,7 +199,7 @@ def fit_success_classifier(
         choice=best,
         gap=float(model.machine.gap[0]),
         centres=len(model.machine.centres),
-        grid_C=tuple(grid.C.tolist()),
+        grid_cost=tuple(grid.C.tolist()),
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_scores=grid.mean[:, 0, :, 0].tolist(),
         finished_by_smo=int((~grid.direct).sum()),

@@ -40,7 +40,7 @@ class TransitionReport:
         choice: Hyper-parameters (C, gamma, epsilon, score) of each part, None for residual zero.
         gap: Duality gap of each learnt part, relative to its dual objective's scale.
         centres: Number of centres.
-        grid_C: Costs tried.
+        grid_cost: Costs tried.
         grid_gamma: Kernel widths tried.
         grid_epsilon: Tube widths tried.
         grid_scores: Mean negative absolute error by gamma, epsilon, C and part, standardised.
@@ -55,7 +55,7 @@ class TransitionReport:
     choice: tuple[Choice | None, ...]
     gap: tuple[float, ...]
     centres: int
-    grid_C: tuple[float, ...]
+    grid_cost: tuple[float, ...]
     grid_gamma: tuple[float, ...]
     grid_epsilon: tuple[float, ...]
     grid_scores: list[Any]
@@ -206,7 +206,7 @@ def fit_transition_model(
         choice=tuple(c if use else None for c, use in zip(choice, learnt, strict=True)),
         gap=gaps,
         centres=len(model.machine.centres),
-        grid_C=tuple(grid.C.tolist()),
+        grid_cost=tuple(grid.C.tolist()),
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_epsilon=tuple(grid.epsilon.tolist()),
         grid_scores=grid.mean.tolist(),
