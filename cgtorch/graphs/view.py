@@ -84,5 +84,5 @@ def _parameters(node: str, values: Sequence[Any], wanted: int) -> Tensor:
     for value in values:
         real = isinstance(value, Real) and not isinstance(value, bool)
         if not real or not abs(value) <= FLOAT32_MAX:  # NaN compares as False
-            raise GraphError(f"{node} has parameter {value!r}; give finite float32 numbers")
+            raise GraphError(f"{node} has parameter {value!r:.60}; give finite float32 numbers")
     return torch.tensor([float(value) for value in values])
