@@ -1,0 +1,83 @@
+import pytest
+import torch
+from support import Counter, custom_actions, seeded
+
+from cgtorch.actions import Action, ActionSet, Detect, Grasp, paper_actions
+from cgtorch.errors import ActionError
+
+
+def test_the_papers_five() -> None:
+    actions = paper_actions()
+    assert actions.names == ("MoveBase", "Detect", "Grasp", "ContinuousNN", "BranchingNN")
+    outcomes = [a.outcomes for a in actions.actions]
+    assert outcomes == [
+        ("success", "failure"),
+        ("success",),
+        ("success", "failure"),
+        ("success",),
+        ("out1", "out2"),
+    ]
+    assert actions.has_edge.tolist() == [
+        [True, True],
+        [True, False],
+        [False, True],
+        [True, False],
+        [True, True],
+    ]
+    assert actions.terminal.nonzero().tolist() == [[2, 0]]
+    assert actions.succeeds.nonzero().tolist() == [[2, 0]]
+    assert (actions.message_size, actions.memory_size) == (3, 0)
+    assert actions.parameter_capacity == 36
+
+
+def test_extending_keeps_indices_and_grows_tables() -> None:
+    base, actions = paper_actions(), custom_actions()
+    assert actions.names[:5] == base.names
+    assert actions.outcome_capacity == 3
+    assert actions.terminal[5].tolist() == [False, False, True]
+    assert not actions.succeeds[5].any()
+    assert (actions.message_size, actions.memory_size) == (4, 2)
+    assert [actions.index(name) for name in actions.names] == list(range(6))
+    with pytest.raises(ActionError, match="unknown action 'Fly'; known are MoveBase, Detect"):
+        actions.index("Fly")
+
+
+def test_initial_parameters_do_not_depend_on_other_nodes() -> None:
+    actions = custom_actions()
+    one, two = (torch.tensor(x) for x in ([3, 4, 5, 0], [3, 1, 3, 5]))
+    a, b = (actions.initial_parameters(x, seeded(0)) for x in (one, two))
+    assert torch.equal(a[0], b[0])
+    assert (a[3] == 0).all()
+    assert (a[2, 2:] == 0).all()
+    assert (a[2, :2] != 0).all()
+
+
+class NoOutcome(Counter):
+    outcomes = ()
+
+
+class TwiceTheSame(Counter):
+    outcomes = ("a", "a")
+
+
+class EndsOnNothing(Counter):
+    terminal = {"gone": True}  # noqa: RUF012
+
+
+@pytest.mark.parametrize(
+    ("names", "actions", "message"),
+    [
+        ((), (), "0 names for 0 actions"),
+        (("a",), (), "1 names for 0 actions"),
+        (("a", "a"), (Detect(), Grasp()), "'a' is used twice"),
+        (("a",), ("text",), "'a' is a str; subclass Action"),
+        (("a",), (NoOutcome(),), r"'a' has outcomes \(\)"),
+        (("a",), (TwiceTheSame(),), r"'a' has outcomes \('a', 'a'\); give unique names"),
+        (("a",), (EndsOnNothing(),), "'a' ends on 'gone', which is none of its outcomes"),
+    ],
+)
+def test_sets_that_cannot_be(
+    names: tuple[str, ...], actions: tuple[Action, ...], message: str
+) -> None:
+    with pytest.raises(ActionError, match=message):
+        ActionSet(names, actions)
