@@ -69,14 +69,20 @@ def _edge_index(placement: str) -> int:
     return EDGES.index(placement)
 
 
+def _check_count(count: int) -> None:
+    if count < 0:
+        raise SettingsError(f"count is {count}; give 0 or more scenarios")
+
+
 def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
     """The paper's test of one edge: evenly spaced objects, from the centred start.
 
     The first and last stand in the corners, 0.05 m from the adjoining edge.
 
     Raises:
-        SettingsError: the edge is none of `EDGES`.
+        SettingsError: the edge is none of `EDGES`, or the count is negative.
     """
+    _check_count(count)
     along = torch.linspace(-1, 1, count)
     inset = torch.full((count,), (INSET_MIN + INSET_MAX) / 2)
     placed = _on_edge(torch.full((count,), _edge_index(edge)), along, inset)
@@ -90,8 +96,9 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
     Raises:
         SettingsError: the placement is none of `PLACEMENTS`, or the count is negative.
     """
-    if count < 0:
-        raise SettingsError(f"count is {count}; give 0 or more scenarios")
+    _check_count(count)
+    if placement not in PLACEMENTS:
+        raise SettingsError(f"unknown placement {placement!r}; use one of {', '.join(PLACEMENTS)}")
     draw = torch.rand(count, 6, generator=generator)
     spread = 2 * draw - 1
     if placement == "perimeter":
