@@ -1,0 +1,168 @@
+"""The live display of a run; plain lines where there is no terminal."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    WorldTested,
+)
+from cgtorch.report import wording
+from cgtorch.report.estimate import Estimate, as_time
+
+
+class ProgressDisplay:
+    """A `Watch` that shows on a console what happens.
+
+    In a terminal a few lines are kept up to date, and accepted skills stay above them. Elsewhere
+    there is a line for each stage, fit, test in the world and accepted skill. Use it as a context
+    manager; with `quiet` it says nothing.
+    """
+
+    def __init__(self, console: Console | None = None, quiet: bool = False):
+        """Set up the display; `console` is where to write, default the standard error."""
+        self.console = console or Console(stderr=True)
+        self._quiet, self._live_mode = quiet, self.console.is_terminal and not quiet
+        self._live: Live | None = None
+        self._began = time.monotonic()
+        self._estimate = Estimate()
+        self._stage: StageStarted | None = None
+        self._generation: GenerationDone | None = None
+        self._world = ""
+        self._working: list[tuple[str, float, Spinner]] = []
+
+    def __enter__(self) -> Self:
+        """Begin; elapsed time counts from here."""
+        self._began = time.monotonic()
+        if self._live_mode:
+            self._live = Live(
+                get_renderable=self._render,
+                console=self.console,
+                refresh_per_second=4,
+                transient=True,
+            )
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the live lines away; what was printed above them stays."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def __call__(self, event: Event) -> None:
+        """Show what an event says."""
+        if isinstance(event, GenerationDone):
+            self._generation = event
+            self._estimate.generation_done(event)
+        elif isinstance(event, StageStarted):
+            self._stage, self._generation, self._world = event, None, ""
+            self._estimate.stage_started(event)
+            self._plain(wording.stage_started(event))
+        elif isinstance(event, ModelsFitted):
+            self._estimate.models_fitted(event)
+            self._plain(wording.models_fitted(event))
+        elif isinstance(event, WorldTested):
+            self._estimate.world_tested(event)
+            self._world = wording.world_tested(event)
+            self._plain(self._world)
+        elif isinstance(event, SkillAccepted):
+            self.say(wording.skill_accepted(event), style="green")
+
+    @contextmanager
+    def working(self, message: str) -> Iterator[None]:
+        """Say for as long as the context lasts what one is waiting for."""
+        entry = (message, time.monotonic(), Spinner("dots", style="cyan"))
+        self._working.append(entry)
+        self._plain(f"{message} …")
+        try:
+            yield
+        finally:
+            self._working.remove(entry)
+
+    def say(self, line: str, style: str = "") -> None:
+        """Print a line that stays, unless quiet."""
+        if not self._quiet:
+            self.console.print(Text(line, style=style), soft_wrap=True)
+
+    def _plain(self, line: str) -> None:
+        """Print a line where there is no live display."""
+        if not self._live_mode:
+            self.say(line)
+
+    def _render(self) -> RenderableType:
+        """The live lines."""
+        lines: list[RenderableType] = []
+        now = time.monotonic()
+        if self._stage is not None:
+            lines.append(self._headline(self._stage, now - self._began))
+        if self._generation is not None:
+            lines += [self._bar(self._generation), _numbers(self._generation, self._estimate)]
+        if self._world:
+            lines.append(Text(f"  {self._world}", style="dim", no_wrap=True, overflow="ellipsis"))
+        for message, began, spinner in list(self._working):
+            elapsed = as_time(now - began)
+            spinner.update(text=Text(f"{message} … {elapsed}", no_wrap=True, overflow="ellipsis"))
+            lines.append(spinner)
+        return Group(*lines)
+
+    def _headline(self, stage: StageStarted, elapsed: float) -> Text:
+        number = stage.stages.index(stage.stage) + 1 if stage.stage in stage.stages else 1
+        text = Text(no_wrap=True, overflow="ellipsis")
+        text.append(f"{stage.stage}", style="bold")
+        text.append(f"  stage {number} of {max(len(stage.stages), number)}")
+        text.append(f"  W {stage.size_w}, to solve {stage.size_m}")
+        text.append(f"  elapsed {as_time(elapsed)}", style="dim")
+        if (left := self._estimate.run_left) is not None:
+            text.append(f"  left ≤ {as_time(left)}", style="dim")
+        return text
+
+    def _bar(self, event: GenerationDone) -> Table:
+        done = event.generation.number + 1
+        grid = Table.grid(padding=(0, 1))
+        left = self._estimate.evolution_left or 0.0
+        grid.add_row(
+            Text(f"  {event.candidate}", style="cyan"),
+            ProgressBar(total=event.limit, completed=done, width=24),
+            Text(f"generation {done} of ≤ {event.limit}"),
+            Text(f"left ≤ {as_time(left)}", style="dim"),
+        )
+        return grid
+
+
+def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
+    generation = event.generation
+    best, mean = float(generation.fitness[generation.best]), float(generation.fitness.mean())
+    speed = "" if estimate.speed is None else f"  {_short(estimate.speed)} transitions/s"
+    solved = f"  M {event.solved_m}/{event.size_m}"
+    if event.size_w:
+        solved = f"  W {event.solved_w}/{event.size_w}{solved}"
+    return Text(
+        f"  fitness best {best:.3f} mean {mean:.3f}{solved}{speed}",
+        no_wrap=True,
+        overflow="ellipsis",
+    )
+
+
+def _short(number: float) -> str:
+    """A number with three digits or so: 412, 9.1 k, 1.3 M."""
+    for size, unit in ((1e6, " M"), (1e3, " k")):
+        if number >= size:
+            return f"{number / size:.3g}{unit}"
+    return f"{number:.0f}"

@@ -1,0 +1,198 @@
+"""The table from above: where the objects stood and which of them a skill reached."""
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DataError
+from cgtorch.world import Scenarios
+from cgtorch.world.geometry import rotate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GOOD, BAD, TARGET, ROBOT, TABLE, RIM = (
+    "#1a7f37", "#c62828", "#1c1f24", "#4a6fa5", "#f1e7d6", "#a58f6b",
+)  # fmt: skip
+FOOTPRINT = (-0.334, 0.334, -0.334, 0.334)
+AROUND = 0.25  # m of room around everything
+MOST_ROBOTS = 60  # start poses that are drawn
+
+
+def draw_table_top(
+    scenarios: Scenarios,
+    succeeded: Tensor,
+    targets: Tensor | None = None,
+    *,
+    footprint: tuple[float, float, float, float] = FOOTPRINT,
+    title: str = "",
+) -> "Figure":
+    """Top view in scale, as the robot sees it: away from it is up, its left is left.
+
+    Green circles are objects the skill reached, red crosses those it missed, a black ring marks
+    the test placements; blue outlines are the robots at their start, each with its heading.
+
+    Args:
+        scenarios: the B scenarios.
+        succeeded: (B,) bool.
+        targets: (B,) bool, the test placements; none if not given.
+        footprint: base x min, x max, y min, y max (m).
+        title: stands before the counts.
+
+    Raises:
+        DataError: another number of results or targets than scenarios.
+    """
+    from matplotlib.figure import Figure
+
+    count = len(scenarios)
+    marks = torch.zeros(count, dtype=torch.bool) if targets is None else targets.bool()
+    if succeeded.shape != (count,) or marks.shape != (count,):
+        raise DataError(
+            f"{count} scenarios with results of shape {tuple(succeeded.shape)} and targets of "
+            f"shape {tuple(marks.shape)}; give one of each for every scenario"
+        )
+    good = succeeded.bool()
+    figure = Figure(figsize=(6.4, 7.2), dpi=100, facecolor="white", layout="constrained")
+    axes = figure.add_subplot()
+    tables = torch.unique(scenarios.table, dim=0)
+    for table in tables:
+        _draw_table(axes, table, named=len(tables) == 1)
+    _draw_robots(axes, scenarios.pose, footprint)
+    _draw_objects(axes, scenarios.object, good, marks)
+    _frame(axes, scenarios, tables, footprint)
+    axes.set_title(_caption(title, good, marks), fontsize=11, color=TARGET)
+    if count:
+        axes.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4, frameon=False, fontsize=9
+        )
+    return figure
+
+
+def _caption(title: str, good: Tensor, marks: Tensor) -> str:
+    text = f"{int(good.sum())} of {len(good)} reached"
+    if marks.any():
+        text += f", {int((good & marks).sum())} of {int(marks.sum())} test placements"
+    return f"{title}: {text}" if title else text
+
+
+def _corners(box: tuple[float, float, float, float]) -> Tensor:
+    """(4, 2) corners of x min, x max, y min, y max."""
+    x0, x1, y0, y1 = box
+    return torch.tensor([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def _on_paper(points: Tensor) -> Tensor:
+    """World x, y (..., 2) as plot coordinates: y, which grows to the left, and x."""
+    return points.flip(-1)
+
+
+def _draw_table(axes: "Axes", table: Tensor, named: bool) -> None:
+    from matplotlib.patches import Polygon
+
+    x, y, yaw, depth, width = table[:5].tolist()
+    centre, angle = torch.tensor([x, y]), torch.tensor(yaw)
+    corners = rotate(_corners((-depth / 2, depth / 2, -width / 2, width / 2)), angle) + centre
+    axes.add_patch(
+        Polygon(_on_paper(corners), facecolor=TABLE, edgecolor=RIM, lw=1.4, zorder=1, gid="table")
+    )
+    if not named:
+        return
+    out = 0.07
+    for name, at, turn in (
+        ("near", (-depth / 2 - out, 0.0), 0),
+        ("far", (depth / 2 + out, 0.0), 0),
+        ("left", (0.0, width / 2 + out), 90),
+        ("right", (0.0, -width / 2 - out), -90),
+    ):
+        px, py = _on_paper(rotate(torch.tensor(at), angle) + centre).tolist()
+        axes.text(
+            px, py, name, color="#7a6745", fontsize=10, style="italic", ha="center", va="center",
+            rotation=turn + yaw * 57.2958, zorder=2,
+        )  # fmt: skip
+
+
+def _draw_robots(axes: "Axes", pose: Tensor, footprint: tuple[float, float, float, float]) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    poses = torch.unique(pose, dim=0)
+    step = max(1, -(-len(poses) // MOST_ROBOTS))
+    poses = poses[::step]
+    if not len(poses):
+        return
+    outline = rotate(_corners(footprint)[None], poses[:, 2, None]) + poses[:, None, :2]
+    nose = torch.tensor([[0.0, 0.0], [footprint[1], 0.0]])
+    heading = rotate(nose[None], poses[:, 2, None]) + poses[:, None, :2]
+    faint = min(0.8, max(0.12, 8 / len(poses)))
+    fill = (*_rgb(ROBOT), 0.12 if len(poses) == 1 else 0.0)
+    axes.add_collection(
+        PolyCollection(
+            list(_on_paper(outline).numpy()),
+            facecolors=[fill],
+            edgecolors=[(*_rgb(ROBOT), faint)],
+            linewidths=0.9,
+            zorder=2,
+            gid="robots",
+            label="robot at its start",
+        )
+    )
+    axes.add_collection(
+        LineCollection(
+            list(_on_paper(heading).numpy()),
+            colors=[(*_rgb(ROBOT), faint)],
+            linewidths=0.9,
+            zorder=2,
+        )
+    )
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    r, g, b = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return r, g, b
+
+
+def _draw_objects(axes: "Axes", placed: Tensor, good: Tensor, marks: Tensor) -> None:
+    at = _on_paper(placed)
+    crowd = 26 if len(at) > 120 else 40
+    for name, chosen, marker, colour in (("reached", good, "o", GOOD), ("missed", ~good, "X", BAD)):
+        if chosen.any():
+            axes.scatter(
+                at[chosen, 0].numpy(), at[chosen, 1].numpy(), s=crowd, marker=marker,
+                facecolors=colour, edgecolors="white", linewidths=0.6,
+                zorder=4 + (name == "missed"), gid=name, label=f"{name} ({int(chosen.sum())})",
+            )  # fmt: skip
+    if marks.any():
+        axes.scatter(
+            at[marks, 0].numpy(), at[marks, 1].numpy(), s=150, marker="o",
+            facecolors="none", edgecolors=TARGET, linewidths=1.6, zorder=6, gid="targets",
+            label=f"test placements ({int(marks.sum())})",
+        )  # fmt: skip
+
+
+def _frame(
+    axes: "Axes",
+    scenarios: Scenarios,
+    tables: Tensor,
+    footprint: tuple[float, float, float, float],
+) -> None:
+    """Limits around everything, the same scale both ways, the robot's left to the left."""
+    from matplotlib.ticker import MultipleLocator
+
+    base = max(abs(v) for v in footprint) * 1.2
+    reach = tables[:, 3:5].norm(dim=1, keepdim=True) / 2
+    low = [scenarios.pose[:, :2] - base, scenarios.object, tables[:, :2] - reach]
+    high = [scenarios.pose[:, :2] + base, scenarios.object, tables[:, :2] + reach]
+    if len(scenarios):
+        (x0, y0), (x1, y1) = torch.cat(low).amin(0).tolist(), torch.cat(high).amax(0).tolist()
+        axes.set_xlim(y1 + AROUND / 2, y0 - AROUND / 2)
+        axes.set_ylim(x0 - AROUND / 3, x1 + AROUND / 3)
+    axes.set_aspect("equal")
+    axes.xaxis.set_major_locator(MultipleLocator(0.5))
+    axes.yaxis.set_major_locator(MultipleLocator(0.5))
+    axes.set_xlabel("y (m), to the robot's left")
+    axes.set_ylabel("x (m), away from the robot")
+    axes.grid(color="#e6e6e6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

@@ -1,0 +1,249 @@
+"""TensorBoard event files of a run.
+
+The step is that of the generation, counted from 0 over all stages; what is not of a generation has
+the step of the last one.
+
+==================================  ==========  ===================================================
+tag                                 kind        what it is
+==================================  ==========  ===================================================
+fitness/best, fitness/mean          scalar      of a generation, in the models
+solved/W, solved/M                  scalar      scenarios of the evolution that its best solves
+graph/nodes_best, graph/nodes_mean  scalar      nodes of the best individual, and of all
+population/unsolved                 scalar      share of individuals with fitness 0
+speed/transitions_per_second        scalar      actions executed by all, per second
+strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
+gamma/error_<coordinate>            scalar      cross-validated mean absolute error of Γ (m)
+gamma/object_error                  scalar      mean of those of object x and y (m)
+classifier/balanced_accuracy        scalar      of C, cross-validated
+classifier/calibration_error        scalar      gap between C's probability and frequency
+models/fit_seconds                  scalar      how long fitting Γ and C took
+models/rows                         scalar      transitions that Γ is fitted on
+world/solved_W, world/solved_M      scalar      what a candidate solves in the world
+world/promised, world/kept          scalar      scenarios its group solves in models, and in world
+stage/targets                       scalar      test placements that an accepted skill reaches
+graph/best                          image       the best graph after an evolution, or as accepted
+table/successes                     image       what an accepted skill reaches
+settings                            text        hyper-parameters; also in the HPARAMS tab
+==================================  ==========  ===================================================
+"""
+
+import io
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from cgtorch.actions import ActionSet
+from cgtorch.errors import RunError
+from cgtorch.evolution.population import STRATEGY
+from cgtorch.graphs import Skill
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    WorldTested,
+)
+from cgtorch.report.graph_picture import draw_skill
+from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BINS = 24
+DPI = 80
+METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
+
+
+class TensorBoardWatch:
+    """A `Watch` that writes event files; see the module for its tags."""
+
+    def __init__(
+        self,
+        folder: Path | str,
+        settings: Mapping[str, object],
+        first_step: int = 0,
+        *,
+        actions: ActionSet | None = None,
+        footprint: tuple[float, float, float, float] = FOOTPRINT,
+        histogram_every: int = 20,
+        picture_seconds: float = 60.0,
+    ):
+        """Open a new event file.
+
+        Args:
+            folder: of the event files; made if it is missing.
+            settings: hyper-parameters by name; what is no number, truth value or text is written
+                as its text.
+            first_step: generations evaluated so far, where a run goes on. What earlier files hold
+                from this step on is hidden by TensorBoard.
+            actions: what the nodes of evolved graphs do. Without it no graph is drawn before a
+                skill is accepted.
+            footprint: of the robot's base, x min, x max, y min, y max (m).
+            histogram_every: generations between histograms of one evolution.
+            picture_seconds: least time between pictures of graphs that are not accepted yet.
+
+        Raises:
+            RunError: the folder cannot be written.
+        """
+        from torch.utils.tensorboard import SummaryWriter
+        from torch.utils.tensorboard.summary import hparams
+
+        try:
+            self._writer = SummaryWriter(str(folder), purge_step=first_step or None, flush_secs=10)
+        except OSError as e:
+            reason = e.strerror or str(e)
+            raise RunError(
+                f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
+            ) from e
+        self.step = first_step
+        self._actions, self._footprint = actions, footprint
+        self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
+        self._last_picture = float("-inf")
+        self._latest: GenerationDone | None = None
+        plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
+                 for k, v in settings.items()}  # fmt: skip
+        experiment, begin, self._session_end = hparams(plain, dict.fromkeys(METRICS, 0.0))
+        self._writer.file_writer.add_summary(experiment)
+        self._writer.file_writer.add_summary(begin)
+        rows = [f"| {k} | {v} |" for k, v in plain.items()]
+        self._writer.add_text("settings", "\n".join(["| setting | value |", "|---|---|", *rows]))
+        self._writer.flush()
+
+    def __call__(self, event: Event) -> None:
+        """Write what an event says."""
+        if isinstance(event, GenerationDone):
+            self._generation(event)
+            return
+        self._evolution_over()
+        if isinstance(event, ModelsFitted):
+            self._models(event)
+        elif isinstance(event, WorldTested):
+            self._world(event)
+        elif isinstance(event, SkillAccepted):
+            self._accepted(event)
+
+    def close(self) -> None:
+        """Draw what is still to be drawn, and finish the file."""
+        self._evolution_over()
+        self._writer.file_writer.add_summary(self._session_end)
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        """The watch itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+    def _generation(self, event: GenerationDone) -> None:
+        if self._latest is not None and self._latest.candidate != event.candidate:
+            self._evolution_over()
+        generation = event.generation
+        population = generation.population
+        nodes = population.graphs.num_nodes
+        fitness = generation.fitness
+        self._scalars(
+            {
+                "fitness/best": float(fitness[generation.best]),
+                "fitness/mean": float(fitness.mean()),
+                "solved/W": event.solved_w,
+                "solved/M": event.solved_m,
+                "graph/nodes_best": int(nodes[generation.best]),
+                "graph/nodes_mean": float(nodes.float().mean()),
+                "population/unsolved": float((fitness <= 0).float().mean()),
+                "speed/transitions_per_second": generation.transitions / max(event.seconds, 1e-9),
+            },
+            self.step,
+        )
+        if generation.number % self._histogram_every == 0:
+            for name, values in zip(STRATEGY, population.strategy.T, strict=True):
+                self._writer.add_histogram(f"strategy/{name}", values, self.step, bins=BINS)
+        self._latest = event
+        self.step += 1
+
+    def _evolution_over(self) -> None:
+        """Draw the best graph of the evolution that has just ended, unless one was just drawn."""
+        event, self._latest = self._latest, None
+        soon = time.monotonic() - self._last_picture < self._picture_seconds
+        if event is None or self._actions is None or soon:
+            return
+        best = Skill(event.candidate, event.generation.champion.graphs, self._actions)
+        self._picture("graph/best", draw_skill(best))
+        self._last_picture = time.monotonic()
+
+    def _models(self, event: ModelsFitted) -> None:
+        gamma, classifier = event.knowledge.gamma_report, event.knowledge.classifier_report
+        error = dict(zip(gamma.coordinates, gamma.error, strict=True))
+        self._scalars(
+            {
+                **{f"gamma/error_{name.replace(' ', '_')}": v for name, v in error.items()},
+                "gamma/object_error": (error["object x"] + error["object y"]) / 2,
+                "classifier/balanced_accuracy": classifier.balanced_accuracy,
+                "classifier/calibration_error": classifier.calibration_error,
+                "models/fit_seconds": event.seconds,
+                "models/rows": gamma.rows,
+            }
+        )
+
+    def _world(self, event: WorldTested) -> None:
+        values = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}
+        if event.kept is not None:
+            values["world/kept"] = event.kept
+        if event.promised is not None:
+            values["world/promised"] = event.promised
+        self._scalars(values)
+
+    def _accepted(self, event: SkillAccepted) -> None:
+        self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
+        self._picture("graph/best", draw_skill(event.skill))
+        self._picture(
+            "table/successes",
+            draw_table_top(
+                event.scenarios,
+                event.succeeded,
+                event.targets,
+                footprint=self._footprint,
+                title=event.stage,
+            ),
+        )
+        self._writer.flush()
+
+    @property
+    def _last_step(self) -> int:
+        return max(self.step - 1, 0)
+
+    def _scalars(self, values: Mapping[str, float], step: int | None = None) -> None:
+        """Write scalars as one record, which is far cheaper than one for each."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
+        at = self._last_step if step is None else step
+        self._writer.file_writer.add_summary(Summary(value=entries), at)
+
+    def _picture(self, tag: str, figure: "Figure") -> None:
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        entry = Summary.Value(tag=tag, image=Summary.Image(**_encoded(figure)))
+        self._writer.file_writer.add_summary(Summary(value=[entry]), self._last_step)
+
+
+def _encoded(figure: "Figure") -> dict[str, Any]:
+    """A figure as PNG, with what TensorBoard wants to know about it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(figure)
+    width, height = canvas.get_width_height()
+    out = io.BytesIO()
+    canvas.print_png(out)
+    return {
+        "height": height,
+        "width": width,
+        "colorspace": 4,
+        "encoded_image_string": out.getvalue(),
+    }
