@@ -21,7 +21,7 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet, Detect, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, Skill, SubSkill, from_networkx, to_networkx
 from cgtorch.simulation import Rollouts, rollout
@@ -230,3 +230,29 @@ def test_a_skill_stored_once_may_be_used_at_several_levels() -> None:
     assert top.depth == 3
     again = as_double_actions(actions)
     compare(as_double(top.graph), again, world(2, 4, dtype=torch.float64), 20, 60)
+
+
+class Calls(Detect):
+    """Does nothing, and counts how often it is asked to."""
+
+    def __init__(self, deterministic: bool):
+        super().__init__()
+        self.deterministic, self.calls = deterministic, 0
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        self.calls += 1
+        return lanes, torch.zeros(len(lanes), dtype=torch.long)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 5])
+def test_endless_loops_are_counted_but_not_executed(length: int) -> None:
+    for deterministic in (True, False):
+        action = Calls(deterministic)
+        actions = paper_actions().extended(["Calls"], [action])
+        graph = chain(actions, *["Calls"] * length)
+        result = rollout(graph, actions, model(0, 1), max_transitions=40)
+        assert result.timed_out.all()
+        assert result.transitions.item() == 40
+        assert (action.calls < 20) if deterministic else (action.calls == 40)

@@ -174,3 +174,11 @@ def test_rows_are_independent() -> None:
             for m, t in zip(motion.split(n), table.split(n), strict=True)
         ]
         assert torch.equal(torch.cat(parts), whole)
+
+
+def test_a_turn_is_made_the_short_way() -> None:
+    """350° is 10° backwards, which does not bring a corner into the table; 45° does."""
+    table = tensor((0.40 + 0.4, 0.0, 0.0, 0.8, 1.2))
+    for degrees, wanted in ((350, False), (-10, False), (370, False), (45, True), (405, True)):
+        motion = tensor((0.0, 0.0, math.radians(degrees)))
+        assert sweep_blocked(motion, table, BODY).item() is wanted
