@@ -8,6 +8,7 @@ from cgtorch.evolution.fitness import Evaluation as Evaluation
 from cgtorch.evolution.fitness import evaluate as evaluate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
+from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve

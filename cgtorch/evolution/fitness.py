@@ -1,6 +1,6 @@
 """The fitness of eq. 3."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -43,13 +43,15 @@ def evaluate(
         graphs: P individuals.
         actions: what their action indices mean.
         environment: the models, on B scenarios.
-        keep: (B,) bool, the scenarios of W; the others are those of M.
+        keep: (B,) bool, the scenarios of W; the others are those of M. Rollouts run on its
+            device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
     """
-    p, b = len(graphs), len(keep)
-    succeeded = torch.zeros(p, b, dtype=torch.bool)
-    score = torch.zeros(p, b)
-    alive = torch.arange(p)
+    p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
+    graphs = graphs.to(device)
+    succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
+    score = torch.zeros(p, b, device=device)
+    alive = torch.arange(p, device=device)
     transitions = 0
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
@@ -65,15 +67,17 @@ def evaluate(
         succeeded[alive[:, None], part] = runs.succeeded
         score[alive[:, None], part] = _last_success(runs, environment)
         alive = alive[succeeded[alive][:, keep].all(1)]
-    fitness = torch.zeros(p)
+    fitness = torch.zeros(p, device=device)
     fitness[alive] = score[alive].mean(1)
-    return Evaluation(torch.nan_to_num(fitness), succeeded, transitions)
+    return Evaluation(torch.nan_to_num(fitness).to(home), succeeded.to(home), transitions)
 
 
 def _last_success(runs: Rollouts, environment: Environment) -> Tensor:
     """(P, B) C(p_t) at the last percept, half of it where the lane did not succeed."""
     p, b, d = runs.percept.shape
-    lanes = start_lanes(environment, torch.zeros(p * b, dtype=torch.long), 0, 0)
-    lanes = type(lanes)(**{**vars(lanes), "percept": runs.percept.reshape(p * b, d)})
+    lanes = start_lanes(environment, torch.zeros_like(runs.transitions).view(-1), 0, 0)
+    lanes = replace(lanes, percept=runs.percept.reshape(p * b, d))
     probability = environment.success(lanes).view(p, b)
+    # A percept that is not finite is worth nothing, and no other lane is the worse for it.
+    probability = torch.nan_to_num(probability).clamp(0, 1)
     return torch.where(runs.succeeded, probability, probability / 2)

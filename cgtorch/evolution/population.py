@@ -44,6 +44,11 @@ class Population:
         return Population(self.graphs[index], self.strategy[index])
 
 
+def initial_strategy(size: int) -> Tensor:
+    """(size, S) the strategy parameters that evolution starts with."""
+    return torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
+
+
 def join(*parts: Population) -> Population:
     """One population of all individuals."""
     graphs = concatenate([p.graphs for p in parts])
@@ -72,8 +77,7 @@ def random_population(
     parameters = actions.initial_parameters(action, generator) * used[..., None]
     start = (torch.rand(size, generator=generator) * count).long()
     graphs = Graphs(action.masked_fill(~used, NO_NODE), edges, parameters, start)
-    strategy = torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
-    return Population(pruned(graphs), strategy)
+    return Population(pruned(graphs), initial_strategy(size))
 
 
 def seeded_population(

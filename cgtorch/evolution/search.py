@@ -58,7 +58,8 @@ def evolve(
         actions: what nodes can do.
         settings: of the evolution.
         generator: of all random choices.
-        keep: (B,) bool, the scenarios of W (eq. 1a); none if not given.
+        keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device; none if not
+            given, which is on the CPU.
         seeds: earlier individuals, which make up half of the first population.
         max_transitions: see `cgtorch.simulation.rollout`.
     """

@@ -29,6 +29,9 @@ def train_branches(
     Returns:
         (M - 1, K) parameters and (B,) long, the member that each scenario is sent to.
     """
+    if solves.shape[1] == 1:
+        empty = percepts.new_zeros(0, branch.num_parameters)
+        return empty, torch.zeros(len(percepts), dtype=torch.long)
     x = percepts[:, : branch.inputs]
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
     useful = solves.amax(1) > 0
@@ -88,8 +91,7 @@ def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor
     # The sigmoid rounds large outputs to the same number, as it does when the skill runs.
     out = torch.sigmoid(_outputs(branch, parameters, x))
     takes = out[..., 0] >= out[..., 1]
-    last = torch.ones_like(takes[:1]) if len(takes) else torch.ones(1, len(x), dtype=torch.bool)
-    return torch.cat([takes, last]).long().argmax(0)
+    return torch.cat([takes, torch.ones_like(takes[:1])]).long().argmax(0)
 
 
 def _unscaled(branch: BranchingNN, parameters: Tensor, centre: Tensor, scale: Tensor) -> Tensor:

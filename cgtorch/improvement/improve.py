@@ -46,6 +46,7 @@ class Setup:
         trials: runs in the world, with different noise, that a member must all pass to count as
             solving a scenario.
         max_transitions: of every skill.
+        device: where populations are evaluated.
     """
 
     actions: ActionSet
@@ -58,6 +59,7 @@ class Setup:
     replicas: int = 2
     trials: int = 3
     max_transitions: int = 20
+    device: torch.device | str = "cpu"
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def improve(
         The new skill with what it solves and misses; the old one where eq. 1 could not be met.
     """
     began = time.perf_counter()
-    task = _task(setup, progress, stage, scenarios, targets)
+    task = make_task(setup, progress, stage, scenarios, targets)
     team = _team(setup, progress, task)
     for attempt in range(setup.attempts):
         missed = (team.rates < 1).all(1) & ~task.keep
@@ -170,9 +172,10 @@ def improve(
     )
 
 
-def _task(
+def make_task(
     setup: Setup, progress: Progress, stage: str, scenarios: Scenarios, targets: Tensor
 ) -> Task:
+    """W and the scenarios of a stage, with what the robot first sees in each."""
     size_w = len(progress.solved)
     everything = concatenate_scenarios([progress.solved, scenarios])
     mask = torch.cat([torch.zeros(size_w, dtype=torch.bool), targets])
@@ -220,7 +223,9 @@ def recruit(
     """
     group = local_group(task.percepts, missed, setup.group, generator)
     percepts = task.percepts[group]
-    environment = imagine(team.knowledge, percepts, setup.footprint, setup.replicas, generator)
+    environment = imagine(
+        team.knowledge, percepts, setup.footprint, setup.replicas, generator, setup.device
+    )
     champion, solved = evolve_candidate(
         environment,
         setup.actions,
@@ -232,11 +237,12 @@ def recruit(
         name,
         seeds=team.hints or team.population,
         max_transitions=setup.max_transitions,
+        device=setup.device,
     )
     member = Skill(name, champion.graphs, setup.actions, setup.max_transitions)
     rate, experience = try_often(setup, member, task.scenarios)
     promised = solved.view(len(group), -1).all(1)
-    watch(_world_tested(task, name, rate == 1, int((rate[group] == 1).sum()), int(promised.sum())))
+    watch(world_tested(task, name, rate == 1, int((rate[group] == 1).sum()), int(promised.sum())))
     if (rate[missed] == 1).any():
         population = join(team.population, champion) if team.population else champion
         rates = torch.cat([team.rates, rate[:, None]], 1)
@@ -280,19 +286,20 @@ def compose_team(
         parameters, _ = train_branches(branch, task.percepts, rates, weight, generator)
         skill = compose(task.stage, members, parameters, setup.actions, setup.max_transitions)
         succeeded = try_skill(skill, setup.world_of(task.scenarios)).succeeded
-        watch(_world_tested(task, task.stage, succeeded))
+        watch(world_tested(task, task.stage, succeeded))
         if succeeded[: task.size_w].all() and succeeded[task.size_w :].any():
             return skill, succeeded
         weight = torch.where(succeeded, weight, 3 * weight)
     return None
 
 
-def _world_tested(
+def world_tested(
     task: Task,
     name: str,
     succeeded: Tensor,
     kept: int | None = None,
     promised: int | None = None,
 ) -> WorldTested:
+    """The event for what a candidate `succeeded` (B,) on in the world."""
     w, m = succeeded[: task.size_w], succeeded[task.size_w :]
     return WorldTested(task.stage, name, int(w.sum()), len(w), int(m.sum()), len(m), kept, promised)

@@ -1,5 +1,6 @@
 """What the robot knows: its experience, and the Γ and C it has learned from it."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -56,6 +57,7 @@ def imagine(
     footprint: Tensor,
     replicas: int,
     generator: Generator,
+    device: torch.device | str = "cpu",
 ) -> ModelEnvironment:
     """The models as an environment, each scenario `replicas` times with other errors of Γ.
 
@@ -68,6 +70,7 @@ def imagine(
         footprint: (4,) of the base (m).
         replicas: at least 1.
         generator: of the errors.
+        device: where the environment runs.
     """
     with torch.no_grad():
         data = knowledge.dataset
@@ -75,11 +78,11 @@ def imagine(
         residual = data.next_percept[pick] - knowledge.gamma(data.percept[pick], data.motion[pick])
     rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)
     return ModelEnvironment(
-        percepts.repeat_interleave(replicas, 0),
-        knowledge.gamma,
-        knowledge.classifier,
-        possible_with(footprint),
-        errors=residual[rows],
+        percepts.repeat_interleave(replicas, 0).to(device),
+        copy.deepcopy(knowledge.gamma).to(device),
+        copy.deepcopy(knowledge.classifier).to(device),
+        possible_with(footprint.to(device)),
+        errors=residual[rows].to(device),
     )
 
 

@@ -40,8 +40,11 @@ def evolve_candidate(
     keep: Tensor | None = None,
     seeds: Population | None = None,
     max_transitions: int = 20,
+    device: torch.device | str = "cpu",
 ) -> tuple[Population, Tensor]:
     """Evolve until all scenarios are solved in the models and the fitness has settled.
+
+    The environment runs on `device`; see `cgtorch.evolution.evolve` for the other arguments.
 
     Returns:
         The best individual, as a population of one, and (B,) bool what it solves in the models.
@@ -54,7 +57,7 @@ def evolve_candidate(
         actions,
         settings,
         generator,
-        keep=keep,
+        keep=keep.to(device),
         seeds=seeds,
         max_transitions=max_transitions,
     ):

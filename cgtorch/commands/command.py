@@ -1,0 +1,60 @@
+"""What all commands share: options from a dataclass, and errors of one line."""
+
+import errno
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import click
+
+from cgtorch.errors import CgtorchError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def options_of(settings: type, skip: Sequence[str] = ()) -> Callable[[F], F]:
+    """Decorator: one option per field of a dataclass, with its default and help text."""
+
+    def decorate(function: F) -> F:
+        for f in reversed(fields(settings)):
+            if f.name in skip:
+                continue
+            function = click.option(
+                "--" + f.name.replace("_", "-"),
+                f.name,
+                type=type(f.default),
+                default=f.default,
+                show_default=True,
+                help=f.metadata["help"],
+            )(function)
+        return function
+
+    return decorate
+
+
+def run_command(command: click.Command) -> None:
+    """Run a command and exit: 0 done, 1 it could not be achieved, 2 bad input.
+
+    Bad input ends in one line on stderr that says what and what to do.
+    """
+    name = command.name or "cgtorch"
+    try:
+        command.main(prog_name=name, standalone_mode=False)
+    except click.exceptions.Exit as e:
+        sys.exit(e.exit_code)
+    except click.ClickException as e:
+        _end(name, f"{e.format_message().rstrip('.')}; see {name} --help", 2)
+    except CgtorchError as e:
+        _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
+    except (KeyboardInterrupt, click.Abort):
+        _end(name, "interrupted; what was finished is kept, go on with --resume", 1)
+    except OSError as e:
+        if e.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
+            raise
+        _end(name, f"cannot write ({e.strerror}); free some space and go on with --resume", 2)
+
+
+def _end(name: str, message: str, code: int) -> None:
+    click.echo(f"{name}: {' '.join(message.split())}", err=True)
+    sys.exit(code)

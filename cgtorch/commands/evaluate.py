@@ -1,0 +1,76 @@
+"""`cgtorch-evaluate`: try a skill in the world on fresh scenarios."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cgtorch.commands.command import run_command
+
+EXAMPLES = """\b
+Examples:
+  cgtorch-evaluate runs/reference
+  cgtorch-evaluate runs/seed-0/S2 --scenarios right --count 100 --seed 3
+  cgtorch-evaluate skill.json --count 1000 --json
+"""
+
+
+@click.command("cgtorch-evaluate", epilog=EXAMPLES)
+@click.argument("path", metavar="RUN_OR_SKILL", type=click.Path(path_type=Path))
+@click.option(
+    "--scenarios",
+    default="perimeter",
+    show_default=True,
+    help="Where objects stand: near, left, right, far or perimeter.",
+)
+@click.option("--count", type=click.IntRange(1, 1_000_000), default=40, show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
+@click.option("--actions", multiple=True, help="Further actions that a skill file uses.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.version_option(package_name="cgtorch")
+def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
+    """Try a skill in the world on fresh scenarios and print succeeded / tried.
+
+    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
+    skill file, which is tried on the built-in PR2 with the default noise.
+    """
+    import torch
+
+    from cgtorch.actions.registry import resolve_actions
+    from cgtorch.experiments.evaluate import evaluate_skill
+    from cgtorch.experiments.run import last_skill, tabletop_of
+    from cgtorch.graphs import load_skill
+    from cgtorch.kinematics import load_robot
+    from cgtorch.world import LAB_NOISE
+
+    torch.set_num_threads(1)
+    if path.is_file():
+        skill = load_skill(path, resolve_actions(rest["actions"]))
+        world_of = tabletop_of(load_robot(), LAB_NOISE)
+    else:
+        run, skill = last_skill(path)
+        world_of = run.world_of
+    score = evaluate_skill(skill, world_of, scenarios, count, seed)
+    low, high = score.interval
+    if as_json:
+        result = {
+            "skill": skill.name,
+            "scenarios": scenarios,
+            "seed": seed,
+            "tried": score.tried,
+            "succeeded": score.successes,
+            "rate": score.rate,
+            "interval": [low, high],
+        }
+        click.echo(json.dumps(result))
+        return
+    click.echo(
+        f"{skill.name} on {scenarios}: {score.successes} / {score.tried} succeeded, "
+        f"{score.rate:.1%} (95 % confidence {low:.1%} to {high:.1%})"
+    )
+
+
+def main() -> None:
+    """Entry point of `cgtorch-evaluate`."""
+    run_command(command)

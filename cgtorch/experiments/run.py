@@ -1,0 +1,158 @@
+"""A run: a folder that holds everything it was made with and everything it produced.
+
+run.json            format, versions, settings
+robot/              the URDF and its description, as they were when the run began
+start/              what was known before the first stage: data, Γ, C
+S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+summary.json        the final table
+events.out.…        TensorBoard
+"""
+
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+
+import cgtorch
+from cgtorch.actions import ActionSet
+from cgtorch.actions.registry import resolve_actions
+from cgtorch.errors import RunError
+from cgtorch.experiments.settings import RunSettings, settings_from_dict
+from cgtorch.experiments.stages import STAGES
+from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.graphs import Skill, load_skill
+from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
+from cgtorch.world import Noise, Scenarios, TabletopWorld
+
+FORMAT, VERSION = "cgtorch-run", 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """An open run.
+
+    Attributes:
+        folder: where it is.
+        settings: what it was begun with.
+        robot: the robot it is about.
+        actions: the primitive actions.
+    """
+
+    folder: Path
+    settings: RunSettings
+    robot: Robot
+    actions: ActionSet
+
+    @property
+    def world_of(self) -> Callable[[Scenarios], TabletopWorld]:
+        """Makes the world of given scenarios, with the run's robot and noise."""
+        noise = Noise(self.settings.position_noise, self.settings.heading_noise)
+        return tabletop_of(self.robot, noise)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The finished stages, in order."""
+        return tuple(s for s in STAGES if (self.folder / s / "skill.json").is_file())
+
+
+def tabletop_of(robot: Robot, noise: Noise) -> Callable[[Scenarios], TabletopWorld]:
+    """Makes tabletop worlds for a robot."""
+
+    def world_of(scenarios: Scenarios) -> TabletopWorld:
+        footprint = robot.description.footprint
+        return TabletopWorld(scenarios, partial(graspable, robot), footprint, noise)
+
+    return world_of
+
+
+def create_run(
+    folder: Path,
+    settings: RunSettings,
+    urdf: Path | None = None,
+    description: Path | None = None,
+) -> Run:
+    """Begin a run in an empty or new folder; nothing is written unless all is in order.
+
+    Raises:
+        RobotError: the robot cannot be used.
+        ActionError: an action cannot be found.
+        RunError: the folder cannot be written or holds other things.
+    """
+    robot = load_robot(urdf, description)
+    actions = resolve_actions(settings.actions)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
+    source = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else urdf
+    words = source.parent / "robot.json" if description is None else description
+    try:
+        robot_bytes, words_bytes = source.read_bytes(), words.read_bytes()
+        (folder / "robot").mkdir(parents=True)
+    except OSError as e:
+        raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
+    write_bytes(folder / "robot" / "robot.urdf", robot_bytes)
+    write_bytes(folder / "robot" / "robot.json", words_bytes)
+    about = {"format": FORMAT, "version": VERSION, "cgtorch": cgtorch.__version__}
+    about["torch"] = str(torch.__version__)
+    write_json(folder / "run.json", {**about, "settings": settings.to_dict()})
+    return Run(folder, settings, robot, actions)
+
+
+def open_run(folder: Path) -> Run:
+    """Open a run.
+
+    Raises:
+        RunError: there is none, or it is of another version, or damaged.
+    """
+    if not (folder / "run.json").is_file():
+        raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
+    about = read_json(folder / "run.json")
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        raise RunError(f"{str(folder / 'run.json')!r} is not of a cgtorch run; give another folder")
+    if about.get("version") != VERSION:
+        raise RunError(
+            f"run {str(folder)!r} is of version {about.get('version')!r:.20}, this cgtorch reads "
+            f"{VERSION}; use the version that wrote it"
+        )
+    settings = settings_from_dict(about.get("settings"))
+    robot = load_robot(folder / "robot" / "robot.urdf", folder / "robot" / "robot.json")
+    return Run(folder, settings, robot, resolve_actions(settings.actions))
+
+
+def last_skill(path: Path) -> tuple[Run, Skill]:
+    """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
+
+    Raises:
+        RunError: there is no run, or no skill in it yet.
+    """
+    if (path / "run.json").is_file():
+        run = open_run(path)
+        if not run.stages:
+            raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
+        return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
+    if (path / "skill.json").is_file():
+        run = open_run(path.parent)
+        return run, load_skill(path / "skill.json", run.actions)
+    raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A folder that appears under its name with all its files, or not at all."""
+    partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        try:
+            partial_path.mkdir()
+        except OSError as e:
+            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
+        yield partial_path
+        try:
+            partial_path.replace(path)
+        except OSError as e:
+            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
+    finally:
+        shutil.rmtree(partial_path, ignore_errors=True)

@@ -1,0 +1,75 @@
+"""The settings of a run: one dataclass that the command line, the API and the files share."""
+
+import math
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from cgtorch.errors import SettingsError
+
+METHODS = ("compose", "paper")
+
+
+def _option(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What decides the result of a run; stored in it, and fixed once it has begun.
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    seed: int = _option(0, "Seed of everything random.")
+    method: str = _option("compose", "How a skill is improved: compose, or paper as published.")
+    population: int = _option(400, "Individuals in a population.")
+    generations: int = _option(150, "Most generations of one evolution.")
+    attempts: int = _option(24, "Most evolutions in one stage.")
+    tournament: int = _option(5, "Individuals in a tournament.")
+    max_transitions: int = _option(20, "Transitions after which a skill has failed.")
+    practice: int = _option(60, "Random placements practised in each stage beside the five tests.")
+    transitions: int = _option(2000, "Random transitions collected for the transition model.")
+    labels: int = _option(3000, "Grasp labels collected for the success classifier.")
+    position_noise: float = _option(0.005, "Noise of odometry and detection, m.")
+    heading_noise: float = _option(math.pi / 360, "Noise of the heading after a motion, rad.")
+    actions: tuple[str, ...] = _option((), "Further actions: names or package.module:Class.")
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        least = {"seed": 0, "population": 2, "practice": 0, "transitions": 50, "labels": 60}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(f.default, int) and (
+                type(value) is not int or not least.get(f.name, 1) <= value < 2**31
+            ):
+                raise SettingsError(
+                    f"{f.name} is {value!r}; give a whole number of at least {least.get(f.name, 1)}"
+                )
+            if isinstance(f.default, float) and (
+                not isinstance(value, int | float) or not 0 <= value < math.inf
+            ):
+                raise SettingsError(f"{f.name} is {value!r}; give a finite number of at least 0")
+        if self.method not in METHODS:
+            raise SettingsError(f"method is {self.method!r}; use one of {', '.join(METHODS)}")
+        if not all(isinstance(name, str) for name in self.actions):
+            raise SettingsError(f"actions are {self.actions!r}; give names")
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data for a file."""
+        return {**asdict(self), "actions": list(self.actions)}
+
+
+def settings_from_dict(data: Any) -> RunSettings:
+    """Settings from what `RunSettings.to_dict` gave.
+
+    Raises:
+        SettingsError: a setting is unknown, missing or impossible.
+    """
+    names = {f.name for f in fields(RunSettings)}
+    if not isinstance(data, dict) or set(data) != names:
+        odd = sorted(names ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
+        raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")
+    if not isinstance(data["actions"], list):
+        raise SettingsError(f"actions are {data['actions']!r:.40}; give a list of names")
+    return RunSettings(**{**data, "actions": tuple(data["actions"])})

@@ -1,0 +1,137 @@
+"""Datasets, scenarios and populations as files: safetensors and JSON, never code."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError
+from torch import Tensor
+
+from cgtorch.data import Dataset
+from cgtorch.errors import RunError
+from cgtorch.evolution import Population
+from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.graphs import Graphs
+from cgtorch.world import Scenarios
+
+MAX_BYTES = 2**30
+T = TypeVar("T", Dataset, Graphs)
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
+    """Write named tensors with notes, whole or not at all."""
+    plain = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+    write_bytes(path, safetensors.torch.save(plain, metadata=notes))
+
+
+def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
+    """Read named tensors.
+
+    Raises:
+        RunError: the file is missing, damaged, too large, or holds other tensors.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise RunError(f"{str(path)!r} is larger than {MAX_BYTES} bytes; is it the right file?")
+        found = safetensors.torch.load(path.read_bytes())
+    except (OSError, SafetensorError, ValueError) as e:
+        raise RunError(f"cannot read {str(path)!r} ({e}); restore the file") from e
+    if set(found) != names:
+        odd = sorted(names ^ set(found))[0]
+        raise RunError(f"{str(path)!r} lacks or has tensor {odd!r}; is it of this version?")
+    return found
+
+
+def save_dataset(path: Path, dataset: Dataset, notes: dict[str, str]) -> None:
+    """Write a dataset with notes on how it was collected."""
+    save_tensors(path, vars(dataset), notes)
+
+
+def load_dataset(path: Path) -> Dataset:
+    """Read a dataset; RunError if its tensors do not fit one another."""
+    data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
+    n, d = (*data.percept.shape, 0)[:2]
+    whole = (
+        data.percept.shape == data.next_percept.shape == (n, d)
+        and data.motion.dim() == 2
+        and len(data.motion) == n
+        and data.grasp_percept.dim() == 2
+        and data.grasp_percept.shape[1] == d
+        and data.graspable.shape == data.grasp_percept.shape[:1]
+        and data.graspable.dtype == torch.bool
+    )
+    if not whole:
+        raise RunError(f"the tensors of {str(path)!r} do not fit one another; restore the file")
+    return data
+
+
+def save_population(path: Path, population: Population) -> None:
+    """Write graphs and strategies."""
+    save_tensors(path, {**vars(population.graphs), "strategy": population.strategy}, {})
+
+
+def load_population(path: Path) -> Population:
+    """Read graphs and strategies."""
+    names = {f.name for f in fields(Graphs)}
+    found = load_tensors(path, names | {"strategy"})
+    return Population(Graphs(**{n: found[n] for n in names}), found["strategy"])
+
+
+def scenarios_to_list(scenarios: Scenarios) -> list[dict[str, Any]]:
+    """One plain object per scenario."""
+    return [
+        {
+            "pose": scenarios.pose[i].tolist(),
+            "table": scenarios.table[i].tolist(),
+            "object": scenarios.object[i].tolist(),
+            "seed": int(scenarios.seed[i]),
+        }
+        for i in range(len(scenarios))
+    ]
+
+
+def scenarios_from_list(data: Any, where: str) -> Scenarios:
+    """Scenarios from what `scenarios_to_list` gave.
+
+    Raises:
+        RunError: an entry lacks a key, or its numbers are not of the right kind and count.
+    """
+    if not isinstance(data, list):
+        raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
+    for i, row in enumerate(data):
+        _check_scenario(row, f"scenario {i} of {where}")
+    sizes = {"pose": 3, "table": 6, "object": 2}
+    parts = {k: torch.tensor([row[k] for row in data]).view(-1, n) for k, n in sizes.items()}
+    return Scenarios(**parts, seed=torch.tensor([row["seed"] for row in data], dtype=torch.long))
+
+
+def _check_scenario(row: Any, where: str) -> None:
+    sizes = {"pose": 3, "table": 6, "object": 2}
+    if not isinstance(row, dict) or set(row) != {*sizes, "seed"}:
+        raise RunError(f"{where} is {row!r:.60}; give pose, table, object and seed")
+    for key, size in sizes.items():
+        values = row[key]
+        if (
+            not isinstance(values, list)
+            or len(values) != size
+            or not all(isinstance(v, int | float) and abs(v) < 1e6 for v in values)
+        ):
+            raise RunError(f"{key} of {where} is {values!r:.60}; give {size} finite numbers")
+    if type(row["seed"]) is not int or not 0 <= row["seed"] < 2**63:
+        raise RunError(f"seed of {where} is {row['seed']!r:.40}; give a whole number")
+
+
+def save_scenarios(path: Path, parts: dict[str, Scenarios]) -> None:
+    """Write named batches of scenarios, such as W and M."""
+    write_json(path, {name: scenarios_to_list(s) for name, s in parts.items()})
+
+
+def load_scenarios(path: Path, names: tuple[str, ...]) -> tuple[Scenarios, ...]:
+    """Read the batches called `names`; RunError if one is missing or damaged."""
+    data = read_json(path)
+    for name in names:
+        if not isinstance(data, dict) or name not in data:
+            raise RunError(f"{str(path)!r} lacks {name!r}; restore the file")
+    return tuple(scenarios_from_list(data[name], f"{name} in {str(path)!r}") for name in names)

@@ -1,0 +1,238 @@
+"""Algorithm 1 over the four experiments: from a robot to a skill that has been tested."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Generator
+
+from cgtorch.data import collect
+from cgtorch.errors import CgtorchError
+from cgtorch.evolution import EvolutionSettings
+from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.experiments.run import Run, whole_folder
+from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
+from cgtorch.experiments.storage import (
+    load_dataset,
+    load_population,
+    load_scenarios,
+    save_dataset,
+    save_population,
+    save_scenarios,
+)
+from cgtorch.files import read_json, write_json
+from cgtorch.graphs import load_skill, save_skill
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    Watch,
+)
+from cgtorch.improvement.grow import grow
+from cgtorch.improvement.improve import Progress, Setup, improve
+from cgtorch.improvement.knowledge import Knowledge, fit_models
+from cgtorch.improvement.specialists import Budget
+from cgtorch.models import load_model, load_report, save_model
+from cgtorch.world import stage_scenarios
+
+FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
+
+
+class NotImprovedError(CgtorchError, RuntimeError):
+    """Within its budget a stage found no skill that meets eq. 1."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What one stage cost."""
+
+    generations: int = 0
+    transitions: int = 0
+
+
+def train(
+    run: Run, stage: str, watch: Watch, working: Callable[[str], AbstractContextManager[None]]
+) -> list[dict[str, Any]]:
+    """Make all stages up to one, except those the run has already.
+
+    Args:
+        run: an open run.
+        stage: the last stage to make.
+        watch: told what happens.
+        working: makes a context in which a long step runs under a message.
+        device: where populations are evaluated.
+
+    Returns:
+        The result of every stage, as in its result.json.
+
+    Raises:
+        NotImprovedError: a stage ended without a skill that meets eq. 1.
+        RunError: a file cannot be written or read.
+    """
+    names = stages_up_to(stage)
+    progress = _begin(run, watch, working)
+    for name in names:
+        if name in run.stages:
+            progress = load_progress(run, run.folder / name)
+        else:
+            progress = _stage(run, name, names, progress, watch, working, device)
+    results = [read_json(run.folder / name / "result.json") for name in names]
+    write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
+    return results
+
+
+def _begin(
+    run: Run, watch: Watch, working: Callable[[str], AbstractContextManager[None]]
+) -> Progress:
+    """Data, labels and models before the first stage, made once and kept in the run."""
+    start = run.folder / "start"
+    if start.is_dir():
+        return load_progress(run, start)
+    settings = run.settings
+    generator = Generator().manual_seed(settings.seed)
+    with working("driving at random and trying grasps"):
+        dataset = collect(run.world_of, settings.transitions, settings.labels, generator)
+    began = time.perf_counter()
+    with working("fitting the transition model and the success classifier"):
+        knowledge = fit_models(dataset, settings.seed)
+    watch(ModelsFitted("start", knowledge, time.perf_counter() - began))
+    nothing = stage_scenarios("near", 0)
+    progress = Progress(None, nothing, nothing, knowledge)
+    with whole_folder(start) as folder:
+        save_progress(folder, progress, settings.seed)
+    return progress
+
+
+def _stage(
+    run: Run,
+    name: str,
+    names: tuple[str, ...],
+    progress: Progress,
+    watch: Watch,
+    working: Callable[[str], AbstractContextManager[None]],
+    device: torch.device | str,
+) -> Progress:
+    """Make one stage and keep it in the run."""
+    generator = stage_generator(run.settings.seed, name)
+    # The published protocol knows the five placements only.
+    practice = run.settings.practice if run.settings.method == "compose" else 0
+    task = exercise(name, progress.missed, practice, generator)
+    setup = make_setup(run, device)
+    sizes = (len(progress.solved), len(task.scenarios))
+    watch(StageStarted(name, names, *sizes, setup.attempts))
+    tally, accepted = Tally(), None
+
+    def listen(event: Event) -> None:
+        nonlocal tally, accepted
+        if isinstance(event, GenerationDone):
+            done = event.generation
+            tally = Tally(tally.generations + 1, tally.transitions + done.transitions)
+        elif isinstance(event, SkillAccepted):
+            accepted = event
+        watch(event)
+
+    method = {"compose": improve, "paper": grow}[run.settings.method]
+    progress = method(setup, progress, name, task.scenarios, task.targets, generator, listen)
+    if accepted is None or progress.skill is None:
+        raise NotImprovedError(
+            f"stage {name} found no skill that keeps W and solves more within "
+            f"{setup.attempts} attempts; raise --attempts, --generations or --population"
+        )
+    with working(f"testing {name} on fresh placements"):
+        result = _result(run, name, accepted, tally)
+    with whole_folder(run.folder / name) as folder:
+        save_progress(folder, progress, run.settings.seed)
+        write_json(folder / "result.json", result)
+    return progress
+
+
+def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
+    """The run's settings in the terms of improvement."""
+    s = run.settings
+    return Setup(
+        actions=run.actions,
+        world_of=run.world_of,
+        footprint=torch.tensor(run.robot.description.footprint),
+        evolution=EvolutionSettings(population=s.population, tournament=s.tournament),
+        budget=Budget(generations=s.generations),
+        attempts=s.attempts,
+        max_transitions=s.max_transitions,
+        device=device,
+    )
+
+
+def _result(run: Run, name: str, accepted: SkillAccepted, tally: Tally) -> dict[str, Any]:
+    """A stage's line of the final table, with what only the world could tell."""
+    skill, succeeded = accepted.skill, accepted.succeeded
+    seed = FRESH_SEED + run.settings.seed
+    edge = STAGES[name]
+    fresh = evaluate_skill(skill, run.world_of, edge, FRESH, seed)
+    around = evaluate_skill(skill, run.world_of, "perimeter", PERIMETER, seed)
+    five = succeeded[accepted.size_w : accepted.size_w + 5]
+    return {
+        "stage": name,
+        "edge": edge,
+        "targets_succeeded": int(five.sum()),
+        "targets": len(five),
+        "earlier_failures": int(accepted.targets.sum()) - len(five),
+        "earlier_failures_succeeded": int(succeeded[accepted.targets].sum()) - int(five.sum()),
+        "w_size": accepted.size_w,
+        "w_lost": int((~succeeded[: accepted.size_w]).sum()),
+        "nodes": skill.num_nodes,
+        "depth": skill.depth,
+        "generations": tally.generations,
+        "transitions": tally.transitions,
+        "seconds": round(accepted.seconds, 1),
+        "fresh": _counts(edge, fresh),
+        "perimeter": _counts("perimeter", around),
+    }
+
+
+def finished_generations(run: Run) -> int:
+    """Generations of all finished stages."""
+    return sum(
+        int(read_json(run.folder / name / "result.json")["generations"]) for name in run.stages
+    )
+
+
+def _counts(placement: str, score: Score) -> dict[str, Any]:
+    return {"placement": placement, "tried": score.tried, "succeeded": score.successes}
+
+
+def save_progress(folder: Path, progress: Progress, seed: int) -> None:
+    """Write all that the next stage needs into a folder."""
+    knowledge = progress.knowledge
+    if progress.skill is not None:
+        save_skill(folder / "skill.json", progress.skill)
+    save_scenarios(folder / "scenarios.json", {"W": progress.solved, "M": progress.missed})
+    save_dataset(folder / "data.safetensors", knowledge.dataset, {"seed": str(seed)})
+    save_model(folder / "gamma.safetensors", knowledge.gamma, knowledge.gamma_report)
+    save_model(folder / "classifier.safetensors", knowledge.classifier, knowledge.classifier_report)
+    if progress.specialists is not None:
+        save_population(folder / "specialists.safetensors", progress.specialists)
+
+
+def load_progress(run: Run, folder: Path) -> Progress:
+    """Read what `save_progress` wrote."""
+    solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
+    gamma, classifier = folder / "gamma.safetensors", folder / "classifier.safetensors"
+    knowledge = Knowledge(
+        load_dataset(folder / "data.safetensors"),
+        load_model(gamma),
+        load_model(classifier),
+        load_report(gamma),
+        load_report(classifier),
+    )
+    progress = Progress(None, solved, missed, knowledge)
+    if (folder / "skill.json").is_file():
+        progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
+    if (folder / "specialists.safetensors").is_file():
+        population = load_population(folder / "specialists.safetensors")
+        progress = replace(progress, specialists=population)
+    return progress

@@ -1,0 +1,1 @@
+"""Algorithm 1: improving a skill without forgetting."""

@@ -1,0 +1,85 @@
+"""The paper's own way: grow one graph under a hard W (Algorithms 1 and 2, eq. 3)."""
+
+import time
+from dataclasses import replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.evolution import Population, initial_strategy
+from cgtorch.graphs import Skill
+from cgtorch.improvement.events import ModelsFitted, SkillAccepted, Watch
+from cgtorch.improvement.improve import Progress, Setup, make_task, world_tested
+from cgtorch.improvement.knowledge import imagine, learn
+from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.trial import try_skill
+from cgtorch.world import Scenarios
+
+
+def grow(
+    setup: Setup,
+    progress: Progress,
+    stage: str,
+    scenarios: Scenarios,
+    targets: Tensor,
+    generator: Generator,
+    watch: Watch,
+) -> Progress:
+    """Evolve the last skill's own graph until it keeps W and solves all of M.
+
+    Half of each first population is the last graph; fitness is 0 where a scenario of W fails.
+    What meets eq. 1 in the world becomes the graph that the next attempt starts from. Arguments
+    and result are those of `cgtorch.improvement.improve.improve`.
+    """
+    began = time.perf_counter()
+    task = make_task(setup, progress, stage, scenarios, targets)
+    knowledge, skill = progress.knowledge, progress.skill
+    world = setup.world_of(task.scenarios)
+    keep = task.keep
+    solved = try_skill(skill, world).succeeded if skill else torch.zeros_like(keep)
+    accepted = None
+    for attempt in range(setup.attempts):
+        environment = imagine(knowledge, task.percepts, setup.footprint, 1, generator, setup.device)
+        champion, _ = evolve_candidate(
+            environment,
+            setup.actions,
+            setup.evolution,
+            setup.budget,
+            generator,
+            watch,
+            stage,
+            f"{stage}.{attempt + 1}",
+            keep=keep,
+            seeds=_seed(skill),
+            max_transitions=setup.max_transitions,
+            device=setup.device,
+        )
+        candidate = Skill(stage, champion.graphs, setup.actions, setup.max_transitions)
+        trial = try_skill(candidate, world)
+        watch(world_tested(task, candidate.name, trial.succeeded))
+        if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():
+            skill = accepted = candidate
+            solved = trial.succeeded
+            keep = solved
+        if solved.all():
+            break
+        now = time.perf_counter()
+        knowledge = learn(knowledge, trial.experience, generator)
+        watch(ModelsFitted(stage, knowledge, time.perf_counter() - now))
+    if accepted is None:
+        return replace(progress, knowledge=knowledge)
+    seconds = time.perf_counter() - began
+    watch(
+        SkillAccepted(stage, accepted, task.scenarios, solved, task.targets, task.size_w, seconds)
+    )
+    return Progress(
+        skill=accepted,
+        solved=task.scenarios[solved.nonzero()[:, 0]],
+        missed=task.scenarios[(~solved).nonzero()[:, 0]],
+        knowledge=knowledge,
+    )
+
+
+def _seed(skill: Skill | None) -> Population | None:
+    """The last skill's graph as a population of one."""
+    return Population(skill.graph, initial_strategy(1)) if skill else None
