@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Generator
@@ -44,6 +44,9 @@ from cgtorch.world import stage_scenarios
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
 
 
+Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
+
+
 class NotImprovedError(CgtorchError, RuntimeError):
     """Within its budget a stage found no skill that meets eq. 1."""
 
@@ -57,7 +60,11 @@ class Tally:
 
 
 def train(
-    run: Run, stage: str, watch: Watch, working: Callable[[str], AbstractContextManager[None]]
+    run: Run,
+    stage: str,
+    watch: Watch,
+    working: Working,
+    device: torch.device | str = "cpu",
 ) -> list[dict[str, Any]]:
     """Make all stages up to one, except those the run has already.
 
@@ -88,7 +95,7 @@ def train(
 
 
 def _begin(
-    run: Run, watch: Watch, working: Callable[[str], AbstractContextManager[None]]
+    run: Run, watch: Watch, working: Working
 ) -> Progress:
     """Data, labels and models before the first stage, made once and kept in the run."""
     start = run.folder / "start"
@@ -115,7 +122,7 @@ def _stage(
     names: tuple[str, ...],
     progress: Progress,
     watch: Watch,
-    working: Callable[[str], AbstractContextManager[None]],
+    working: Working,
     device: torch.device | str,
 ) -> Progress:
     """Make one stage and keep it in the run."""
@@ -221,14 +228,7 @@ def save_progress(folder: Path, progress: Progress, seed: int) -> None:
 def load_progress(run: Run, folder: Path) -> Progress:
     """Read what `save_progress` wrote."""
     solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
-    gamma, classifier = folder / "gamma.safetensors", folder / "classifier.safetensors"
-    knowledge = Knowledge(
-        load_dataset(folder / "data.safetensors"),
-        load_model(gamma),
-        load_model(classifier),
-        load_report(gamma),
-        load_report(classifier),
-    )
+    knowledge = load_knowledge(folder)
     progress = Progress(None, solved, missed, knowledge)
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))

@@ -4,7 +4,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import BranchingNN
-from cgtorch.actions.networks import one_hidden_layer
+from cgtorch.actions.networks import one_hidden_layer, sigmoid
 
 RESTARTS, EPOCHS, RATE, BLUR = 4, 400, 0.05, 0.01
 SHARPNESS = 4.0
@@ -89,7 +89,7 @@ def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor
     """(B,) long, the member that each percept is sent to."""
     x = percepts[:, : branch.inputs]
     # The sigmoid rounds large outputs to the same number, as it does when the skill runs.
-    out = torch.sigmoid(_outputs(branch, parameters, x))
+    out = sigmoid(_outputs(branch, parameters, x))
     takes = out[..., 0] >= out[..., 1]
     return torch.cat([takes, torch.ones_like(takes[:1])]).long().argmax(0)
 

@@ -1,0 +1,42 @@
+# cgtorch: `make` lists what can be done. Everything is installed into .venv, versions pinned.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help setup train test lint format types reference clean
+
+help:  ## List the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
+	@touch $@
+
+setup: $(READY)  ## Install everything into .venv
+
+train: setup  ## Evolve a skill up to stage S2 (a few minutes)
+	$(BIN)/cgtorch-train --stage S2
+
+test: setup  ## Run all tests
+	$(BIN)/python -m pytest -n auto
+
+lint: setup types  ## Check style and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: setup  ## Check types
+	$(BIN)/mypy
+
+format: setup  ## Put the code into the house style
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+reference: setup  ## Make runs/reference again
+	$(BIN)/python tools/make_reference_run.py
+
+clean:  ## Remove the environment and caches
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist
