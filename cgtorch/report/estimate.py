@@ -1,8 +1,10 @@
 """How fast a run is, and how much longer it can take at most."""
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from cgtorch.improvement.events import GenerationDone, ModelsFitted, StageStarted, WorldTested
+from cgtorch.improvement.events import GenerationDone, StageStarted
 
 MEMORY = 0.9  # weight of the past in smoothed numbers
 
@@ -11,59 +13,68 @@ MEMORY = 0.9  # weight of the past in smoothed numbers
 class Estimate:
     """Smoothed speed, and bounds on the time left by what is known of a run.
 
-    Nobody knows how many generations an evolution needs, only how many it may take; so the times
-    are upper bounds as long as generations and fits take as long as they did so far.
+    Nobody knows how many generations an evolution needs, only how many it may take. So the times
+    are upper bounds, as long as generations and what lies between two evolutions (tests in the
+    world, fits) take no longer than they did so far.
     """
 
+    clock: Callable[[], float] = time.monotonic
     speed: float | None = None  # transitions per second
-    per_generation: float | None = None  # s
-    fit: float = 0.0  # s of fitting models after each evolution
-    limit: int = 0
-    done: int = 0
-    attempts: int = 0
-    tried: int = 0
-    later_stages: int = 0
+    _per_generation: float | None = None  # s
+    _between: float = 0.0  # s from the end of one evolution to the beginning of the next
+    _limit: int = 0
+    _done: int = 0
+    _attempts: int = 0
+    _tried: int = 0
+    _later_stages: int = 0
+    _latest: float | None = None
 
     def stage_started(self, event: StageStarted) -> None:
         """A stage with so many attempts begins."""
-        self.attempts, self.tried, self.done = event.attempts, 0, 0
-        stages = event.stages
-        self.later_stages = (
-            len(stages) - 1 - stages.index(event.stage) if event.stage in stages else 0
-        )
+        self._attempts, self._tried, self._done, self._latest = event.attempts, 0, 0, None
+        number, count = stage_number(event)
+        self._later_stages = count - number
 
     def generation_done(self, event: GenerationDone) -> None:
         """One more generation, and how long it took."""
+        now, seconds = self.clock(), max(event.seconds, 1e-9)
         if event.generation.number == 0:
-            self.tried += 1
-        self.limit, self.done = event.limit, event.generation.number + 1
-        seconds = max(event.seconds, 1e-9)
-        self.per_generation = _smoothed(self.per_generation, seconds)
+            self._tried += 1
+            if self._latest is not None:
+                self._between = max(self._between, now - seconds - self._latest)
+        self._limit, self._done, self._latest = event.limit, event.generation.number + 1, now
+        self._per_generation = _smoothed(self._per_generation, seconds)
         self.speed = _smoothed(self.speed, event.generation.transitions / seconds)
 
-    def models_fitted(self, event: ModelsFitted) -> None:
-        """The models were fitted; later fits will take as long."""
-        self.fit = event.seconds
+    def evolution_over(self) -> None:
+        """The candidate is being tested."""
+        self._done = self._limit
 
-    def world_tested(self, event: WorldTested) -> None:
-        """An evolution is over."""
-        self.done = self.limit
+    def stage_over(self) -> None:
+        """No more attempts in this stage."""
+        self._tried = self._attempts
 
     @property
     def evolution_left(self) -> float | None:
         """The most seconds this evolution can take; None while nothing is known."""
-        if self.per_generation is None:
+        if self._per_generation is None:
             return None
-        return (self.limit - self.done) * self.per_generation
+        return (self._limit - self._done) * self._per_generation
 
     @property
     def run_left(self) -> float | None:
         """The most seconds the run can take; None while nothing is known."""
         left = self.evolution_left
-        if left is None or self.per_generation is None:
+        if left is None or self._per_generation is None:
             return None
-        evolutions = max(self.attempts - self.tried, 0) + self.later_stages * self.attempts
-        return left + evolutions * (self.limit * self.per_generation + self.fit)
+        evolutions = max(self._attempts - self._tried, 0) + self._later_stages * self._attempts
+        return left + evolutions * (self._limit * self._per_generation + self._between)
+
+
+def stage_number(event: StageStarted) -> tuple[int, int]:
+    """Which stage of the run it is, from 1, and how many there are."""
+    known = event.stage in event.stages
+    return (event.stages.index(event.stage) + 1 if known else 1), max(len(event.stages), 1)
 
 
 def _smoothed(past: float | None, value: float) -> float:

@@ -48,7 +48,12 @@ def final_table(results: Sequence[Result]) -> "Table":
     from rich.text import Text
 
     table = Table(
-        title=TITLE, title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False
+        title=TITLE,
+        title_justify="left",
+        header_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
     )
     for i, name in enumerate(HEADER):
         # In a narrow terminal results and the paper's remarks wrap; no number is cut.

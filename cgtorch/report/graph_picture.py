@@ -44,7 +44,9 @@ class Panel:
     @property
     def width(self) -> float:
         """Inches, frame included."""
-        return max(self.placement.width, text_width(self.title, TITLE_TEXT, True)) + 2 * PADDING
+        return (
+            max(self.placement.width, text_width(self.title, TITLE_TEXT, True) + 0.1) + 2 * PADDING
+        )
 
     @property
     def height(self) -> float:
@@ -63,7 +65,7 @@ def draw_skill(skill: Skill) -> "Figure":
     from matplotlib.figure import Figure
 
     panels = [_panel(s, path) for s, path in skills_of(skill)]
-    corners, width, height = _shelves(panels)
+    corners, width, height = _packed(panels)
     figure = Figure(figsize=(width, height), dpi=100, facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_xlim(0, width)
@@ -111,22 +113,31 @@ def _panel(skill: Skill, path: str) -> Panel:
     )
 
 
-def _shelves(panels: list[Panel]) -> tuple[list[Point], float, float]:
-    """Top left corners of the panels, in shelves of columns, and the picture's width and height."""
-    area = sum((p.width + MARGIN) * (p.height + MARGIN) for p in panels)
-    limit = max(1.35 * area**0.5, *(p.width for p in panels), 0) + 2 * MARGIN
-    corners: list[Point] = []
+def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
+    """Top left corners of the panels, and the picture's width and height: small, not too narrow."""
+    sizes = [(p.width, p.height) for p in panels]
+    area = sum((w + MARGIN) * (h + MARGIN) for w, h in sizes)
+    widest = max(w for w, _ in sizes)
+    tries = [_shelves(sizes, max(factor * area**0.5, widest) + 2 * MARGIN)
+             for factor in (0.8, 1.0, 1.2, 1.4, 1.6, 1.8)]  # fmt: skip
+    return min(tries, key=lambda found: found[1] * found[2] * max(found[2] / found[1], 1) ** 0.5)
+
+
+def _shelves(sizes: list[tuple[float, float]], limit: float) -> tuple[list[Point], float, float]:
+    """The same for a greatest width: shelves of columns, the first panel first, then by height."""
+    corners = [(0.0, 0.0)] * len(sizes)
     x = top = y = MARGIN  # the column's left, the shelf's top, and how far the column is filled
     column = tallest = right = 0.0
-    for panel in panels:
-        fits = y > top and y + panel.height <= top + tallest and panel.width <= 1.25 * column
+    for i in [0, *sorted(range(1, len(sizes)), key=lambda i: -sizes[i][1])]:
+        width, height = sizes[i]
+        fits = y > top and y + height <= top + tallest and x + width + MARGIN <= limit
         if not fits and y > top:
             x, y, column = x + column + MARGIN, top, 0.0
-            if x + panel.width + MARGIN > limit:
+            if x + width + MARGIN > limit:
                 x, top, y, tallest = MARGIN, top + tallest + MARGIN, top + tallest + MARGIN, 0.0
-        corners.append((x, y))
-        y += panel.height + MARGIN
-        column, tallest = max(column, panel.width), max(tallest, y - MARGIN - top)
+        corners[i] = (x, y)
+        y += height + MARGIN
+        column, tallest = max(column, width), max(tallest, y - MARGIN - top)
         right = max(right, x + column + MARGIN)
     return corners, right, top + tallest + MARGIN
 

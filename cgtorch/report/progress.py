@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -22,7 +22,7 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.report import wording
-from cgtorch.report.estimate import Estimate, as_time
+from cgtorch.report.estimate import Estimate, as_time, stage_number
 
 
 class ProgressDisplay:
@@ -50,7 +50,7 @@ class ProgressDisplay:
         self._began = time.monotonic()
         if self._live_mode:
             self._live = Live(
-                get_renderable=self._render,
+                get_renderable=self.live_lines,
                 console=self.console,
                 refresh_per_second=4,
                 transient=True,
@@ -76,13 +76,13 @@ class ProgressDisplay:
             self._estimate.stage_started(event)
             self._plain(wording.stage_started(event))
         elif isinstance(event, ModelsFitted):
-            self._estimate.models_fitted(event)
             self._plain(wording.models_fitted(event))
         elif isinstance(event, WorldTested):
-            self._estimate.world_tested(event)
+            self._estimate.evolution_over()
             self._world = wording.world_tested(event)
             self._plain(self._world)
         elif isinstance(event, SkillAccepted):
+            self._estimate.stage_over()
             self.say(wording.skill_accepted(event), style="green")
 
     @contextmanager
@@ -106,8 +106,8 @@ class ProgressDisplay:
         if not self._live_mode:
             self.say(line)
 
-    def _render(self) -> RenderableType:
-        """The live lines."""
+    def live_lines(self) -> RenderableType:
+        """What a terminal shows at this moment below the lines that stay."""
         lines: list[RenderableType] = []
         now = time.monotonic()
         if self._stage is not None:
@@ -117,16 +117,16 @@ class ProgressDisplay:
         if self._world:
             lines.append(Text(f"  {self._world}", style="dim", no_wrap=True, overflow="ellipsis"))
         for message, began, spinner in list(self._working):
-            elapsed = as_time(now - began)
-            spinner.update(text=Text(f"{message} … {elapsed}", no_wrap=True, overflow="ellipsis"))
-            lines.append(spinner)
+            text = f" {message} … {as_time(now - began)}"
+            frame = cast(Text, spinner.render(now))
+            lines.append(Text.assemble(frame, text, no_wrap=True, overflow="ellipsis"))
         return Group(*lines)
 
     def _headline(self, stage: StageStarted, elapsed: float) -> Text:
-        number = stage.stages.index(stage.stage) + 1 if stage.stage in stage.stages else 1
+        number, count = stage_number(stage)
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append(f"{stage.stage}", style="bold")
-        text.append(f"  stage {number} of {max(len(stage.stages), number)}")
+        text.append(f"  stage {number} of {count}")
         text.append(f"  W {stage.size_w}, to solve {stage.size_m}")
         text.append(f"  elapsed {as_time(elapsed)}", style="dim")
         if (left := self._estimate.run_left) is not None:
@@ -136,6 +136,8 @@ class ProgressDisplay:
     def _bar(self, event: GenerationDone) -> Table:
         done = event.generation.number + 1
         grid = Table.grid(padding=(0, 1))
+        for _ in range(4):
+            grid.add_column(no_wrap=True, overflow="ellipsis")
         left = self._estimate.evolution_left or 0.0
         grid.add_row(
             Text(f"  {event.candidate}", style="cyan"),

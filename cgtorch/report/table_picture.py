@@ -18,6 +18,7 @@ GOOD, BAD, TARGET, ROBOT, TABLE, RIM = (
 )  # fmt: skip
 FOOTPRINT = (-0.334, 0.334, -0.334, 0.334)
 AROUND = 0.25  # m of room around everything
+LONGEST = 6.0  # inches of the longer side
 MOST_ROBOTS = 60  # start poses that are drawn
 
 
@@ -54,18 +55,18 @@ def draw_table_top(
             f"shape {tuple(marks.shape)}; give one of each for every scenario"
         )
     good = succeeded.bool()
-    figure = Figure(figsize=(6.4, 7.2), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(dpi=100, facecolor="white", layout="constrained")
     axes = figure.add_subplot()
     tables = torch.unique(scenarios.table, dim=0)
     for table in tables:
         _draw_table(axes, table, named=len(tables) == 1)
     _draw_robots(axes, scenarios.pose, footprint)
     _draw_objects(axes, scenarios.object, good, marks)
-    _frame(axes, scenarios, tables, footprint)
+    figure.set_size_inches(_frame(axes, scenarios, tables, footprint))
     axes.set_title(_caption(title, good, marks), fontsize=11, color=TARGET)
     if count:
         axes.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4, frameon=False, fontsize=9
+            loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False, fontsize=9
         )
     return figure
 
@@ -73,7 +74,7 @@ def draw_table_top(
 def _caption(title: str, good: Tensor, marks: Tensor) -> str:
     text = f"{int(good.sum())} of {len(good)} reached"
     if marks.any():
-        text += f", {int((good & marks).sum())} of {int(marks.sum())} test placements"
+        text += f"\n{int((good & marks).sum())} of {int(marks.sum())} test placements"
     return f"{title}: {text}" if title else text
 
 
@@ -175,18 +176,26 @@ def _frame(
     scenarios: Scenarios,
     tables: Tensor,
     footprint: tuple[float, float, float, float],
-) -> None:
-    """Limits around everything, the same scale both ways, the robot's left to the left."""
+) -> tuple[float, float]:
+    """Limits around everything, the robot's left to the left; the size in inches that suits."""
     from matplotlib.ticker import MultipleLocator
 
     base = max(abs(v) for v in footprint) * 1.2
-    reach = tables[:, 3:5].norm(dim=1, keepdim=True) / 2
+    turned = torch.stack([tables[:, 2].cos().abs(), tables[:, 2].sin().abs()], 1)
+    reach = (
+        torch.stack([(turned * tables[:, 3:5]).sum(1), (turned.flip(1) * tables[:, 3:5]).sum(1)], 1)
+        / 2
+    )
     low = [scenarios.pose[:, :2] - base, scenarios.object, tables[:, :2] - reach]
     high = [scenarios.pose[:, :2] + base, scenarios.object, tables[:, :2] + reach]
+    size = (4.2, 4.2)
     if len(scenarios):
         (x0, y0), (x1, y1) = torch.cat(low).amin(0).tolist(), torch.cat(high).amax(0).tolist()
+        width, height = y1 - y0 + AROUND, x1 - x0 + AROUND
         axes.set_xlim(y1 + AROUND / 2, y0 - AROUND / 2)
-        axes.set_ylim(x0 - AROUND / 3, x1 + AROUND / 3)
+        axes.set_ylim(x0 - AROUND / 2, x1 + AROUND / 2)
+        scale = LONGEST / max(width, height)
+        size = (max(width * scale + 0.9, 4.2), height * scale + 1.3)
     axes.set_aspect("equal")
     axes.xaxis.set_major_locator(MultipleLocator(0.5))
     axes.yaxis.set_major_locator(MultipleLocator(0.5))
@@ -196,3 +205,4 @@ def _frame(
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+    return size

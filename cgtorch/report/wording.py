@@ -1,14 +1,14 @@
 """What events are called on the screen: one line each, without colour."""
 
 from cgtorch.improvement.events import ModelsFitted, SkillAccepted, StageStarted, WorldTested
-from cgtorch.report.estimate import as_time
+from cgtorch.report.estimate import as_time, stage_number
 
 
 def stage_started(event: StageStarted) -> str:
     """The line for a stage that begins."""
-    number = event.stages.index(event.stage) + 1 if event.stage in event.stages else 1
+    number, count = stage_number(event)
     return (
-        f"{event.stage}: stage {number} of {max(len(event.stages), number)}, "
+        f"{event.stage}: stage {number} of {count}, "
         f"{event.size_w} scenarios to keep (W), {event.size_m} to solve"
     )
 

@@ -1,0 +1,91 @@
+"""One small stage, told by the events of a real evolution in a real world."""
+
+import pytest
+import torch
+from support import FOOTPRINT, seeded
+from torch import Tensor
+
+from cgtorch.actions import paper_actions
+from cgtorch.data import collect
+from cgtorch.evolution import EvolutionSettings, Population
+from cgtorch.graphs import Skill
+from cgtorch.improvement.compose import branching_action, compose
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    WorldTested,
+)
+from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.improvement.specialists import Budget, evolve_candidate
+from cgtorch.improvement.trial import try_skill
+from cgtorch.models import fit_success_classifier, fit_transition_model
+from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
+from cgtorch.world.scenarios import stage_scenarios
+
+GENERATIONS = 45  # of the first candidate; the second has two
+
+
+def graspable(at: Tensor, table: Tensor) -> Tensor:
+    """A stand-in for the arms, in reach of a few objects from the start."""
+    return (at[:, 0] > 0.2) & (at[:, 0] < 1.3) & (at[:, 1].abs() < 0.5)
+
+
+def _world_of(scenarios: Scenarios) -> TabletopWorld:
+    return TabletopWorld(scenarios, graspable, FOOTPRINT)
+
+
+def _knowledge() -> Knowledge:
+    data = collect(_world_of, 120, 100, seeded(0))
+    grid = {"C": (8.0,), "gamma": (0.03,), "folds": 3}
+    gamma, gamma_report = fit_transition_model(
+        data.percept, data.motion, data.next_percept, epsilon=(0.1,), **grid
+    )
+    classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, **grid)
+    return Knowledge(data, gamma, classifier, gamma_report, report)
+
+
+@pytest.fixture(scope="session")
+def events() -> list[Event]:
+    """Two candidates of stage S1, the models between them, and the skill made of both."""
+    told: list[Event] = []
+    actions, generator = paper_actions(), seeded(3)
+    scenarios = concatenate_scenarios(
+        [random_scenarios("near", 6, generator), stage_scenarios("left")]
+    )
+    targets = torch.arange(11) >= 6
+    world, keep = _world_of(scenarios), ~targets
+    told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
+    told.append(ModelsFitted("S1", _knowledge(), 1.5))
+    members: list[Skill] = []
+    seeds: Population | None = None
+    kept = torch.zeros(11, dtype=torch.bool)
+    for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):
+        champion, solved = evolve_candidate(
+            world,
+            actions,
+            EvolutionSettings(population=60, capacity=12),
+            Budget(generations=limit, enough=2.0, patience=10**6),
+            generator,
+            told.append,
+            "S1",
+            name,
+            keep=kept,
+            seeds=seeds,
+        )
+        seeds = champion
+        members.append(Skill(name, champion.graphs, actions))
+        result = try_skill(members[-1], world).succeeded
+        kept = result & keep
+        w, m = int(result[keep].sum()), int(result[~keep].sum())
+        told.append(WorldTested("S1", name, w, 6, m, 5, int(result.sum()), int(solved.sum())))
+    branch = branching_action(actions)[1]
+    parameters = branch.initial_parameters(1, generator)
+    skill = compose("S1", members, parameters, actions, 20)
+    result = try_skill(skill, world).succeeded
+    told.append(WorldTested("S1", "S1", int(result[keep].sum()), 6, int(result[~keep].sum()), 5))
+    told.append(SkillAccepted("S1", skill, scenarios, result, targets, 6, 62.0))
+    assert sum(isinstance(e, GenerationDone) for e in told) == GENERATIONS + 2
+    return told

@@ -1,0 +1,87 @@
+import io
+import re
+
+import pytest
+from rich.console import Console
+
+from cgtorch.report import final_table, final_text
+
+
+def result(stage: str, edge: str, succeeded: int, **changes: object) -> dict[str, object]:
+    return {
+        "stage": stage,
+        "edge": edge,
+        "targets_succeeded": succeeded,
+        "targets": 5,
+        "w_size": 65,
+        "w_lost": 0,
+        "nodes": 7,
+        "depth": 2,
+        "generations": 1140,
+        "seconds": 379.6,
+        "fresh": {"placement": edge, "tried": 40, "succeeded": 38},
+        "perimeter": None,
+        **changes,
+    }
+
+
+RESULTS = [
+    result("S0", "near", 5, w_size=0, depth=1, seconds=9.6),
+    result("S1", "left", 5, perimeter={"tried": 40, "succeeded": 12}),
+    result("S2", "right", 5, w_lost=2),
+    result("S3", "far", 4, perimeter={"tried": 40, "succeeded": 39}),
+]
+
+
+def shown(results: list[dict[str, object]], width: int) -> str:
+    screen = Console(file=io.StringIO(), width=width)
+    screen.print(final_table(results))
+    assert isinstance(screen.file, io.StringIO)
+    return screen.file.getvalue()
+
+
+def test_text_puts_ours_beside_the_papers() -> None:
+    lines = [re.split(r"\s{2,}", line.strip()) for line in final_text(RESULTS).splitlines()[1:]]
+    assert lines == [
+        ["stage", "edge", "ours", "the paper", "W kept", "fresh", "nodes", "levels", "gens",
+         "time"],
+        ["S0", "near", "5/5", "5/5", "0/0", "38/40", "7", "1", "1140", "0:10"],
+        ["S1", "left", "5/5", "5/5", "65/65", "38/40", "7", "2", "1140", "6:20"],
+        ["S2", "right", "5/5", "4/5, top-right corner missed", "63/65", "38/40", "7", "2", "1140",
+         "6:20"],
+        ["S3", "far", "4/5", "3/5, and the top-right corner", "65/65", "38/40", "7", "2", "1140",
+         "6:20"],
+        ["S3", "perimeter", "39/40 = 97.5 %", "34/40 = 85 %"],
+    ]  # fmt: skip
+
+
+def test_columns_are_aligned() -> None:
+    lines = final_text(RESULTS).splitlines()[1:]
+    at = lines[0].index("the paper")
+    assert all(line[at - 1] == " " and line[at] != " " for line in lines)
+    assert len({len(line) for line in lines[:-1]}) == 1
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_no_number_is_cut_in_a_terminal(width: int) -> None:
+    text = shown(RESULTS, width)
+    for row in final_text(RESULTS).splitlines()[1:]:
+        for word in row.split():
+            assert word in text
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+
+
+def test_what_is_missing_is_a_dash() -> None:
+    bare: list[dict[str, object]] = [{"stage": "S9", "perimeter": None, "fresh": None}]
+    for text in (final_text(bare), shown(bare, 100)):
+        row = next(line for line in text.splitlines() if "S9" in line)
+        assert row.split() == ["S9", *["–"] * 9]
+        last = next(line for line in text.splitlines() if "perimeter" in line)
+        assert last.split() == ["–", "perimeter", "–", "34/40", "=", "85", "%"]
+    assert len(final_text([]).splitlines()) == 3
+
+
+def test_names_are_not_taken_for_markup() -> None:
+    odd = [result("[red]S1[/]", "left", 5)]
+    assert "[red]S1[/]" in shown(odd, 120)

@@ -1,0 +1,168 @@
+import io
+import re
+from contextlib import suppress
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted, StageStarted
+from cgtorch.report import ProgressDisplay
+from cgtorch.report.estimate import Estimate
+
+
+def console(terminal: bool, width: int = 100) -> Console:
+    return Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
+
+
+def text_of(display: ProgressDisplay) -> str:
+    assert isinstance(display.console.file, io.StringIO)
+    return display.console.file.getvalue()
+
+
+def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
+    """The live lines as they stand."""
+    screen = console(False, width)
+    screen.print(display.live_lines())
+    assert isinstance(screen.file, io.StringIO)
+    return [line.rstrip() for line in screen.file.getvalue().splitlines()]
+
+
+def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> None:
+    with ProgressDisplay(console(False)) as display:
+        for event in events:
+            display(event)
+        with display.working("Collecting data"):
+            pass
+    lines = text_of(display).splitlines()
+    assert len(lines) == sum(not isinstance(e, GenerationDone) for e in events) + 1
+    assert lines[0] == "S1: stage 2 of 3, 6 scenarios to keep (W), 5 to solve"
+    assert re.fullmatch(
+        r"S1: Γ errs by \d+\.\d cm on the object, C is right on \d+\.\d %; "
+        r"120 transitions and \d+ labels, 1\.5 s",
+        lines[1],
+    )
+    assert re.fullmatch(
+        r"S1\.1: in the world W \d/6, M \d/5; of its group \d+ solved, \d+ promised by the models",
+        lines[2],
+    )
+    accepted = events[-1]
+    assert isinstance(accepted, SkillAccepted)
+    targets = int(accepted.succeeded[6:].sum())
+    w = int(accepted.succeeded[:6].sum())
+    assert lines[-2] == (
+        f"S1: accepted; test placements {targets}/5, W {w}/6, M {targets}/5, "
+        "3 nodes in 2 levels, 1:02"
+    )
+    assert lines[-1] == "Collecting data …"
+    assert "\x1b" not in text_of(display)
+
+
+def test_a_long_line_is_not_broken_where_there_is_no_terminal(events: list[Event]) -> None:
+    with ProgressDisplay(console(False, width=30)) as display:
+        for event in events[:2]:
+            display(event)
+    assert len(text_of(display).splitlines()) == 2
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_quiet_prints_nothing(events: list[Event], terminal: bool) -> None:
+    with ProgressDisplay(console(terminal), quiet=True) as display:
+        for event in events:
+            display(event)
+        with display.working("Collecting data"):
+            display.say("a line")
+    assert text_of(display) == ""
+
+
+def test_live_lines_say_where_the_run_is(events: list[Event]) -> None:
+    display = ProgressDisplay(console(True))
+    assert snapshot(display) == []
+    tenth = next(e for e in events if isinstance(e, GenerationDone) and e.generation.number == 9)
+    for event in events[: events.index(tenth) + 1]:
+        display(event)
+    head, bar, numbers = snapshot(display)
+    assert head.startswith("S1  stage 2 of 3  W 6, to solve 5  elapsed 0:0")
+    assert re.search(r"left ≤ \d+:\d\d$", head)
+    assert re.search(r"S1\.1 .* generation 10 of ≤ 45 left ≤ \d:\d\d", bar)
+    fitness = tenth.generation.fitness
+    assert f"best {float(fitness.max()):.3f} mean {float(fitness.mean()):.3f}" in numbers
+    assert f"M {tenth.solved_m}/11" in numbers
+    assert "W " not in numbers  # this candidate has none to keep
+    assert re.search(r"[\d.]+( k| M)? transitions/s$", numbers)
+    for event in events[:-1]:
+        display(event)
+    assert snapshot(display)[3].startswith("  S1: in the world W ")
+    last = [e for e in events if isinstance(e, GenerationDone)][-1]
+    assert last.size_w > 0
+    assert f"W {last.solved_w}/{last.size_w}  M " in snapshot(display)[2]
+
+
+@pytest.mark.parametrize("width", [20, 50, 80])
+def test_live_lines_do_not_wrap(events: list[Event], width: int) -> None:
+    display = ProgressDisplay(console(True, width))
+    for event in events[:-1]:
+        display(event)
+    with display.working("Fitting Γ and C to a great many transitions and labels"):
+        lines = snapshot(display, width)
+    assert len(lines) == 5
+    assert all(len(line) <= width for line in lines)
+
+
+def test_waiting_is_shown_for_as_long_as_it_lasts() -> None:
+    display = ProgressDisplay(console(True))
+    with display.working("Collecting data"):
+        (line,) = snapshot(display)
+        assert re.search(r"Collecting data … 0:00", line)
+        with suppress(ValueError), display.working("Fitting"):
+            assert len(snapshot(display)) == 2
+            raise ValueError
+        assert len(snapshot(display)) == 1
+    assert snapshot(display) == []
+
+
+def test_accepted_skills_stay_above_the_live_lines(events: list[Event]) -> None:
+    with ProgressDisplay(console(True)) as display:
+        for event in events:
+            display(event)
+    shown = text_of(display)
+    assert shown.count("S1: accepted; ") == 1
+    assert "\x1b[?25l" in shown  # there was a live display
+    assert "S1: stage 2" not in shown
+
+
+def test_the_display_is_taken_away_when_a_run_fails(events: list[Event]) -> None:
+    display = ProgressDisplay(console(True))
+    with suppress(KeyboardInterrupt), display:
+        display(events[0])
+        raise KeyboardInterrupt
+    assert "\x1b[?25h" in text_of(display)  # the cursor is back
+
+
+def test_time_left_is_a_bound(events: list[Event]) -> None:
+    now = 100.0
+    estimate = Estimate(clock=lambda: now)
+    started = events[0]
+    assert isinstance(started, StageStarted)
+    first = next(e for e in events if isinstance(e, GenerationDone))
+    assert estimate.run_left is None
+    estimate.stage_started(started)  # S1 of S0, S1, S2, 4 attempts
+    assert estimate.evolution_left is None
+    for number in range(5):
+        now += 2.0
+        generation = replace(first.generation, number=number, transitions=1000)
+        estimate.generation_done(replace(first, generation=generation, limit=20, seconds=2.0))
+    assert estimate.speed == pytest.approx(500)
+    assert estimate.evolution_left == pytest.approx(15 * 2)
+    # 15 generations here, three more attempts, and four in the last stage.
+    assert estimate.run_left == pytest.approx(30 + 3 * 40 + 4 * 40)
+    estimate.evolution_over()
+    assert estimate.evolution_left == 0
+    now += 7.0 + 2.0  # seven seconds between two evolutions
+    estimate.generation_done(
+        replace(first, generation=replace(first.generation, number=0), limit=20, seconds=2.0)
+    )
+    assert estimate.run_left == pytest.approx(19 * 2 + 6 * 47)
+    estimate.evolution_over()
+    estimate.stage_over()
+    assert estimate.run_left == pytest.approx(4 * 47)

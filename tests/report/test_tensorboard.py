@@ -1,0 +1,227 @@
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from cgtorch.actions import paper_actions
+from cgtorch.errors import RunError
+from cgtorch.evolution.population import STRATEGY
+from cgtorch.improvement.events import Event, GenerationDone, ModelsFitted, SkillAccepted
+from cgtorch.report import TensorBoardWatch
+from cgtorch.report import tensorboard as module
+
+SETTINGS = {"population": 60, "seed": 3, "stages": ("S0", "S1"), "quiet": True, "device": "cpu"}
+ALL = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
+
+
+def read(folder: Path) -> EventAccumulator:
+    found = EventAccumulator(str(folder), size_guidance=ALL)
+    found.Reload()
+    return found
+
+
+@pytest.fixture(scope="module")
+def written(events: list[Event], tmp_path_factory: pytest.TempPathFactory) -> EventAccumulator:
+    folder = tmp_path_factory.mktemp("run") / "tensorboard"
+    watch = TensorBoardWatch(folder, SETTINGS, actions=paper_actions(), picture_seconds=0)
+    with watch:
+        for event in events:
+            watch(event)
+    assert watch.step == 47
+    assert len(list(folder.iterdir())) == 1
+    return read(folder)
+
+
+def documented() -> dict[str, set[str]]:
+    """The tags of the module's table by kind, placeholders filled in."""
+    assert module.__doc__ is not None
+    kinds: dict[str, set[str]] = {}
+    for line in module.__doc__.splitlines():
+        head, kind, rest = line[:36], line[36:48].strip(), line[48:]
+        if kind in ("scalar", "histogram", "image", "text") and rest:
+            kinds.setdefault(kind, set()).update(t.strip() for t in head.split(","))
+    kinds["histogram"] = {f"strategy/{name}" for name in STRATEGY}
+    kinds["scalar"].remove("gamma/error_<coordinate>")
+    for what in ("table", "object"):
+        ends = ("x_min", "x_max", "y_min", "y_max") if what == "table" else ("x", "y", "z")
+        kinds["scalar"] |= {f"gamma/error_{what}_{end}" for end in ends}
+    return kinds
+
+
+def test_files_hold_exactly_the_documented_tags(written: EventAccumulator) -> None:
+    wanted, tags = documented(), written.Tags()
+    assert len(wanted["scalar"]) > 20
+    assert set(tags["scalars"]) == wanted["scalar"]
+    assert set(tags["histograms"]) == wanted["histogram"]
+    assert set(tags["images"]) == wanted["image"] == {"graph/best", "table/successes"}
+    assert set(tags["tensors"]) == {"settings/text_summary"}
+
+
+def test_scalars_of_each_generation(written: EventAccumulator, events: list[Event]) -> None:
+    told = [e for e in events if isinstance(e, GenerationDone)]
+    best = [float(e.generation.fitness.max()) for e in told]
+    wanted = {
+        "fitness/best": best,
+        "fitness/mean": [float(e.generation.fitness.mean()) for e in told],
+        "solved/W": [e.solved_w for e in told],
+        "solved/M": [e.solved_m for e in told],
+        "graph/nodes_best": [int(e.generation.champion.graphs.num_nodes) for e in told],
+        "graph/nodes_mean": [
+            float((e.generation.population.graphs.action >= 0).sum()) / 60 for e in told
+        ],
+        "population/unsolved": [float((e.generation.fitness == 0).sum()) / 60 for e in told],
+        "speed/transitions_per_second": [e.generation.transitions / e.seconds for e in told],
+    }
+    for tag, values in wanted.items():
+        scalars = written.Scalars(tag)
+        assert [s.step for s in scalars] == list(range(47)), tag
+        assert [s.value for s in scalars] == pytest.approx(values, rel=1e-5), tag
+    assert len(set(best)) > 2  # the evolution has got somewhere
+
+
+def test_models_and_world(written: EventAccumulator, events: list[Event]) -> None:
+    fitted = next(e for e in events if isinstance(e, ModelsFitted))
+    gamma, classifier = fitted.knowledge.gamma_report, fitted.knowledge.classifier_report
+    wanted = {
+        "gamma/error_table_x_min": gamma.error[0],
+        "gamma/error_object_z": gamma.error[6],
+        "gamma/object_error": (gamma.error[4] + gamma.error[5]) / 2,
+        "classifier/balanced_accuracy": classifier.balanced_accuracy,
+        "classifier/calibration_error": classifier.calibration_error,
+        "models/fit_seconds": 1.5,
+        "models/rows": 120,
+    }
+    for tag, value in wanted.items():
+        (scalar,) = written.Scalars(tag)
+        assert (scalar.step, scalar.value) == (0, pytest.approx(value, rel=1e-5)), tag
+    assert [s.step for s in written.Scalars("world/solved_W")] == [44, 46, 46]
+    assert [s.step for s in written.Scalars("world/kept")] == [44, 46]
+    accepted = events[-1]
+    assert isinstance(accepted, SkillAccepted)
+    (targets,) = written.Scalars("stage/targets")
+    assert targets.value == int((accepted.succeeded & accepted.targets).sum())
+
+
+def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Event]) -> None:
+    told = [e for e in events if isinstance(e, GenerationDone)]
+    for i, name in enumerate(STRATEGY):
+        histograms = written.Histograms(f"strategy/{name}")
+        assert [h.step for h in histograms] == [0, 20, 40, 45]
+        for h in histograms:
+            values = told[h.step].generation.population.strategy[:, i]
+            seen = h.histogram_value
+            assert seen.num == 60
+            assert (seen.min, seen.max, seen.sum) == pytest.approx(
+                (float(values.min()), float(values.max()), float(values.sum())), rel=1e-4
+            )
+
+
+def test_pictures_are_png_of_the_size_they_claim(written: EventAccumulator) -> None:
+    assert [p.step for p in written.Images("graph/best")] == [44, 46, 46]
+    assert [p.step for p in written.Images("table/successes")] == [46]
+    for tag in ("graph/best", "table/successes"):
+        for picture in written.Images(tag):
+            data = picture.encoded_image_string
+            assert data[:8] == b"\x89PNG\r\n\x1a\n"
+            assert struct.unpack(">II", data[16:24]) == (picture.width, picture.height)
+            assert 50 < picture.width < 4000
+            assert 50 < picture.height < 4000
+
+
+def test_hyper_parameters_are_in_the_same_file(written: EventAccumulator) -> None:
+    summary = written.SummaryMetadata("_hparams_/session_start_info")
+    assert summary.plugin_data.plugin_name == "hparams"
+    text = summary.plugin_data.content
+    for name in (*SETTINGS, "cpu", "('S0', 'S1')"):
+        assert name.encode() in text
+    content = written.SummaryMetadata("_hparams_/experiment").plugin_data.content
+    for metric in module.METRICS:
+        assert metric.encode() in content
+        assert written.Scalars(metric)
+    shown = written.Tensors("settings/text_summary")[0].tensor_proto.string_val[0].decode()
+    assert "| population | 60 |" in shown
+
+
+def test_a_run_goes_on_where_it_ended(events: list[Event], tmp_path: Path) -> None:
+    generations = [e for e in events if isinstance(e, GenerationDone)]
+    first = TensorBoardWatch(tmp_path, SETTINGS)
+    for event in [*generations[:10], events[-1]]:
+        first(event)
+    first.close()
+    interrupted = TensorBoardWatch(tmp_path, SETTINGS, first_step=10)
+    for event in generations[10:20]:
+        interrupted(event)
+    interrupted.close()
+    time.sleep(1.1)  # TensorBoard orders files by the second
+    again = TensorBoardWatch(tmp_path, SETTINGS, first_step=10)
+    for event in generations[10:15]:
+        again(event)
+    again.close()
+    found = read(tmp_path)
+    assert [s.step for s in found.Scalars("fitness/best")] == list(range(15))
+    assert [p.step for p in found.Images("table/successes")] == [9]
+
+
+def test_without_actions_only_accepted_skills_are_drawn(
+    events: list[Event], tmp_path: Path
+) -> None:
+    with TensorBoardWatch(tmp_path, {}, picture_seconds=0) as watch:
+        for event in events:
+            watch(event)
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [46]
+
+
+def test_pictures_of_evolutions_keep_their_distance(events: list[Event], tmp_path: Path) -> None:
+    with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
+        for event in events:
+            watch(event)
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [44, 46]
+
+
+def test_an_evolution_that_is_broken_off_is_drawn_too(events: list[Event], tmp_path: Path) -> None:
+    with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
+        watch(next(e for e in events if isinstance(e, GenerationDone)))
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [0]
+
+
+def test_logging_costs_little(events: list[Event], tmp_path: Path) -> None:
+    """Under 2 % of a generation of the default population, which takes 50 ms and more."""
+    generations = [e for e in events if isinstance(e, GenerationDone)][:40]
+    with TensorBoardWatch(tmp_path, {}) as watch:
+        began = time.process_time()
+        for _ in range(5):
+            for event in generations:
+                watch(event)
+        assert (time.process_time() - began) / 200 < 1e-3
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"cannot write TensorBoard files to .*file"):
+        TensorBoardWatch(tmp_path / "file" / "inside", {})
+
+
+def test_importing_the_package_is_cheap() -> None:
+    code = (
+        "import sys, cgtorch.report; "
+        "print([m for m in ('matplotlib', 'tensorboard') if m in sys.modules])"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert out.strip() == "[]"
+
+
+def test_watching_changes_nothing(events: list[Event], tmp_path: Path) -> None:
+    event = next(e for e in events if isinstance(e, GenerationDone))
+    before = event.generation.population.strategy.clone()
+    state = torch.random.get_rng_state()
+    with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
+        watch(event)
+    assert torch.equal(event.generation.population.strategy, before)
+    assert torch.equal(torch.random.get_rng_state(), state)
