@@ -1,5 +1,9 @@
 """Kernel machines in torch, and the two models that evolving needs: Γ and C."""
 
+from cgtorch.models.compact import CompactReport as CompactReport
+from cgtorch.models.compact import compact as compact
+from cgtorch.models.compact import compact_success_classifier as compact_success_classifier
+from cgtorch.models.compact import compact_transition_model as compact_transition_model
 from cgtorch.models.grid_search import Choice as Choice
 from cgtorch.models.grid_search import GridResult as GridResult
 from cgtorch.models.grid_search import grid_search as grid_search
@@ -14,3 +18,5 @@ from cgtorch.models.svr import SVR as SVR
 from cgtorch.models.transition import TransitionModel as TransitionModel
 from cgtorch.models.transition import TransitionReport as TransitionReport
 from cgtorch.models.transition import fit_transition_model as fit_transition_model
+from cgtorch.models.update import update_success_classifier as update_success_classifier
+from cgtorch.models.update import update_transition_model as update_transition_model

@@ -26,7 +26,6 @@ Progress = Callable[[int, int], None]
 """Called with the number of cells done and of all cells."""
 
 GRID_RIDGE = 1e-3
-_WARM_RIDGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ def grid_search(
         for e, tube in enumerate(tubes):
             before = None
             for c, cap in enumerate(costs):
-                before = _solve_cell(matrix, problems(cap, tube), len(targets), before, generator)
+                before = _solve_group(matrix, problems(cap, tube), len(targets), before, generator)
                 folded = before.product + before.bias[:, None]
                 folded = folded[len(targets) :].reshape(len(masks) - 1, len(targets), -1)
                 held_out[g, e, c] = folded.permute(1, 0, 2)[
@@ -226,38 +225,38 @@ def _axis(values: Any, name: str) -> Tensor:
     return torch.tensor([inputs.positive(value, name) for value in given], dtype=torch.float64)
 
 
-def _solve_cell(
+def _solve_group(
     matrix: Tensor,
     problems: Problems,
     outputs: int,
     before: Solutions | None,
     generator: torch.Generator,
 ) -> Solutions:
-    """Solve all rows and the folds at one C, from the solutions at the next smaller C.
+    """Solve a group of cells, all rows first and then the folds from their statuses.
 
-    The first C has nothing to start from: all rows are solved from a quarter, then the folds
-    from that.
+    The first `outputs` problems are on all rows and each further block of as many is a fold.
+    `before` holds the same problems at a smaller C: where it touches no bound it still holds.
     """
-    if before is None:
-        count = len(problems.z)
-        first = torch.arange(count, device=matrix.device) < outputs
-        whole = solve(matrix, problems.take(first), generator, last=GRID_RIDGE)
-        times = count // outputs - 1
-        start = _restart(problems.take(~first), _repeat(whole, times))
-        parts = solve(
-            matrix, problems.take(~first), generator, start, first=_WARM_RIDGE, last=GRID_RIDGE
-        )
-        return _join(whole, parts)
-    loose = ~((before.beta != 0) & (before.status.abs() == 2)).any(1)
-    if bool(loose.all()):
+    todo = torch.arange(len(problems.z), device=matrix.device)
+    if before is not None:
+        bound = ((before.beta != 0) & (before.status.abs() == 2)).any(1)
+        needed = bound.reshape(-1, outputs).any(0).repeat(len(bound) // outputs)
+        todo = needed.nonzero().flatten()
+    if before is not None and len(todo) == 0:
         return before
-    open_ = (~loose).nonzero().flatten()
-    part, old = problems.take(open_), before.take(open_)
-    found = solve(matrix, part, generator, _restart(part, old), first=_WARM_RIDGE, last=GRID_RIDGE)
+    whole, parts = todo[todo < outputs], todo[todo >= outputs]
+    full = solve(matrix, problems.take(whole), generator, last=GRID_RIDGE)
+    place = torch.zeros(outputs, dtype=torch.long, device=matrix.device)
+    place[whole] = torch.arange(len(whole), device=matrix.device)
+    folded = problems.take(parts)
+    start = _restart(folded, full.take(place[parts % outputs]))
+    solved = _join(full, solve(matrix, folded, generator, start, last=GRID_RIDGE))
+    if before is None:
+        return solved
     merged = {}
     for name in Solutions.__dataclass_fields__:
         tensor = getattr(before, name).clone()
-        tensor[open_] = getattr(found, name)
+        tensor[todo] = getattr(solved, name)
         merged[name] = tensor
     return replace(before, **merged)
 
@@ -269,12 +268,6 @@ def _restart(problems: Problems, old: Solutions) -> tuple[Tensor, Tensor, Tensor
     beta = torch.where(status == 2, problems.upper, old.beta)
     beta = torch.where(status == -2, problems.lower, beta).masked_fill(closed, 0.0)
     return beta, old.bias, status
-
-
-def _repeat(old: Solutions, times: int) -> Solutions:
-    """The same solutions `times` times."""
-    index = torch.arange(len(old.bias), device=old.bias.device).repeat(times)
-    return old.take(index)
 
 
 def _join(first: Solutions, second: Solutions) -> Solutions:

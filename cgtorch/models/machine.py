@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from cgtorch.errors import DataError, ModelError, SettingsError
 from cgtorch.models.fused import chunk_rows, fused_rbf
 from cgtorch.models.kernels import Kernel, make_kernel
+from cgtorch.models.problems import Problems
+from cgtorch.models.solver import classify
 
 
 class KernelMachine(nn.Module):
@@ -17,7 +19,7 @@ class KernelMachine(nn.Module):
 
     The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
     `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
-    gap of each output, and what a subclass adds. Before `fit` they are empty.
+    gap of each output, `cost` (k,) its C, and what a subclass adds. Before `fit` they are empty.
     """
 
     centres: Tensor
@@ -26,6 +28,7 @@ class KernelMachine(nn.Module):
     gamma_value: Tensor
     support: Tensor
     gap: Tensor
+    cost: Tensor
 
     kernel: str | Kernel
     degree: int
@@ -33,12 +36,8 @@ class KernelMachine(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        for name, shape in (
-            ("centres", (0, 0)),
-            ("weights", (0, 1)),
-            ("bias", (1,)),
-            ("gap", (1,)),
-        ):
+        shapes = {"centres": (0, 0), "weights": (0, 1), "bias": (1,), "gap": (1,), "cost": (1,)}
+        for name, shape in shapes.items():
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
         self.register_buffer("gamma_value", torch.ones((), dtype=torch.float64))
         self.register_buffer("support", torch.zeros(0, dtype=torch.long))
@@ -143,6 +142,25 @@ class KernelMachine(nn.Module):
             raise ModelError(
                 f"this {type(self).__name__} has not been fitted; call fit(x, y) first"
             )
+
+    def _start(self, rows: int, problems: Problems) -> tuple[Tensor, Tensor, Tensor]:
+        """Coefficients (k, n), biases (k,) and statuses of this machine as a start for a new fit.
+
+        The rows that it was fitted on have to come first among the n rows of the new fit.
+
+        Raises:
+            DataError: There are fewer rows than it was fitted on.
+        """
+        self._check_fitted()
+        if len(self.bias) != len(problems.z) or int(self.support.max()) >= rows:
+            raise DataError(
+                f"{rows} rows with {len(problems.z)} outputs do not begin with the rows of the last "
+                "fit; pass all known rows first, in the same order, and the new ones after them"
+            )
+        beta = torch.zeros_like(problems.z)
+        beta[:, self.support] = self.weights.T.to(beta)
+        beta = torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
+        return beta, self.bias.to(beta), classify(beta, problems.lower, problems.upper)
 
     def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
         """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""

@@ -95,6 +95,14 @@ def dual_objective(problems: Problems, beta: Tensor, product: Tensor) -> Tensor:
     return linear.sum(1)
 
 
+def times_kernel(d: Tensor, kernel: Tensor) -> Tensor:
+    """D K (P, n) for a direction d (P, n) of which often few columns are not zero."""
+    columns = d.any(0).nonzero().flatten()
+    if 2 * len(columns) > len(kernel):
+        return d @ kernel
+    return d[:, columns] @ kernel[columns]
+
+
 def _on_bounds(problems: Problems, value: Tensor, status: Tensor) -> Tensor:
     """`value` with every coefficient that is not free moved to the bound of its status."""
     value = torch.where(status == _UPPER, problems.upper, value)
@@ -180,19 +188,37 @@ def _line_search(
     return torch.where(full, 1.0, high)
 
 
+def first_rung(status: Tensor, boxes: Tensor) -> Tensor:
+    """First ridge (P,), in units of 1 / C, for a start with statuses (P, n).
+
+    Where few coefficients are free, the bound ones carry the solution and a small ridge keeps
+    the linear systems small; where most are free the path has to be followed from a large one.
+
+    Args:
+        status: Statuses of the start (P, n).
+        boxes: Whether a coefficient may move at all (P, n).
+    """
+    share = (status.abs() == 1).sum(1) / boxes.sum(1).clamp_min(1)
+    rung = torch.full_like(share, _FIRST_RIDGE)
+    rung = rung.masked_fill(share < 0.5, 0.1)
+    return rung.double()
+
+
 def _first_point(
     kernel: Tensor, problems: Problems, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Coefficients (P, n) and bias (P,) from the solution on a random quarter with 4 C."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Coefficients (P, n), bias (P,) and first ridge (P,) from a random quarter with 4 C."""
     beta, bias = torch.zeros_like(problems.z), problems.z.median(1).values
-    live = ((problems.upper > 0) | (problems.lower < 0)).any(0).nonzero().flatten()
-    if len(live) > _SMALLEST_SUBSET:
-        order = torch.randperm(len(live), generator=generator)[: len(live) // 4]
-        part = live[order.to(live.device)]
-        sub = kernel.index_select(0, part).index_select(1, part)
-        quarter = active_set(sub, problems.rows(part, 4.0), None, generator, last=0.03)
-        beta[:, part], bias = quarter.beta, quarter.bias
-    return beta, bias
+    boxes = (problems.upper > 0) | (problems.lower < 0)
+    live = boxes.any(0).nonzero().flatten()
+    if len(live) <= _SMALLEST_SUBSET:
+        return beta, bias, torch.full_like(bias, _FIRST_RIDGE)
+    order = torch.randperm(len(live), generator=generator)[: len(live) // 4]
+    part = live[order.to(live.device)]
+    sub = kernel.index_select(0, part).index_select(1, part)
+    quarter = active_set(sub, problems.rows(part, 4.0), None, generator, last=0.03)
+    beta[:, part], bias = quarter.beta, quarter.bias
+    return beta, bias, first_rung(quarter.status, boxes[:, part])
 
 
 def _free_set(
@@ -233,7 +259,7 @@ def _direction(
     free, forced = _free_set(part, status, value, slope)
     d = (_on_bounds(part, value, status) - beta).masked_fill(free, 0.0)
     right = residual - part.epsilon[:, None] * status.sign() - h[:, None] * beta
-    right = torch.where(forced, h[:, None] * (slope - beta), right) - d @ kernel
+    right = torch.where(forced, h[:, None] * (slope - beta), right) - times_kernel(d, kernel)
     total = (beta + d).sum(1)
     shift = torch.zeros_like(bias)
     for row in range(len(h)):
@@ -252,10 +278,9 @@ def active_set(
     start: tuple[Tensor, Tensor, Tensor] | None,
     generator: torch.Generator,
     *,
-    first: float = _FIRST_RIDGE,
     last: float = 1e-3,
 ) -> Solutions:
-    """Run the active set down the ladder of ridges `first` / C ... `last` / C.
+    """Run the active set down a ladder of ridges that ends at `last` / C.
 
     On each rung, Newton steps with a line search minimise the primal with its corners rounded,
     which converges from every start. When few statuses change, the ridge falls and one full step
@@ -268,24 +293,26 @@ def active_set(
         start: Coefficients (P, n), biases (P,) and statuses (P, n) to start from, or None to
             begin on a quarter of the rows.
         generator: Source of the random quarter.
-        first: First ridge, in units of 1 / C.
         last: Last ridge, in units of 1 / C; the gap is at most about n last C / 4.
 
     Returns:
         The solutions, exact only where `direct`.
     """
     if start is None:
-        beta, bias = _first_point(kernel, problems, generator)
+        beta, bias, first = _first_point(kernel, problems, generator)
         status = torch.zeros_like(beta, dtype=torch.int8)
     else:
         beta, bias, status = (tensor.clone() for tensor in start)
+        boxes = (problems.upper > 0) | (problems.lower < 0)
+        first = first_rung(status, boxes)
     product = beta @ kernel
     single = kernel.float()
     known = torch.full_like(bias, start is not None, dtype=torch.bool)  # statuses to be kept
     jump = known.clone()  # this step predicts the solution on a new rung
     strict = torch.zeros_like(known)  # a prediction failed: finish the rung before the next one
     done = torch.zeros_like(known)
-    level, former = torch.full_like(bias, first), torch.full_like(bias, first)
+    level = first.to(bias).clamp_min(last)
+    former = level.clone()
     ratio = torch.full_like(bias, _LADDER)
     precise = [False] * len(beta)
     for _ in range(_MAX_STEPS):
@@ -300,7 +327,7 @@ def active_set(
         old = torch.where(known[live][:, None], status[live], old)
         exact = [precise[problem] for problem in live.tolist()]
         d, shift = _direction(kernel, single, part, h, (x0, b0, g0), old, exact)
-        move = d @ kernel
+        move = times_kernel(d, kernel)
         linear, square = (g0 * d).sum(1), (move * d).sum(1)
         t = _line_search(part, h, residual, move + shift[:, None], linear, square)
         t = torch.where(jumped, 1.0, t)
@@ -349,7 +376,6 @@ def solve(
     generator: torch.Generator,
     start: tuple[Tensor, Tensor, Tensor] | None = None,
     *,
-    first: float = _FIRST_RIDGE,
     last: float = 1e-3,
     tolerance: float = 1e-3,
 ) -> Solutions:
@@ -360,14 +386,13 @@ def solve(
         problems: P problems over its rows.
         generator: Source of the random quarter.
         start: Coefficients, biases and statuses of related solutions, or None.
-        first: First ridge of the ladder, in units of 1 / C.
         last: Last ridge of the ladder, in units of 1 / C.
         tolerance: Optimality violation at which SMO stops (Fan, Chen & Lin 2005).
 
     Returns:
         Feasible solutions with their duality gaps.
     """
-    found = active_set(kernel, problems, start, generator, first=first, last=last)
+    found = active_set(kernel, problems, start, generator, last=last)
     beta = torch.minimum(torch.maximum(found.beta, problems.lower), problems.upper)
     bias = found.bias.clone()
     failed = (~found.direct).nonzero().flatten()

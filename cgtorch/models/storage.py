@@ -178,14 +178,18 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
             raise ModelError(f"model file {path}: {name} has type {value.dtype}")
         if not floating and value.dtype != expected[name].dtype:
             raise ModelError(f"model file {path}: {name} has type {value.dtype}")
-        if floating and name != prefix + "platt" and not bool(torch.isfinite(value).all()):
+        if (
+            floating
+            and name.split(".")[-1] not in ("platt", "gap")
+            and not bool(torch.isfinite(value).all())
+        ):
             raise ModelError(f"model file {path}: {name} has NaN or infinite values")
         if value.ndim != expected[name].ndim:
             raise ModelError(f"model file {path}: {name} has shape {tuple(value.shape)}")
     m, d = state[prefix + "centres"].shape
     k = state[prefix + "bias"].shape[0]
     shapes: dict[str, tuple[int, ...]] = {
-        "weights": (m, k), "gap": (k,), "support": (m,), "classes": (2,), "platt": (2,),
+        "weights": (m, k), "gap": (k,), "cost": (k,), "tube": (k,), "support": (m,), "classes": (2,), "platt": (2,),
     }  # fmt: skip
     if isinstance(model, TransitionModel):
         fixed = d == len(model.mean) and k == 7

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.errors import DataError
-from cgtorch.models import geometry, inputs
+from cgtorch.models import inputs
 from cgtorch.models.folds import stratified_folds
 from cgtorch.models.grid_search import Choice, Progress, balanced_accuracy, grid_search
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.svc import SVC, ClassWeight
 
-C_GRID = (1.0, 8.0, 64.0, 512.0)
-GAMMA_GRID = (0.01, 0.03, 0.1, 0.3)
+C_GRID = (1.0, 10.0, 100.0, 1000.0)
+GAMMA_GRID = (0.1, 0.3, 1.0, 3.0)
 GRID_ROWS = 700
 
 
@@ -58,8 +58,7 @@ class SuccessReport:
 class SuccessClassifier(nn.Module):
     """C: percept (..., D) -> probability of success (...), differentiable in the percept.
 
-    Percepts of seven numbers or more are widened by `geometry.placement_features`. Buffers: the
-    features' `mean` and `scale`; the machine's are in `machine`.
+    Buffers: the percepts' `mean` (D,) and common `scale` (D,); the machine's are in `machine`.
     """
 
     mean: Tensor
@@ -79,21 +78,21 @@ class SuccessClassifier(nn.Module):
             DataError: Another number of coordinates than it was fitted on.
             ModelError: Not fitted.
         """
-        return self.machine(self._features(percept)).to(percept.dtype)
+        return self.machine(self.features(percept)).to(percept.dtype)
 
     def decision_function(self, percept: Tensor) -> Tensor:
         """Signed decision value (...), positive for success."""
-        return self.machine.values(self._features(percept))[..., 0].to(percept.dtype)
+        return self.machine.values(self.features(percept))[..., 0].to(percept.dtype)
 
-    def _features(self, percept: Tensor) -> Tensor:
+    def features(self, percept: Tensor) -> Tensor:
+        """The standardised features (..., F) that the machine sees."""
         self.machine._check_fitted()
-        features = features_of(percept)
-        if features.shape[-1] != len(self.mean):
+        if percept.shape[-1] != len(self.mean):
             raise DataError(
                 f"a percept has {percept.shape[-1]} coordinates; the classifier was fitted on "
-                "another number"
+                f"{len(self.mean)}"
             )
-        return (features.to(self.mean) - self.mean) / self.scale
+        return (percept.to(self.mean) - self.mean) / self.scale
 
     def _load_from_state_dict(
         self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
@@ -103,11 +102,6 @@ class SuccessClassifier(nn.Module):
             if isinstance(given, Tensor) and given.ndim == 1:
                 self._buffers[name] = self.mean.new_zeros(given.shape)
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
-
-
-def features_of(percept: Tensor) -> Tensor:
-    """The features (..., F) that the classifier sees of a percept (..., D)."""
-    return geometry.placement_features(percept) if percept.shape[-1] >= 7 else percept
 
 
 def fit_success_classifier(
@@ -132,7 +126,7 @@ def fit_success_classifier(
         seed: Seed or generator of folds, subset and solver.
         folds: Number of stratified folds, for the grid and for Platt's probabilities.
         C: Costs to try.
-        gamma: Kernel widths to try, on standardised features.
+        gamma: Kernel widths to try, on scaled percepts.
         grid_rows: Random rows that the grid is scored on, None for all.
         class_weight: None, "balanced", or a factor on C per class.
         progress: Called with (cells done, all cells).
@@ -151,12 +145,13 @@ def fit_success_classifier(
     signs = signs.to(rows)
     inputs.check_memory(len(rows), max_memory)
     generator = inputs.generator_of(seed)
-    raw = features_of(rows)
     model = SuccessClassifier().to(rows.device)
-    spread, mean = raw.std(0, correction=0), raw.mean(0)
-    model.mean = mean
-    model.scale = torch.where(spread <= 1e-9 * (1 + mean.abs()), 1.0, spread)
-    features = (raw - model.mean) / model.scale
+    model.mean = rows.mean(0)
+    # One scale for all coordinates: they are lengths, and what hardly varies is hardly more than
+    # noise, which a scale of its own would blow up.
+    spread = rows.var(0, correction=0).mean().sqrt()
+    model.scale = torch.where(spread > 0, spread, 1.0).expand_as(model.mean).clone()
+    features = (rows - model.mean) / model.scale
 
     some = torch.randperm(len(rows), generator=generator)[: grid_rows or len(rows)]
     some = some.to(rows.device)

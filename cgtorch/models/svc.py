@@ -92,8 +92,10 @@ class SVC(KernelMachine):
         self._check_fitted()
         return self.classes
 
-    def fit(self, x: Any, y: Any) -> Self:
+    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
         """Solve the dual problem on rows x (n, d) with labels y (n,).
+
+        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
 
         Raises:
             DataError: Wrong shapes, NaN, not two classes, too few rows for the folds, or more
@@ -114,11 +116,13 @@ class SVC(KernelMachine):
         problem = classification(
             signs, caps, row_weights(signs, classes, self.class_weight, everything)
         )
-        found = solve(matrix, problem, generator, last=FINAL_RIDGE, tolerance=1e-6)
+        start = self._start(len(rows), problem) if warm else None
+        found = solve(matrix, problem, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
         platt = torch.full((2,), torch.nan, dtype=torch.float64, device=rows.device)
         if self.probability:
             platt = self._platt(matrix, signs, classes, problem, found, generator)
         self._keep(rows, found.beta, found.bias, found.gap, gamma)
+        self.cost = caps
         self.classes, self.platt = classes.to(rows), platt
         return self
 
@@ -142,7 +146,7 @@ class SVC(KernelMachine):
         held = classification(signs, problem.cap.expand(count).contiguous(), weight)
         beta = found.beta.expand(count, -1) * masks
         start = beta, found.bias.expand(count), found.status.expand(count, -1) * masks
-        parts = solve(matrix, held, generator, start, first=0.03, last=FINAL_RIDGE, tolerance=1e-6)
+        parts = solve(matrix, held, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
         values = parts.product + parts.bias[:, None]
         decision = values[folds.to(signs.device), torch.arange(len(signs), device=signs.device)]
         return torch.stack(fit_platt(decision, signs))

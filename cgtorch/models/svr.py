@@ -44,6 +44,7 @@ class SVR(KernelMachine):
     """
 
     squeeze: Tensor
+    tube: Tensor
 
     def __init__(
         self,
@@ -62,9 +63,12 @@ class SVR(KernelMachine):
         self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
         self.seed, self.max_memory = seed, max_memory
         self.register_buffer("squeeze", torch.tensor(True))
+        self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
 
-    def fit(self, x: Any, y: Any) -> Self:
+    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
         """Solve the dual problems on rows x (n, d) with targets y (n,) or (n, k).
+
+        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
 
         Raises:
             DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
@@ -81,14 +85,17 @@ class SVR(KernelMachine):
         inputs.check_memory(len(rows), self.max_memory)
         gamma = resolve_gamma(self.gamma, rows)
         kernel = make_kernel(self.kernel, gamma, self.degree, self.coef0)
+        problems = regression(targets, cap, tube, torch.ones_like(targets))
         found = solve(
             kernel_matrix(kernel, rows),
-            regression(targets, cap, tube, torch.ones_like(targets)),
+            problems,
             inputs.generator_of(self.seed),
+            self._start(len(rows), problems) if warm else None,
             last=FINAL_RIDGE,
             tolerance=1e-6,
         )
         self._keep(rows, found.beta, found.bias, found.gap, gamma)
+        self.cost, self.tube = cap, tube
         self.squeeze = torch.tensor(given.ndim == 1, device=rows.device)
         return self
 

@@ -100,11 +100,15 @@ class TransitionModel(nn.Module):
         """Next percept (..., 7) and novelty (...), from one kernel evaluation."""
         return self._both(percept, motion)
 
+    def features(self, percept: Tensor, motion: Tensor) -> Tensor:
+        """The standardised features (..., 6) that the machine sees."""
+        raw = geometry.turn_features(geometry.to_parts(percept), motion)
+        return (raw.to(self.mean) - self.mean) / self.scale
+
     def _both(self, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
         geometry.check_percept(percept, motion)
         parts = geometry.to_parts(percept)
-        features = (geometry.turn_features(parts, motion).to(self.mean) - self.mean) / self.scale
-        residual, distance = self.machine.values_and_distance(features)
+        residual, distance = self.machine.values_and_distance(self.features(percept, motion))
         residual = (residual * self.residual_scale).to(percept.dtype)
         following = geometry.from_parts(geometry.move_rigidly(parts, motion) + residual)
         return following, (1 - torch.exp2(-distance / self.reach)).to(percept.dtype)
@@ -195,7 +199,7 @@ def fit_transition_model(
     )
     learnt, choice, held_out = _choose(grid, target[some])
     gaps = _fit_machine(model.machine, features, target, learnt, choice, generator, max_memory)
-    model.reach = _rim(model.machine, features)
+    model.reach = rim(model.machine, features)
     predicted = geometry.from_parts(rigid[some] + held_out * model.residual_scale)
     report = TransitionReport(
         rows=len(p),
@@ -258,7 +262,7 @@ def _fit_machine(
     gamma = choice[0].gamma
     index = torch.tensor([k for k, use in enumerate(learnt) if use], dtype=torch.long)
     beta, bias = torch.zeros_like(target.T), target.new_zeros(7)
-    gap = target.new_zeros(7)
+    gap, cost, tube = target.new_zeros(7), target.new_zeros(7), target.new_zeros(7)
     if len(index):
         chosen = [choice[k] for k in index.tolist()]
         part = SVR(
@@ -270,15 +274,17 @@ def _fit_machine(
         ).fit(features, target[:, index])
         beta[index[:, None], part.support] = part.weights.T
         bias[index], gap[index] = part.bias, part.gap
+        cost[index], tube[index] = part.cost, part.tube
     else:
         beta[0, :_QUIET_CENTRES] = 1e-300  # centres only, to tell novelty from
     machine.set_params(gamma=gamma)
     machine._keep(features, beta, bias, gap, gamma)
+    machine.cost, machine.tube = cost, tube
     machine.squeeze = torch.tensor(False, device=features.device)
     return tuple(gap.tolist())
 
 
-def _rim(machine: KernelMachine, features: Tensor) -> Tensor:
+def rim(machine: KernelMachine, features: Tensor) -> Tensor:
     """Squared distance () that 95 % of training rows have a centre other than themselves within."""
     some = features[:: max(1, len(features) // 1024)]
     distance = torch.cdist(some, machine.centres).square()
