@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands.command import run_command
+from cgtorch.commands.command import import_from_here, run_command
 
 EXAMPLES = """\b
 Examples:
@@ -26,7 +26,7 @@ Examples:
 )
 @click.option("--count", type=click.IntRange(1, 1_000_000), default=40, show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
-@click.option("--actions", multiple=True, help="Further actions that a skill file uses.")
+@click.option("--actions", multiple=True, help="Further actions that the skill uses.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.version_option(package_name="cgtorch")
 def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
@@ -45,11 +45,12 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
     from cgtorch.world import LAB_NOISE
 
     torch.set_num_threads(1)
+    import_from_here(rest["actions"])
     if path.is_file():
         skill = load_skill(path, resolve_actions(rest["actions"]))
         world_of = tabletop_of(load_robot(), LAB_NOISE)
     else:
-        run, skill = last_skill(path)
+        run, skill = last_skill(path, rest["actions"])
         world_of = run.world_of
     score = evaluate_skill(skill, world_of, scenarios, count, seed)
     low, high = score.interval

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands.command import options_of, run_command
+from cgtorch.commands.command import import_from_here, options_of, run_command
 from cgtorch.errors import RunError, SettingsError
 from cgtorch.experiments.settings import RunSettings
 
@@ -48,12 +48,13 @@ def command(context: click.Context, /, **options: Any) -> None:
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
     stage, quiet, device = options["stage"], options["quiet"], options["device"]
+    import_from_here(options["actions"])
     if options["resume"]:
-        if odd := sorted(given - {"resume", "stage", "quiet", "device"}):
+        if odd := sorted(given - {"resume", "stage", "quiet", "device", "actions"}):
             raise SettingsError(
                 f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
             )
-        carry_on(options["resume"], stage, device, quiet)
+        carry_on(options["resume"], options["actions"], stage, device, quiet)
         return
     values = {k: v for k, v in options.items() if k not in names}
     settings = RunSettings(**{**values, "actions": tuple(values["actions"])})

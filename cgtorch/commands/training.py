@@ -1,5 +1,6 @@
 """What `cgtorch-train` does once its options are understood."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -26,17 +27,17 @@ def begin(
     stages_up_to(stage)
     where = device_of(device)
     if (folder / "run.json").is_file():
-        run = open_run(folder)
+        run = open_run(folder, settings.actions)
         _same(run, settings)
     else:
         run = create_run(folder, settings, urdf, robot)
     _train(run, stage, where, quiet)
 
 
-def carry_on(folder: Path, stage: str, device: str, quiet: bool) -> None:
+def carry_on(folder: Path, trusted: Sequence[str], stage: str, device: str, quiet: bool) -> None:
     """Go on with a run under the settings it has."""
     stages_up_to(stage)
-    _train(open_run(folder), stage, device_of(device), quiet)
+    _train(open_run(folder, trusted), stage, device_of(device), quiet)
 
 
 def device_of(name: str) -> torch.device:

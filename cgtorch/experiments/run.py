@@ -10,7 +10,7 @@ events.out.…        TensorBoard
 
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,15 +19,14 @@ from pathlib import Path
 import torch
 
 import cgtorch
-from cgtorch.actions import ActionSet
-from cgtorch.actions.registry import resolve_actions
-from cgtorch.errors import RunError
+from cgtorch.actions import ActionSet, check_action, paper_actions, resolve_actions
+from cgtorch.errors import ActionError, RunError
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
-from cgtorch.world import Noise, Scenarios, TabletopWorld
+from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 
 FORMAT, VERSION = "cgtorch-run", 1
 
@@ -84,29 +83,37 @@ def create_run(
         RunError: the folder cannot be written or holds other things.
     """
     robot = load_robot(urdf, description)
-    actions = resolve_actions(settings.actions)
+    actions = _checked_actions(robot, settings)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
     source = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else urdf
     words = source.parent / "robot.json" if description is None else description
-    try:
-        robot_bytes, words_bytes = source.read_bytes(), words.read_bytes()
-        (folder / "robot").mkdir(parents=True)
-    except OSError as e:
-        raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
-    write_bytes(folder / "robot" / "robot.urdf", robot_bytes)
-    write_bytes(folder / "robot" / "robot.json", words_bytes)
     about = {"format": FORMAT, "version": VERSION, "cgtorch": cgtorch.__version__}
     about["torch"] = str(torch.__version__)
-    write_json(folder / "run.json", {**about, "settings": settings.to_dict()})
+    try:
+        robot_bytes, words_bytes = source.read_bytes(), words.read_bytes()
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
+    with whole_folder(folder) as new:
+        (new / "robot").mkdir()
+        write_bytes(new / "robot" / "robot.urdf", robot_bytes)
+        write_bytes(new / "robot" / "robot.json", words_bytes)
+        write_json(new / "run.json", {**about, "settings": settings.to_dict()})
     return Run(folder, settings, robot, actions)
 
 
-def open_run(folder: Path) -> Run:
+def open_run(folder: Path, trusted: Sequence[str] = ()) -> Run:
     """Open a run.
+
+    Args:
+        folder: where it is.
+        trusted: "package.module:Class" of actions that may be imported. What a file names is not
+            imported just because the file says so.
 
     Raises:
         RunError: there is none, or it is of another version, or damaged.
+        ActionError: it uses an action that is not trusted or cannot be found.
     """
     if not (folder / "run.json").is_file():
         raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
@@ -119,23 +126,42 @@ def open_run(folder: Path) -> Run:
             f"{VERSION}; use the version that wrote it"
         )
     settings = settings_from_dict(about.get("settings"))
+    for spec in settings.actions:
+        if ":" in spec and spec not in trusted:
+            raise ActionError(
+                f"run {str(folder)!r} uses action {spec!r}, which is code of its own; if you trust "
+                f"it, add --actions {spec}"
+            )
     robot = load_robot(folder / "robot" / "robot.urdf", folder / "robot" / "robot.json")
-    return Run(folder, settings, robot, resolve_actions(settings.actions))
+    return Run(folder, settings, robot, _checked_actions(robot, settings))
 
 
-def last_skill(path: Path) -> tuple[Run, Skill]:
+def _checked_actions(robot: Robot, settings: RunSettings) -> ActionSet:
+    """The run's actions; those that are not built in are tried on two lanes."""
+    actions = resolve_actions(settings.actions)
+    built_in = set(paper_actions().names)
+    world = tabletop_of(robot, LAB_NOISE)(stage_scenarios("near", 2))
+    for name, action in zip(actions.names, actions.actions, strict=True):
+        if name not in built_in:
+            check_action(name, action, world)
+    return actions
+
+
+def last_skill(path: Path, trusted: Sequence[str] = ()) -> tuple[Run, Skill]:
     """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
+
+    `trusted` is that of `open_run`.
 
     Raises:
         RunError: there is no run, or no skill in it yet.
     """
     if (path / "run.json").is_file():
-        run = open_run(path)
+        run = open_run(path, trusted)
         if not run.stages:
             raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
         return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
     if (path / "skill.json").is_file():
-        run = open_run(path.parent)
+        run = open_run(path.parent, trusted)
         return run, load_skill(path / "skill.json", run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 

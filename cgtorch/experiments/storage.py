@@ -14,6 +14,17 @@ from cgtorch.errors import RunError
 from cgtorch.evolution import Population
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Graphs
+from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.models import (
+    Choice,
+    SuccessClassifier,
+    SuccessReport,
+    TransitionModel,
+    TransitionReport,
+    load_model,
+    load_report,
+    save_model,
+)
 from cgtorch.world import Scenarios
 
 MAX_BYTES = 2**30
@@ -65,6 +76,41 @@ def load_dataset(path: Path) -> Dataset:
     if not whole:
         raise RunError(f"the tensors of {str(path)!r} do not fit one another; restore the file")
     return data
+
+
+def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
+    """Write data, Γ and C into a folder."""
+    save_dataset(folder / "data.safetensors", knowledge.dataset, notes)
+    save_model(folder / "gamma.safetensors", knowledge.gamma, knowledge.gamma_report)
+    save_model(folder / "classifier.safetensors", knowledge.classifier, knowledge.classifier_report)
+
+
+def load_knowledge(folder: Path) -> Knowledge:
+    """Read what `save_knowledge` wrote.
+
+    Raises:
+        RunError: a file holds another kind of model, or a report that is none.
+        ModelError: a model file is damaged.
+    """
+    paths = folder / "gamma.safetensors", folder / "classifier.safetensors"
+    gamma, classifier = (load_model(path) for path in paths)
+    if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
+        raise RunError(f"{str(folder)!r} holds other models than Γ and C; restore the files")
+    reports = [load_report(path) for path in paths]
+    try:
+        about = reports[0]["choice"], reports[1]["choice"]
+        first = tuple(None if c is None else Choice(**c) for c in about[0])
+        gamma_report = TransitionReport(**{**_frozen(reports[0]), "choice": first})
+        report = SuccessReport(**{**_frozen(reports[1]), "choice": Choice(**about[1])})
+    except (TypeError, KeyError) as e:
+        raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
+    data = load_dataset(folder / "data.safetensors")
+    return Knowledge(data, gamma, classifier, gamma_report, report)
+
+
+def _frozen(report: dict[str, Any]) -> dict[str, Any]:
+    """JSON's lists as the tuples they were."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in report.items()}
 
 
 def save_population(path: Path, population: Population) -> None:

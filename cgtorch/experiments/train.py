@@ -17,10 +17,10 @@ from cgtorch.experiments.evaluate import Score, evaluate_skill
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
 from cgtorch.experiments.storage import (
-    load_dataset,
+    load_knowledge,
     load_population,
     load_scenarios,
-    save_dataset,
+    save_knowledge,
     save_population,
     save_scenarios,
 )
@@ -36,9 +36,8 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import Progress, Setup, improve
-from cgtorch.improvement.knowledge import Knowledge, fit_models
+from cgtorch.improvement.knowledge import fit_models
 from cgtorch.improvement.specialists import Budget
-from cgtorch.models import load_model, load_report, save_model
 from cgtorch.world import stage_scenarios
 
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
@@ -94,9 +93,7 @@ def train(
     return results
 
 
-def _begin(
-    run: Run, watch: Watch, working: Working
-) -> Progress:
+def _begin(run: Run, watch: Watch, working: Working) -> Progress:
     """Data, labels and models before the first stage, made once and kept in the run."""
     start = run.folder / "start"
     if start.is_dir():
@@ -214,13 +211,10 @@ def _counts(placement: str, score: Score) -> dict[str, Any]:
 
 def save_progress(folder: Path, progress: Progress, seed: int) -> None:
     """Write all that the next stage needs into a folder."""
-    knowledge = progress.knowledge
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
     save_scenarios(folder / "scenarios.json", {"W": progress.solved, "M": progress.missed})
-    save_dataset(folder / "data.safetensors", knowledge.dataset, {"seed": str(seed)})
-    save_model(folder / "gamma.safetensors", knowledge.gamma, knowledge.gamma_report)
-    save_model(folder / "classifier.safetensors", knowledge.classifier, knowledge.classifier_report)
+    save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
     if progress.specialists is not None:
         save_population(folder / "specialists.safetensors", progress.specialists)
 
@@ -228,8 +222,7 @@ def save_progress(folder: Path, progress: Progress, seed: int) -> None:
 def load_progress(run: Run, folder: Path) -> Progress:
     """Read what `save_progress` wrote."""
     solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
-    knowledge = load_knowledge(folder)
-    progress = Progress(None, solved, missed, knowledge)
+    progress = Progress(None, solved, missed, load_knowledge(folder))
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if (folder / "specialists.safetensors").is_file():
