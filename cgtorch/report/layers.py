@@ -51,7 +51,7 @@ class Rows:
 def in_rows(nodes: Sequence[Hashable], start: Hashable, links: Sequence[Link]) -> Rows:
     """Rows for a graph whose nodes can all be reached from `start`; loops are left out."""
     found = [_ordered(_cut(nodes, links, order)) for order in _node_orders(nodes, start, links)]
-    return min(found, key=lambda rows: 10 * _all_crossings(rows) + len(rows.below))
+    return min(found, key=lambda rows: 10 * crossings(rows) + len(rows.below))
 
 
 def _node_orders(
@@ -112,7 +112,7 @@ def _cut(nodes: Sequence[Hashable], links: Sequence[Link], order: list[Hashable]
 
 def _ordered(rows: Rows) -> Rows:
     """The rows in the order, among those that sweeps up and down find, with fewest crossings."""
-    best, fewest = [row[:] for row in rows.rows], _all_crossings(rows)
+    best, fewest = [row[:] for row in rows.rows], crossings(rows)
     for sweep in range(SWEEPS):
         down = sweep % 2 == 0
         numbers = range(1, len(rows.rows)) if down else range(len(rows.rows) - 2, -1, -1)
@@ -120,8 +120,8 @@ def _ordered(rows: Rows) -> Rows:
         for r in numbers:
             _sort_by_mean(rows.rows, r, r - 1 if down else r + 1, beside)
         _swap(rows)
-        if (crossings := _all_crossings(rows)) < fewest:
-            best, fewest = [row[:] for row in rows.rows], crossings
+        if (count := crossings(rows)) < fewest:
+            best, fewest = [row[:] for row in rows.rows], count
     rows.rows[:] = best
     return rows
 
@@ -159,7 +159,7 @@ def _pair(beside: dict[int, list[int]], place: dict[int, int], a: int, b: int) -
     return sum(place[m] > place[n] for m in beside[a] for n in beside[b])
 
 
-def _all_crossings(rows: Rows) -> int:
+def crossings(rows: Rows) -> int:
     """How many pairs of pieces cross."""
     count = 0
     for upper, lower in pairwise(rows.rows):
