@@ -154,7 +154,7 @@ class KernelMachine(nn.Module):
         self._check_fitted()
         if len(self.bias) != len(problems.z) or int(self.support.max()) >= rows:
             raise DataError(
-                f"{rows} rows with {len(problems.z)} outputs do not begin with the rows of the last "
+                f"{rows} rows with {len(problems.z)} outputs do not begin with those of the last "
                 "fit; pass all known rows first, in the same order, and the new ones after them"
             )
         beta = torch.zeros_like(problems.z)

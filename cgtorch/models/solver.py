@@ -179,6 +179,7 @@ def _line_search(
     low, high = torch.zeros_like(h), torch.ones_like(h)
     noise = 1e-13 * (residual.abs() * problems.cap[:, None] * change.abs()).sum(1)
     full = derivative(high) <= 0.5 * derivative(low).abs() + noise
+    full = full | (derivative(low) >= 0)
     if bool(full.all()):
         return high
     for _ in range(12):
@@ -221,22 +222,29 @@ def _first_point(
     return beta, bias, first_rung(quarter.status, boxes[:, part])
 
 
-def _free_set(
-    part: Problems, status: Tensor, value: Tensor, slope: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Which coefficients are free (P, n), and which of them only because a problem had none.
+def _with_pivot(part: Problems, h: Tensor, residual: Tensor, status: Tensor) -> Tensor:
+    """Statuses (P, n) with one coefficient freed in each problem that has no free one.
 
-    Without a free coefficient the bias would have no equation, so the one nearest to being free
-    is freed.
+    Without a free coefficient the bias would have no equation. The sum of the coefficients says
+    which way the bias has to go, and the first coefficient that leaves its bound on that way is
+    the one to free.
     """
-    free = status.abs() == 1
-    empty = (~free.any(1)).nonzero().flatten()
-    forced = torch.zeros_like(free)
-    if len(empty):
-        distance = (value - slope).abs()[empty]
-        distance = distance.masked_fill((part.upper == part.lower)[empty], torch.inf)
-        forced[empty, distance.argmin(1)] = True
-    return free | forced, forced
+    empty = (status.abs() != 1).all(1).nonzero().flatten()
+    if len(empty) == 0:
+        return status
+    part, h, r, status_of = part.take(empty), h[empty, None], residual[empty], status[empty]
+    width = part.epsilon[:, None]
+    excess = _slope(part, h[:, 0], r)[1].sum(1, keepdim=True) > 0
+    down = torch.where(status_of == _UPPER, r - width - h * part.upper, torch.inf)
+    down = torch.where((status_of == _ZERO) & (part.lower < 0), r + width, down)
+    up = torch.where(status_of == _LOWER, h * part.lower - width - r, torch.inf)
+    up = torch.where((status_of == _ZERO) & (part.upper > 0), width - r, up)
+    pivot = torch.where(excess, down, up).clamp_min(0).argmin(1)
+    old = status_of.gather(1, pivot[:, None])
+    side = torch.where(old == _ZERO, torch.where(excess, _NEGATIVE, _POSITIVE), old.sign())
+    status = status.clone()
+    status[empty, pivot] = side[:, 0].to(status.dtype)
+    return status
 
 
 def _direction(
@@ -255,11 +263,10 @@ def _direction(
     """
     beta, bias, product = point
     residual = part.z - product - bias[:, None]
-    value, slope = _slope(part, h, residual)
-    free, forced = _free_set(part, status, value, slope)
-    d = (_on_bounds(part, value, status) - beta).masked_fill(free, 0.0)
+    free = status.abs() == 1
+    d = (_on_bounds(part, beta, status) - beta).masked_fill(free, 0.0)
     right = residual - part.epsilon[:, None] * status.sign() - h[:, None] * beta
-    right = torch.where(forced, h[:, None] * (slope - beta), right) - times_kernel(d, kernel)
+    right = right - times_kernel(d, kernel)
     total = (beta + d).sum(1)
     shift = torch.zeros_like(bias)
     for row in range(len(h)):
@@ -325,6 +332,7 @@ def active_set(
         residual = part.z - g0 - b0[:, None]
         old = classify(_slope(part, h, residual)[0], part.lower, part.upper)
         old = torch.where(known[live][:, None], status[live], old)
+        old = _with_pivot(part, h, residual, old)
         exact = [precise[problem] for problem in live.tolist()]
         d, shift = _direction(kernel, single, part, h, (x0, b0, g0), old, exact)
         move = times_kernel(d, kernel)
@@ -395,7 +403,8 @@ def solve(
     found = active_set(kernel, problems, start, generator, last=last)
     beta = torch.minimum(torch.maximum(found.beta, problems.lower), problems.upper)
     bias = found.bias.clone()
-    failed = (~found.direct).nonzero().flatten()
+    direct = found.direct & _small_gap(problems, found, last)
+    failed = (~direct).nonzero().flatten()
     for problem in failed.tolist():
         beta[problem], bias[problem] = smo.solve(
             kernel,
@@ -407,6 +416,7 @@ def solve(
             tolerance,
         )
     product = beta @ kernel
+    bias = _middle_bias(problems, beta, bias, product)
     status = found.status.clone()
     if len(failed):
         status[failed] = _status_of(problems.take(failed), beta[failed])
@@ -417,8 +427,32 @@ def solve(
         status,
         duality_gap(problems, beta, bias, product),
         dual_objective(problems, beta, product),
-        found.direct,
+        direct,
     )
+
+
+def _small_gap(problems: Problems, found: Solutions, last: float) -> Tensor:
+    """Whether the gap (P,) is what the last ridge and rounding explain, as a final check."""
+    box = torch.maximum(problems.upper, -problems.lower)
+    allowed = 0.5 * last / problems.cap * box.square().sum(1) + 1e-6 * found.objective.abs()
+    return found.gap <= allowed + 1e-9 * box.sum(1)
+
+
+def _middle_bias(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
+    """Biases (P,), in the middle of what is optimal where no free coefficient fixes them.
+
+    That is libsvm's rule (Chang & Lin 2011, section 4.1.5).
+    """
+    box = torch.maximum(problems.upper, -problems.lower) * 1e-9
+    inside = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
+    width = problems.epsilon[:, None]
+    gradient = problems.z - product
+    rise = gradient - torch.where(beta >= -box, width, -width)
+    fall = gradient - torch.where(beta > box, width, -width)
+    low = rise.masked_fill(beta >= problems.upper - box, -torch.inf).amax(1)
+    high = fall.masked_fill(beta <= problems.lower + box, torch.inf).amin(1)
+    middle = (low + high) / 2
+    return torch.where(inside.any(1) | ~torch.isfinite(middle), bias, middle)
 
 
 def _status_of(problems: Problems, beta: Tensor) -> Tensor:

@@ -189,7 +189,8 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
     m, d = state[prefix + "centres"].shape
     k = state[prefix + "bias"].shape[0]
     shapes: dict[str, tuple[int, ...]] = {
-        "weights": (m, k), "gap": (k,), "cost": (k,), "tube": (k,), "support": (m,), "classes": (2,), "platt": (2,),
+        "weights": (m, k), "gap": (k,), "cost": (k,), "tube": (k,),
+        "support": (m,), "classes": (2,), "platt": (2,),
     }  # fmt: skip
     if isinstance(model, TransitionModel):
         fixed = d == len(model.mean) and k == 7
