@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -15,6 +15,8 @@ from cgtorch.models import (
     TransitionReport,
     fit_success_classifier,
     fit_transition_model,
+    update_success_classifier,
+    update_transition_model,
 )
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.world import motion_possible
@@ -99,8 +101,19 @@ MOST_NEW = 400  # rows of one experience that are learned from
 
 
 def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
-    """More experience and the models trained on all of it, hyper-parameters kept."""
-    return fit_models(knowledge.dataset.extended(sampled(experience, MOST_NEW, generator)), 0)
+    """Γ and C trained on more experience, from where they stand; hyper-parameters stay.
+
+    At most `MOST_NEW` transitions and as many grasps are added. The reports stay those of the
+    last cross-validation.
+    """
+    data = knowledge.dataset.extended(sampled(experience, MOST_NEW, generator))
+    gamma = update_transition_model(
+        knowledge.gamma, data.percept, data.motion, data.next_percept, seed=generator
+    )
+    classifier = update_success_classifier(
+        knowledge.classifier, data.grasp_percept, data.graspable, seed=generator
+    )
+    return replace(knowledge, dataset=data, gamma=gamma, classifier=classifier)
 
 
 def sampled(dataset: Dataset, most: int, generator: Generator) -> Dataset:
