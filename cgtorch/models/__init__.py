@@ -1,5 +1,6 @@
 """Kernel machines in torch, and the two models that evolving needs: Γ and C."""
 
+from cgtorch.models import geometry as geometry
 from cgtorch.models.compact import CompactReport as CompactReport
 from cgtorch.models.compact import compact as compact
 from cgtorch.models.compact import compact_success_classifier as compact_success_classifier

@@ -119,7 +119,9 @@ def test_what_does_not_converge_is_flagged_and_solved_by_smo(monkeypatch):
     found = solver.solve(kernel, problems, generator, last=1e-7, tolerance=1e-8)
     assert not bool(found.direct.any())
     _check_optimal(kernel, problems, found, 1e-4)
-    assert torch.allclose(found.product + found.bias[:, None], whole.product + whole.bias, atol=1e-4)
+    assert torch.allclose(
+        found.product + found.bias[:, None], whole.product + whole.bias, atol=1e-4
+    )
 
 
 def test_a_wrong_answer_shows_in_its_gap():

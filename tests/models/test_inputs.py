@@ -1,0 +1,127 @@
+"""Difficult data: the right answer, or one clear error."""
+
+import numpy as np
+import pytest
+import torch
+
+from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.models import SVC, SVR
+
+RNG = np.random.default_rng(0)
+X = RNG.standard_normal((40, 3))
+Y = (X[:, 0] > 0).astype(int)
+
+
+@pytest.mark.parametrize(
+    ("model", "x", "y", "error", "says"),
+    [
+        (SVC(), X, np.ones(40), DataError, "1 classes"),
+        (SVC(), X, np.arange(40), DataError, "40 classes"),
+        (SVC(), np.where(X > 2, np.nan, X), Y, DataError, "NaN"),
+        (SVR(), X, np.full(40, np.inf), DataError, "infinite"),
+        (SVC(), X, Y[:-1], DataError, "one label per row"),
+        (SVR(), X, Y[:-1], DataError, "one target per row"),
+        (SVR(), X[:0], Y[:0], DataError, "at least one row"),
+        (SVR(), X[:, 0], Y, DataError, "shape"),
+        (SVR(), np.array([["a"]]), Y, DataError, "not an array of numbers"),
+        (SVC(max_memory=10**4), X, Y, DataError, "GB"),
+        (SVC(C=0), X, Y, SettingsError, "C is 0"),
+        (SVR(C=[1.0, 2.0]), X, Y, SettingsError, "2 values for 1 outputs"),
+        (SVR(epsilon=-1.0), X, Y, SettingsError, "epsilon is -1"),
+        (SVC(gamma="huge"), X, Y, SettingsError, "huge"),
+        (SVC(kernel="magic"), X, Y, SettingsError, "magic"),
+        (SVC(class_weight="fair"), X, Y, SettingsError, "fair"),
+        (SVC(probability=True, folds=30), X, Y, DataError, "fewer than the 30 folds"),
+        (SVR(kernel=lambda a, b: a), X, Y, DataError, "the kernel returned shape"),
+    ],
+)
+def test_bad_input_is_one_clear_error(model, x, y, error, says):
+    with pytest.raises(error, match=says) as caught:
+        model.fit(x, y)
+    assert "\n" not in str(caught.value)
+    assert not model.fitted
+
+
+def test_a_million_rows_are_refused_with_the_memory_they_would_take():
+    rows = torch.zeros(1, 2).expand(1_000_000, 2)
+    with pytest.raises(DataError, match=r"1000000 rows would take 36000\.0 GB"):
+        SVR().fit(rows, torch.zeros(1_000_000))
+
+
+def test_an_unfitted_model_says_so():
+    with pytest.raises(ModelError, match="fit"):
+        SVR()(torch.zeros(1, 3))
+    with pytest.raises(ModelError, match="probability=True"):
+        SVC().fit(X, Y)(torch.zeros(1, 3))
+    with pytest.raises(DataError, match="2 features"):
+        SVC().fit(X, Y).predict(X[:, :2])
+    with pytest.raises(SettingsError, match="no parameter"):
+        SVR().set_params(colour="red")
+
+
+def test_duplicates_and_constant_features_change_nothing():
+    plain = SVC(3.0, gamma=0.5).fit(X, Y).decision_function(X)
+    wide = np.concatenate([X, np.full((40, 1), 7.0)], 1)
+    constant = SVC(3.0, gamma=0.5).fit(wide, Y).decision_function(wide)
+    np.testing.assert_allclose(constant, plain, atol=1e-6)
+    twice = SVC(1.5, gamma=0.5).fit(np.tile(X, (2, 1)), np.tile(Y, 2)).decision_function(X)
+    np.testing.assert_allclose(twice, plain, atol=1e-4)
+
+
+def test_all_features_constant_predicts_the_middle():
+    model = SVR(epsilon=0.1).fit(np.ones((10, 2)), np.arange(10.0))
+    assert 3.9 < model.predict(np.ones((1, 2)))[0] < 5.1
+
+
+def test_one_row_and_targets_inside_the_tube_give_a_constant():
+    assert SVR().fit(X[:1], [3.0]).predict(X).tolist() == pytest.approx([3.0] * 40, abs=0.11)
+    flat = SVR(epsilon=2.0).fit(X, X[:, 0] * 0.1)
+    assert np.ptp(flat.predict(X)) == 0
+
+
+def test_kinds_of_input_come_back_in_kind():
+    model = SVC(probability=True).fit(torch.tensor(X), torch.tensor(Y))
+    assert isinstance(model.predict(X), np.ndarray)
+    assert isinstance(model.predict(torch.tensor(X)), torch.Tensor)
+    assert set(model.predict(X).tolist()) == {0.0, 1.0}
+    assert model(torch.tensor(X).reshape(4, 10, 3)).shape == (4, 10)
+    np.testing.assert_allclose(model.predict_proba(X).sum(1), 1)
+    words = SVC().fit(X, np.where(Y > 0, 5, -2))
+    assert words.classes_.tolist() == [-2, 5]
+
+
+def test_the_global_state_of_torch_is_left_alone():
+    torch.manual_seed(3)
+    before = torch.get_rng_state(), torch.get_num_threads(), torch.get_default_dtype()
+    SVC(probability=True).fit(X, Y)
+    assert torch.equal(before[0], torch.get_rng_state())
+    assert before[1:] == (torch.get_num_threads(), torch.get_default_dtype())
+
+
+@pytest.mark.parametrize("kernel", ["rbf", "poly", "linear"])
+def test_forward_is_differentiable(kernel):
+    model = SVR(2.0, kernel=kernel, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1]], 1))
+    x = torch.tensor(X[:4], requires_grad=True)
+    assert torch.autograd.gradcheck(model, (x,))
+    chance = SVC(2.0, kernel=kernel, gamma=0.4, probability=True).fit(X, Y)
+    assert torch.autograd.gradcheck(chance, (x,))
+
+
+def test_chunks_and_gradient_path_agree():
+    model = SVR(5.0, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1], X[:, 2]], 1))
+    rows = torch.randn(5000, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    whole = model(rows.clone().requires_grad_())
+    assert torch.allclose(model(rows), whole, atol=1e-12)
+    plain = torch.exp(-0.4 * torch.cdist(rows, model.centres).square()) @ model.weights + model.bias
+    assert torch.allclose(model(rows), plain, atol=1e-9)
+    single = model.float()
+    assert torch.allclose(single(rows.float()).double(), plain, atol=1e-4)
+    assert model(rows[:0]).shape == (0, 3)
+
+
+def test_state_dict_is_complete():
+    model = SVC(probability=True).fit(X, Y)
+    copy = SVC()
+    copy.load_state_dict(model.state_dict())
+    assert torch.equal(copy(torch.tensor(X)), model(torch.tensor(X)))
+    assert copy.support_.tolist() == model.support_.tolist()
