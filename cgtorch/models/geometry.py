@@ -74,15 +74,3 @@ def turn_features(parts: Tensor, motion: Tensor) -> Tensor:
     turn = 2 * motion[..., 2]
     columns = turn.cos(), parts[..., 2], parts[..., 3], u * v * turn.sin(), u * u, v * v
     return torch.stack(torch.broadcast_tensors(*columns), dim=-1)
-
-
-def placement_features(percept: Tensor) -> Tensor:
-    """Features (..., D + 5) of a percept (..., D >= 7), m.
-
-    They are the percept itself, the object's distances to the four sides of the box, and its
-    distance from the robot.
-    """
-    x_min, x_max, y_min, y_max, x, y = percept[..., :6].unbind(-1)
-    reach = (x * x + y * y + 1e-12).sqrt()
-    sides = torch.stack([x - x_min, x_max - x, y - y_min, y_max - y, reach], dim=-1)
-    return torch.cat([percept, sides], dim=-1)

@@ -7,7 +7,9 @@ every larger C unchanged.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any
 
 import torch
@@ -120,6 +122,7 @@ def grid_search(
     folds: Any = 5,
     seed: int | torch.Generator = 0,
     scoring: str | None = None,
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> GridResult:
     """Score every (gamma, epsilon, C) by cross-validation.
@@ -134,7 +137,8 @@ def grid_search(
         folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
         seed: Seed or generator of the folds and of the solver.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
-        progress: Called after every cell with (done, all).
+        workers: Threads that share the gammas out; the result does not depend on their number.
+        progress: Called after every cell with (done, all), one call at a time.
 
     Returns:
         The scores and the choice.
@@ -147,74 +151,109 @@ def grid_search(
     scoring = scoring or ("accuracy" if classifier else "r2")
     if scoring not in SCORES:
         raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    if workers < 1:
+        raise SettingsError(f"workers is {workers}; it must be at least 1")
     rows = inputs.as_rows(x)
+    inputs.check_memory(len(rows), model.max_memory // workers)
     generator = inputs.generator_of(seed)
-    inputs.check_memory(len(rows), model.max_memory)
     costs, widths = _axis(C, "C").sort().values.to(rows), _axis(gamma, "gamma").to(rows)
     if isinstance(model, SVC):
         classes, signs = inputs.as_binary(y, len(rows))
-        targets = signs.to(rows)[None]
-        tubes = torch.zeros(1).to(rows)
+        targets, tubes = signs.to(rows)[None], torch.zeros(1).to(rows)
     else:
         targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
         tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon").to(rows)
-    if not isinstance(folds, int):
-        numbers = given_folds(folds, len(rows))
-    elif classifier:
-        numbers = stratified_folds(targets[0], folds, generator)
-    else:
-        numbers = plain_folds(len(rows), folds, generator)
+    numbers = _folds(folds, targets, classifier, generator)
     masks = training_masks(numbers).to(rows.device)
     every = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
-    masks = torch.cat([every, masks])
-
+    weight = torch.cat([every, masks]).to(rows)
     if isinstance(model, SVC):
-        weight = row_weights(targets[0], classes, model.class_weight, masks)
-    else:
-        weight = masks.to(rows)
+        weight = row_weights(targets[0], classes, model.class_weight, weight > 0)
+    task = _Task(model, rows, targets, weight, numbers.to(rows.device), costs, tubes, classifier)
 
-    def problems(cap: Tensor, tube: Tensor) -> Problems:
-        """All rows, then the folds (P = 1 + F, times K outputs in the last place)."""
-        count = len(masks) * len(targets)
-        caps = cap.expand(count).contiguous()
-        each = weight.repeat_interleave(len(targets), 0)
-        if classifier:
-            return classification(targets[0], caps, each)
-        return regression(
-            targets.repeat(len(masks), 1), caps, tube.expand(count).contiguous(), each
-        )
-
-    shape = len(widths), len(tubes), len(costs), len(targets)
-    held_out = torch.zeros(*shape, len(rows), dtype=rows.dtype, device=rows.device)
-    gap = torch.zeros(shape, dtype=rows.dtype, device=rows.device)
-    direct = torch.ones(shape, dtype=torch.bool, device=rows.device)
-    done = 0
-    for g, width in enumerate(widths):
-        kernel = make_kernel(model.kernel, float(width), model.degree, model.coef0)
-        matrix = kernel_matrix(kernel, rows)
-        for e, tube in enumerate(tubes):
-            before = None
-            for c, cap in enumerate(costs):
-                before = _solve_group(matrix, problems(cap, tube), len(targets), before, generator)
-                folded = before.product + before.bias[:, None]
-                folded = folded[len(targets) :].reshape(len(masks) - 1, len(targets), -1)
-                held_out[g, e, c] = folded.permute(1, 0, 2)[
-                    :, numbers.to(rows.device), torch.arange(len(rows), device=rows.device)
-                ]
-                relative = before.gap / before.objective.abs().clamp_min(1e-12)
-                gap[g, e, c] = relative.reshape(len(masks), -1).amax(0)
-                direct[g, e, c] = before.direct.reshape(len(masks), -1).all(0)
-                done += 1
-                if progress is not None:
-                    progress(done, len(widths) * len(tubes) * len(costs))
+    seeds = torch.randint(2**62, (len(widths),), generator=generator).tolist()
+    report = _Counter(progress, len(widths) * len(tubes) * len(costs))
+    with ThreadPoolExecutor(workers) as pool:
+        cells = list(pool.map(lambda w, s: _solve_width(task, w, s, report), widths, seeds))
+    held_out, gap, direct = (torch.stack(parts) for parts in zip(*cells, strict=True))
     scores = torch.stack(
-        [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks[1:]],
-        dim=-1,
+        [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks], dim=-1
     )
     best, common = _choices(scores.mean(-1), widths, tubes, costs)
     return GridResult(
         costs, widths, tubes, scoring, scores, held_out, gap, direct, numbers, best, common
     )
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What the cells of a grid share; `weight` (1 + F, n) is of all rows and of each fold."""
+
+    model: SVC | SVR
+    rows: Tensor
+    targets: Tensor
+    weight: Tensor
+    folds: Tensor
+    costs: Tensor
+    tubes: Tensor
+    classifier: bool
+
+    def problems(self, cap: Tensor, tube: Tensor) -> Problems:
+        """One cell: all rows, then the folds, with the K outputs in the last place."""
+        count = len(self.weight) * len(self.targets)
+        caps, tubes = (value.expand(count).contiguous() for value in (cap, tube))
+        weight = self.weight.repeat_interleave(len(self.targets), 0)
+        if self.classifier:
+            return classification(self.targets[0], caps, weight)
+        return regression(self.targets.repeat(len(self.weight), 1), caps, tubes, weight)
+
+
+class _Counter:
+    """Counts finished cells of all workers and tells the caller of each."""
+
+    def __init__(self, progress: Progress | None, cells: int) -> None:
+        self._progress, self._cells, self._done, self._lock = progress, cells, 0, Lock()
+
+    def add(self) -> None:
+        with self._lock:
+            self._done += 1
+            if self._progress is not None:
+                self._progress(self._done, self._cells)
+
+
+def _folds(folds: Any, targets: Tensor, classifier: bool, generator: torch.Generator) -> Tensor:
+    """Fold numbers (n,), given or drawn."""
+    if not isinstance(folds, int):
+        return given_folds(folds, targets.shape[1])
+    if classifier:
+        return stratified_folds(targets[0], folds, generator)
+    return plain_folds(targets.shape[1], folds, generator)
+
+
+def _solve_width(
+    task: _Task, width: Tensor, seed: int, counter: _Counter
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Held-out values (E, N, K, n), relative gaps and directness (E, N, K) at one gamma."""
+    model, generator = task.model, torch.Generator().manual_seed(seed)
+    matrix = kernel_matrix(
+        make_kernel(model.kernel, float(width), model.degree, model.coef0), task.rows
+    )
+    outputs, blocks = len(task.targets), len(task.weight)
+    shape = len(task.tubes), len(task.costs), outputs
+    held_out = task.rows.new_zeros(*shape, len(task.rows))
+    gap, direct = task.rows.new_zeros(shape), torch.ones(shape, dtype=torch.bool)
+    index = torch.arange(len(task.rows), device=matrix.device)
+    for e, tube in enumerate(task.tubes):
+        found: Solutions | None = None
+        for c, cap in enumerate(task.costs):
+            found = _solve_cell(matrix, task.problems(cap, tube), outputs, found, generator)
+            value = (found.product + found.bias[:, None]).reshape(blocks, outputs, -1)[1:]
+            held_out[e, c] = value[task.folds, :, index].T
+            relative = found.gap / found.objective.abs().clamp_min(1e-12)
+            gap[e, c] = relative.reshape(blocks, outputs).amax(0)
+            direct[e, c] = found.direct.reshape(blocks, outputs).all(0).cpu()
+            counter.add()
+    return held_out, gap, direct
 
 
 def _axis(values: Any, name: str) -> Tensor:
@@ -225,14 +264,14 @@ def _axis(values: Any, name: str) -> Tensor:
     return torch.tensor([inputs.positive(value, name) for value in given], dtype=torch.float64)
 
 
-def _solve_group(
+def _solve_cell(
     matrix: Tensor,
     problems: Problems,
     outputs: int,
     before: Solutions | None,
     generator: torch.Generator,
 ) -> Solutions:
-    """Solve a group of cells, all rows first and then the folds from their statuses.
+    """Solve one cell, all rows first and then the folds from their statuses.
 
     The first `outputs` problems are on all rows and each further block of as many is a fold.
     `before` holds the same problems at a smaller C: where it touches no bound it still holds.

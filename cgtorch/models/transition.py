@@ -21,7 +21,7 @@ from cgtorch.models.machine import KernelMachine
 from cgtorch.models.svr import SVR
 
 C_GRID = (1.0, 4.0, 16.0, 64.0)
-GAMMA_GRID = (0.05, 0.1, 0.2, 0.4)
+GAMMA_GRID = (0.1, 0.2, 0.4, 0.8)
 EPSILON_GRID = (0.05,)
 GRID_ROWS = 700
 _QUIET_CENTRES = 256

@@ -67,6 +67,16 @@ def test_given_folds_are_used_and_seeds_repeat():
     assert not torch.equal(again[0], again[2])
 
 
+def test_the_number_of_workers_changes_nothing():
+    x, y = labelled(300)
+    one, two = (
+        grid_search(SVC(), x, y, C=COSTS, gamma=WIDTHS, workers=workers) for workers in (1, 2)
+    )
+    assert torch.equal(one.held_out, two.held_out)
+    with pytest.raises(SettingsError, match="workers is 0"):
+        grid_search(SVC(), x, y, C=COSTS, gamma=WIDTHS, workers=0)
+
+
 @pytest.mark.parametrize(
     ("settings", "error", "says"),
     [
