@@ -138,7 +138,7 @@ def grid_search(
         seed: Seed or generator of the folds and of the solver.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
         workers: Threads that share the gammas out; the result does not depend on their number.
-        progress: Called after every cell with (done, all), one call at a time.
+        progress: Called as cells are done with (done, all), one call at a time.
 
     Returns:
         The scores and the choice.
@@ -198,14 +198,15 @@ class _Task:
     tubes: Tensor
     classifier: bool
 
-    def problems(self, cap: Tensor, tube: Tensor) -> Problems:
-        """One cell: all rows, then the folds, with the K outputs in the last place."""
-        count = len(self.weight) * len(self.targets)
-        caps, tubes = (value.expand(count).contiguous() for value in (cap, tube))
-        weight = self.weight.repeat_interleave(len(self.targets), 0)
+    def problems(self, caps: Tensor, tube: Tensor) -> Problems:
+        """Cells at costs `caps` (N,): all rows, then each fold, each for all costs and outputs."""
+        blocks, outputs = len(self.weight), len(self.targets)
+        each = caps.repeat_interleave(outputs).repeat(blocks)
+        weight = self.weight.repeat_interleave(len(caps) * outputs, 0)
         if self.classifier:
-            return classification(self.targets[0], caps, weight)
-        return regression(self.targets.repeat(len(self.weight), 1), caps, tubes, weight)
+            return classification(self.targets[0], each, weight)
+        targets = self.targets.repeat(blocks * len(caps), 1)
+        return regression(targets, each, tube.expand(len(each)).contiguous(), weight)
 
 
 class _Counter:
@@ -214,9 +215,9 @@ class _Counter:
     def __init__(self, progress: Progress | None, cells: int) -> None:
         self._progress, self._cells, self._done, self._lock = progress, cells, 0, Lock()
 
-    def add(self) -> None:
+    def add(self, cells: int) -> None:
         with self._lock:
-            self._done += 1
+            self._done += cells
             if self._progress is not None:
                 self._progress(self._done, self._cells)
 
@@ -243,16 +244,20 @@ def _solve_width(
     held_out = task.rows.new_zeros(*shape, len(task.rows))
     gap, direct = task.rows.new_zeros(shape), torch.ones(shape, dtype=torch.bool)
     index = torch.arange(len(task.rows), device=matrix.device)
+    # A classifier's systems are small, so all costs go together and share the products with the
+    # kernel. A regression goes up the costs, because it often touches no bound from some cost on.
+    step = len(task.costs) if task.classifier else 1
     for e, tube in enumerate(task.tubes):
         found: Solutions | None = None
-        for c, cap in enumerate(task.costs):
-            found = _solve_cell(matrix, task.problems(cap, tube), outputs, found, generator)
-            value = (found.product + found.bias[:, None]).reshape(blocks, outputs, -1)[1:]
-            held_out[e, c] = value[task.folds, :, index].T
+        for c in range(0, len(task.costs), step):
+            problems = task.problems(task.costs[c : c + step], tube)
+            found = _solve_cells(matrix, problems, step * outputs, found, generator)
+            value = (found.product + found.bias[:, None]).reshape(blocks, step, outputs, -1)[1:]
+            held_out[e, c : c + step] = value[task.folds, :, :, index].permute(1, 2, 0)
             relative = found.gap / found.objective.abs().clamp_min(1e-12)
-            gap[e, c] = relative.reshape(blocks, outputs).amax(0)
-            direct[e, c] = found.direct.reshape(blocks, outputs).all(0).cpu()
-            counter.add()
+            gap[e, c : c + step] = relative.reshape(blocks, step, outputs).amax(0)
+            direct[e, c : c + step] = found.direct.reshape(blocks, step, outputs).all(0).cpu()
+            counter.add(step)
     return held_out, gap, direct
 
 
@@ -264,14 +269,14 @@ def _axis(values: Any, name: str) -> Tensor:
     return torch.tensor([inputs.positive(value, name) for value in given], dtype=torch.float64)
 
 
-def _solve_cell(
+def _solve_cells(
     matrix: Tensor,
     problems: Problems,
     outputs: int,
     before: Solutions | None,
     generator: torch.Generator,
 ) -> Solutions:
-    """Solve one cell, all rows first and then the folds from their statuses.
+    """Solve cells, all rows first and then the folds from their statuses.
 
     The first `outputs` problems are on all rows and each further block of as many is a fold.
     `before` holds the same problems at a smaller C: where it touches no bound it still holds.

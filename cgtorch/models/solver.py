@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.models import smo
+from cgtorch.models.newton import solve_free, times_kernel
 from cgtorch.models.problems import Problems
 
 # Status of a coefficient: on a bound (-2 lower, 0 zero, 2 upper) or free (-1 below, 1 above zero).
@@ -95,44 +96,11 @@ def dual_objective(problems: Problems, beta: Tensor, product: Tensor) -> Tensor:
     return linear.sum(1)
 
 
-def times_kernel(d: Tensor, kernel: Tensor) -> Tensor:
-    """D K (P, n) for a direction d (P, n) of which often few columns are not zero."""
-    columns = d.any(0).nonzero().flatten()
-    if 2 * len(columns) > len(kernel):
-        return d @ kernel
-    return d[:, columns] @ kernel[columns]
-
-
 def _on_bounds(problems: Problems, value: Tensor, status: Tensor) -> Tensor:
     """`value` with every coefficient that is not free moved to the bound of its status."""
     value = torch.where(status == _UPPER, problems.upper, value)
     value = torch.where(status == _LOWER, problems.lower, value)
     return value.masked_fill(status == _ZERO, 0.0)
-
-
-def _newton_step(
-    kernel: Tensor, single: Tensor, free: Tensor, ridge: float, right: Tensor, precise: bool
-) -> tuple[Tensor, Tensor, bool]:
-    """Solve (K_FF + ridge I) x = [right, 1] and return both columns and whether float64 was used.
-
-    The factor is made in float32 and again in float64 where its smallest pivot says that
-    rounding would show.
-    """
-    columns = torch.stack([right, torch.ones_like(right)], dim=1)
-    for source in (kernel,) if precise else (single, kernel):
-        matrix = source.index_select(0, free).index_select(1, free)
-        matrix.diagonal().add_(ridge)
-        scale = float(matrix.diagonal().max())
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        smallest = float(factor.diagonal().min()) ** 2 / scale
-        if int(info) == 0 and (source is kernel or smallest > 2e-5):
-            solved = torch.cholesky_solve(columns.to(source.dtype), factor).to(kernel.dtype)
-            return solved[:, 0], solved[:, 1], source is kernel
-    # Rounding made even the float64 matrix indefinite: a little more ridge is a shorter step.
-    values, vectors = torch.linalg.eigh(matrix)
-    values = values.clamp_min(scale * 1e-14 * len(free))
-    solved = vectors @ ((vectors.T @ columns) / values[:, None])
-    return solved[:, 0], solved[:, 1], True
 
 
 def _slope(problems: Problems, h: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
@@ -268,15 +236,9 @@ def _direction(
     right = residual - part.epsilon[:, None] * status.sign() - h[:, None] * beta
     right = right - times_kernel(d, kernel)
     total = (beta + d).sum(1)
-    shift = torch.zeros_like(bias)
-    for row in range(len(h)):
-        index = free[row].nonzero().flatten()
-        u, v, precise[row] = _newton_step(
-            kernel, single, index, float(h[row]), right[row, index], precise[row]
-        )
-        shift[row] = (u.sum() + total[row]) / v.sum()
-        d[row, index] = u - shift[row] * v
-    return d, shift
+    u, v = solve_free(kernel, single, free, h, right, precise)
+    shift = (u.sum(1) + total) / v.sum(1)
+    return d + u - shift[:, None] * v, shift
 
 
 def active_set(
