@@ -47,13 +47,13 @@ class RunSettings:
                     f"{f.name} is {value!r}; give a whole number of at least {least.get(f.name, 1)}"
                 )
             if isinstance(f.default, float) and (
-                not isinstance(value, int | float) or not 0 <= value < math.inf
+                type(value) not in (int, float) or not 0 <= value <= 10
             ):
-                raise SettingsError(f"{f.name} is {value!r}; give a finite number of at least 0")
+                raise SettingsError(f"{f.name} is {value!r:.40}; give a number from 0 to 10")
         if self.method not in METHODS:
             raise SettingsError(f"method is {self.method!r}; use one of {', '.join(METHODS)}")
-        if not all(isinstance(name, str) for name in self.actions):
-            raise SettingsError(f"actions are {self.actions!r}; give names")
+        if not isinstance(self.actions, tuple) or not all(isinstance(a, str) for a in self.actions):
+            raise SettingsError(f"actions are {self.actions!r}; give names in a tuple")
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data for a file."""

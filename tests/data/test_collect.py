@@ -1,0 +1,200 @@
+"""What Γ and C learn from: transitions the world made, and balanced labels from all around."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from support import FOOTPRINT, graspable, seeded
+from torch import Tensor
+
+from cgtorch.data import Dataset, collect
+from cgtorch.data.collect import (
+    ARENA,
+    balanced_labels,
+    drive,
+    in_table,
+    label,
+    poses_around,
+    poses_at_object,
+)
+from cgtorch.environment import Lanes
+from cgtorch.errors import DataError
+from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
+from cgtorch.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
+
+EXACT = Noise(0, 0)
+
+
+class Watched(TabletopWorld):
+    """A tabletop that remembers every step that was asked of it."""
+
+    steps: list[tuple[Lanes, Tensor, Lanes, Tensor]]
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        after, done = super().step(lanes, control)
+        self.steps.append((lanes, control, after, done))
+        return after, done
+
+
+def world_of(noise: Noise = EXACT) -> Callable[[Scenarios], TabletopWorld]:
+    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise)
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[tuple[Tensor, Tensor, Tensor], dict[str, Tensor]]:
+    """500 transitions and, for each, what the world did when it was made."""
+    steps: list[tuple[Lanes, Tensor, Lanes, Tensor]] = []
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        world = Watched(scenarios, graspable, FOOTPRINT, EXACT)
+        world.steps = steps
+        return world
+
+    rows = drive(watched, 500, seeded(1))
+    all_steps = {
+        "percept": torch.cat([before.percept for before, _, _, _ in steps]),
+        "motion": torch.cat([motion for _, motion, _, _ in steps]),
+        "before": torch.cat([before.state for before, _, _, _ in steps]),
+        "after": torch.cat([after.state for _, _, after, _ in steps]),
+        "done": torch.cat([done for _, _, _, done in steps]),
+    }
+    same = (all_steps["motion"] == rows[1][:, None]).all(2)
+    assert (same.sum(1) == 1).all()  # each transition is one that was really made, and made once
+    made = same.long().argmax(1)
+    assert len(set(made.tolist())) == 500
+    return rows, {name: value[made] for name, value in all_steps.items()}
+
+
+def test_transitions_are_rigid_motions(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    (p, u, q), made = driven
+    assert p.shape == q.shape == (500, 7)
+    assert u.shape == (500, 3)
+    assert torch.equal(p, made["percept"])
+    for row in range(500):
+        x, y, theta = made["before"][row, :3].tolist()
+        dx, dy, turn = u[row].tolist()
+        x += math.cos(theta) * dx - math.sin(theta) * dy
+        y += math.sin(theta) * dx + math.cos(theta) * dy
+        theta += turn
+        c, s = math.cos(theta), math.sin(theta)
+        place = made["before"][row, 9:11].tolist()
+        seen = [c * (place[0] - x) + s * (place[1] - y), -s * (place[0] - x) + c * (place[1] - y)]
+        corners = [
+            (c * (cx - x) + s * (cy - y), -s * (cx - x) + c * (cy - y))
+            for cx in (-TABLE_DEPTH / 2, TABLE_DEPTH / 2)
+            for cy in (-TABLE_WIDTH / 2, TABLE_WIDTH / 2)
+        ]
+        xs, ys = zip(*corners, strict=True)
+        box = [min(xs), max(xs), min(ys), max(ys)]
+        assert q[row].tolist() == pytest.approx([*box, *seen, float(p[row, 6])], abs=1e-5)
+
+
+def test_no_blocked_motion_and_none_out_of_the_arena(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    _, made = driven
+    assert made["done"].all()
+    for state in (made["before"], made["after"]):
+        there = Scenarios(state[:, :3], state[:, 3:9], state[:, 9:11], torch.arange(len(state)))
+        assert not in_table(there, torch.tensor(FOOTPRINT)).any()
+    assert made["after"][:, :2].norm(dim=1).max() <= ARENA
+
+
+def test_the_robot_is_driven_along_all_sides(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    _, made = driven
+    x, y = made["after"][:, 0], made["after"][:, 1]
+    sides = (x < -TABLE_DEPTH / 2, x > TABLE_DEPTH / 2, y < -TABLE_WIDTH / 2, y > TABLE_WIDTH / 2)
+    assert all(int(side.sum()) >= 75 for side in sides)
+
+
+def test_start_poses_are_free() -> None:
+    scenarios = poses_around(world_of(), 300, seeded(2))
+    assert len(scenarios) == 300
+    assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
+    assert scenarios.pose[:, :2].abs().max() <= ARENA
+
+
+@pytest.mark.parametrize("count", [60, 61, 300])
+def test_labels_are_balanced(count: int) -> None:
+    percept, answer = balanced_labels(world_of(), count, seeded(3))
+    assert percept.shape == (len(answer), 7)
+    assert count - 3 <= len(answer) <= count
+    assert int(answer.sum()) * 2 == len(answer)
+
+
+def test_labels_are_what_grasping_there_gives() -> None:
+    percept, answer = balanced_labels(world_of(), 300, seeded(4))
+    # Without noise the percept holds the object where it is, which is all the stand-in asks for.
+    assert torch.equal(answer, graspable(percept[:, 4:7], torch.empty(0)))
+
+
+def test_a_label_with_noise_is_that_of_the_true_object() -> None:
+    scenarios = poses_at_object(200, seeded(5))
+    noisy, answer = label(world_of(LAB_NOISE), scenarios)
+    exact, true_answer = label(world_of(), scenarios)
+    assert torch.equal(answer, true_answer)
+    assert not torch.equal(noisy, exact)
+    assert (noisy - exact).abs().max() < 0.05
+
+
+def test_labels_come_from_all_sides_and_from_within_the_table() -> None:
+    asked: list[Scenarios] = []
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        asked.append(scenarios)
+        return world_of()(scenarios)
+
+    percept, answer = balanced_labels(watched, 300, seeded(6))
+    poses = torch.cat([s.pose for s in asked])
+    placed = torch.cat([s.object for s in asked])
+    offset = poses[:, :2] - placed
+    for side in (offset[:, 0] < -0.2, offset[:, 0] > 0.2, offset[:, 1] < -0.2, offset[:, 1] > 0.2):
+        assert int(side.sum()) > 100
+    around = torch.cat([placed[:, 0] < -0.2, placed[:, 0] > 0.2, placed[:, 1] > 0.4]).view(3, -1)
+    assert (around.sum(1) > 50).all()
+    # The base is at the origin of its percept: these poses are within the table.
+    standing = (percept[:, [0, 2]] < 0).all(1) & (percept[:, [1, 3]] > 0).all(1)
+    assert int((standing & ~answer).sum()) > 5
+
+
+def never(at: Tensor, table: Tensor) -> Tensor:
+    return torch.zeros(len(at), dtype=torch.bool)
+
+
+def always(at: Tensor, table: Tensor) -> Tensor:
+    return torch.ones(len(at), dtype=torch.bool)
+
+
+def hardly(at: Tensor, table: Tensor) -> Tensor:
+    return (at[:, :2].norm(dim=1) - 0.5).abs() < 0.002
+
+
+@pytest.mark.parametrize("arms", [never, always, hardly])
+def test_a_robot_that_cannot_learn_to_grasp_is_an_error(arms: Callable[..., Tensor]) -> None:
+    with pytest.raises(DataError, match=r"a grasp succeeds at .*% of random poses") as caught:
+        collect(lambda s: TabletopWorld(s, arms, FOOTPRINT), 50, 300, seeded(7))
+    assert "\n" not in str(caught.value)
+
+
+def equal(one: Dataset, other: Dataset) -> bool:
+    return all(torch.equal(a, vars(other)[name]) for name, a in vars(one).items())
+
+
+def test_the_generator_decides() -> None:
+    first, again, other = (collect(world_of(LAB_NOISE), 80, 60, seeded(s)) for s in (8, 8, 9))
+    assert len(first.percept) == 80
+    assert equal(first, again)
+    assert not equal(first, other)
+
+
+def test_more_data_come_last() -> None:
+    first, more = (collect(world_of(), 60, 60, seeded(s)) for s in (10, 11))
+    both = first.extended(more)
+    for name, value in vars(both).items():
+        assert torch.equal(value[: len(vars(first)[name])], vars(first)[name])
+        assert torch.equal(value[len(vars(first)[name]) :], vars(more)[name])

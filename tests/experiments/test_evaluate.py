@@ -1,0 +1,71 @@
+"""Scores: how often a skill succeeds, and how sure that number is."""
+
+import pytest
+import torch
+from support import graspable, random_skill, seeded
+
+from cgtorch.actions import paper_actions
+from cgtorch.errors import SettingsError
+from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.improvement.trial import try_skill
+from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
+
+FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
+
+
+def score(successes: int, tried: int) -> Score:
+    return Score(
+        random_scenarios("near", tried, seeded(0)),
+        torch.arange(tried) < successes,
+        torch.ones(tried, dtype=torch.long),
+    )
+
+
+# From statsmodels.stats.proportion.proportion_confint(k, n, method="wilson").
+@pytest.mark.parametrize(
+    ("successes", "tried", "low", "high"),
+    [
+        (0, 10, 0.0, 0.277533),
+        (1, 10, 0.017876, 0.404150),
+        (5, 10, 0.236593, 0.763407),
+        (10, 10, 0.722467, 1.0),
+        (34, 40, 0.709250, 0.929433),
+        (81, 263, 0.255297, 0.366210),  # Newcombe 1998, table I, method 3: 0.2553 to 0.3662
+        (15, 148, 0.062386, 0.160508),  # … 0.0624 to 0.1605
+        (0, 20, 0.0, 0.161125),  # … 0.0000 to 0.1611
+        (1, 29, 0.006113, 0.171755),  # … 0.0061 to 0.1718
+    ],
+)
+def test_the_interval_is_wilsons(successes: int, tried: int, low: float, high: float) -> None:
+    one = score(successes, tried)
+    assert (one.successes, one.tried) == (successes, tried)
+    assert one.rate == pytest.approx(successes / tried)
+    assert one.interval == pytest.approx((low, high), abs=1e-4)
+    assert one.interval[0] - 1e-9 <= one.rate <= one.interval[1] + 1e-9
+
+
+def test_nothing_tried() -> None:
+    nothing = score(0, 0)
+    assert (nothing.tried, nothing.successes, nothing.rate) == (0, 0, 0)
+    assert nothing.interval[0] == 0
+
+
+def world_of(scenarios: Scenarios) -> TabletopWorld:
+    return TabletopWorld(scenarios, graspable, FOOTPRINT)
+
+
+def test_scenarios_come_from_the_seed() -> None:
+    skill = random_skill(4, "some", paper_actions())
+    first, again, other = (evaluate_skill(skill, world_of, "left", 30, s) for s in (1, 1, 2))
+    assert torch.equal(first.scenarios.object, again.scenarios.object)
+    assert torch.equal(first.succeeded, again.succeeded)
+    assert not torch.equal(first.scenarios.object, other.scenarios.object)
+    alone = try_skill(skill, world_of(first.scenarios))
+    assert torch.equal(alone.succeeded, first.succeeded)
+    assert torch.equal(alone.transitions, first.transitions)
+
+
+@pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])
+def test_bad_requests(placement: str, count: int) -> None:
+    with pytest.raises(SettingsError):
+        evaluate_skill(random_skill(4, "some", paper_actions()), world_of, placement, count, 0)
