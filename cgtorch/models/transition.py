@@ -38,7 +38,7 @@ class TransitionReport:
         rigid_error: The same for the rigid motion alone, m.
         parts: Names of the 7 parts that residuals are learnt for.
         choice: Hyper-parameters (C, gamma, epsilon, score) of each part, None for residual zero.
-        gap: Duality gap of each learnt part, relative to its dual objective's scale.
+        gap: Duality gap of each part's dual problem, 0 for parts that are not learnt.
         centres: Number of centres.
         grid_cost: Costs tried.
         grid_gamma: Kernel widths tried.
