@@ -1,4 +1,4 @@
-"""Datasets, scenarios and populations as files: safetensors and JSON, never code."""
+"""Datasets, scenarios, populations and results as files: safetensors and JSON, never code."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -9,11 +9,12 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
+from cgtorch.actions import ActionSet
 from cgtorch.data import Dataset
 from cgtorch.errors import RunError
-from cgtorch.evolution import Population
+from cgtorch.evolution import STRATEGY, Population
 from cgtorch.files import read_json, write_bytes, write_json
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Graphs, valid
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import (
     Choice,
@@ -61,7 +62,7 @@ def save_dataset(path: Path, dataset: Dataset, notes: dict[str, str]) -> None:
 
 
 def load_dataset(path: Path) -> Dataset:
-    """Read a dataset; RunError if its tensors do not fit one another."""
+    """Read a dataset; RunError if its tensors do not fit one another or are not finite."""
     data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
     n, d = (*data.percept.shape, 0)[:2]
     whole = (
@@ -72,9 +73,16 @@ def load_dataset(path: Path) -> Dataset:
         and data.grasp_percept.shape[1] == d
         and data.graspable.shape == data.grasp_percept.shape[:1]
         and data.graspable.dtype == torch.bool
+        and all(
+            x.dtype == torch.float32 and bool(x.isfinite().all())
+            for x in (data.percept, data.motion, data.next_percept, data.grasp_percept)
+        )
     )
     if not whole:
-        raise RunError(f"the tensors of {str(path)!r} do not fit one another; restore the file")
+        raise RunError(
+            f"the tensors of {str(path)!r} do not fit one another or are not finite; restore the "
+            "file"
+        )
     return data
 
 
@@ -118,11 +126,76 @@ def save_population(path: Path, population: Population) -> None:
     save_tensors(path, {**vars(population.graphs), "strategy": population.strategy}, {})
 
 
-def load_population(path: Path) -> Population:
-    """Read graphs and strategies."""
-    names = {f.name for f in fields(Graphs)}
-    found = load_tensors(path, names | {"strategy"})
-    return Population(Graphs(**{n: found[n] for n in names}), found["strategy"])
+def load_population(path: Path, actions: ActionSet) -> Population:
+    """Read graphs and strategies.
+
+    Args:
+        path: the file.
+        actions: what the graphs' nodes can be.
+
+    Raises:
+        RunError: the file is damaged, or holds graphs that are not valid.
+    """
+    names = [f.name for f in fields(Graphs)]
+    found = load_tensors(path, {*names, "strategy"})
+    p, n = (*found["action"].shape, 0, 0)[:2]
+    expected = {
+        "action": ((p, n), torch.long),
+        "edges": ((p, n, actions.outcome_capacity), torch.long),
+        "parameters": ((p, n, actions.parameter_capacity), torch.float32),
+        "start": ((p,), torch.long),
+        "strategy": ((p, len(STRATEGY)), torch.float32),
+    }
+    graphs = Graphs(**{name: found[name] for name in names})
+    whole = (
+        p * n > 0
+        and all((x.shape, x.dtype) == expected[name] for name, x in found.items())
+        and bool(found["parameters"].isfinite().all() and found["strategy"].isfinite().all())
+        and bool(valid(graphs, actions).all())
+    )
+    if not whole:
+        raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file")
+    return Population(graphs, found["strategy"])
+
+
+_WORDS = ("stage", "edge")
+_COUNTS = (
+    "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded", "w_size",
+    "w_lost", "nodes", "depth", "generations", "transitions",
+)  # fmt: skip
+_SCORES = ("fresh", "perimeter")
+
+
+def load_result(path: Path) -> dict[str, Any]:
+    """Read a stage's result.json; RunError if it lacks a number of the final table."""
+    data = read_json(path)
+    if not isinstance(data, dict):
+        raise RunError(f"{str(path)!r} is no result of a stage; restore the file")
+    scores = {name: data.get(name) for name in _SCORES}
+    seconds: Any = data.get("seconds")
+    right = {
+        **{name: isinstance(data.get(name), str) for name in _WORDS},
+        **{name: _is_count(data.get(name)) for name in _COUNTS},
+        **{name: _is_score(score) for name, score in scores.items()},
+        "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
+    }
+    for name, ok in right.items():
+        if not ok:
+            raise RunError(f"{name} of {str(path)!r} is {data.get(name)!r:.40}; restore the file")
+    return data
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 2**53
+
+
+def _is_score(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("placement"), str)
+        and _is_count(value.get("tried"))
+        and _is_count(value.get("succeeded"))
+    )
 
 
 def scenarios_to_list(scenarios: Scenarios) -> list[dict[str, Any]]:
@@ -162,7 +235,7 @@ def _check_scenario(row: Any, where: str) -> None:
         if (
             not isinstance(values, list)
             or len(values) != size
-            or not all(isinstance(v, int | float) and abs(v) < 1e6 for v in values)
+            or not all(type(v) in (int, float) and abs(v) < 1e6 for v in values)
         ):
             raise RunError(f"{key} of {where} is {values!r:.60}; give {size} finite numbers")
     if type(row["seed"]) is not int or not 0 <= row["seed"] < 2**63:

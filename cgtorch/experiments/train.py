@@ -19,12 +19,13 @@ from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages
 from cgtorch.experiments.storage import (
     load_knowledge,
     load_population,
+    load_result,
     load_scenarios,
     save_knowledge,
     save_population,
     save_scenarios,
 )
-from cgtorch.files import read_json, write_json
+from cgtorch.files import write_json
 from cgtorch.graphs import load_skill, save_skill
 from cgtorch.improvement.events import (
     Event,
@@ -88,7 +89,7 @@ def train(
             progress = load_progress(run, run.folder / name)
         else:
             progress = _stage(run, name, names, progress, watch, working, device)
-    results = [read_json(run.folder / name / "result.json") for name in names]
+    results = [load_result(run.folder / name / "result.json") for name in names]
     write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
     return results
 
@@ -200,9 +201,7 @@ def _result(run: Run, name: str, accepted: SkillAccepted, tally: Tally) -> dict[
 
 def finished_generations(run: Run) -> int:
     """Generations of all finished stages."""
-    return sum(
-        int(read_json(run.folder / name / "result.json")["generations"]) for name in run.stages
-    )
+    return sum(load_result(run.folder / name / "result.json")["generations"] for name in run.stages)
 
 
 def _counts(placement: str, score: Score) -> dict[str, Any]:
@@ -226,6 +225,6 @@ def load_progress(run: Run, folder: Path) -> Progress:
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if (folder / "specialists.safetensors").is_file():
-        population = load_population(folder / "specialists.safetensors")
+        population = load_population(folder / "specialists.safetensors", run.actions)
         progress = replace(progress, specialists=population)
     return progress
