@@ -1,7 +1,7 @@
 """What all commands share: options from a dataclass, and errors of one line."""
 
-import errno
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -45,6 +45,8 @@ def run_command(command: click.Command) -> None:
     Bad input ends in one line on stderr that says what and what to do.
     """
     name = command.name or "cgtorch"
+    # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
+    previous, threading.excepthook = threading.excepthook, _report_thread
     try:
         command.main(prog_name=name, standalone_mode=False)
     except click.exceptions.Exit as e:
@@ -56,9 +58,16 @@ def run_command(command: click.Command) -> None:
     except (KeyboardInterrupt, click.Abort):
         _end(name, "interrupted; what was finished is kept, go on with --resume", 1)
     except OSError as e:
-        if e.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
-            raise
-        _end(name, f"cannot write ({e.strerror}); free some space and go on with --resume", 2)
+        where = f" {str(e.filename)[:200]!r}" if e.filename else ""
+        reason = e.strerror or type(e).__name__
+        _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
+    finally:
+        threading.excepthook = previous
+
+
+def _report_thread(thread: threading.ExceptHookArgs) -> None:
+    if not issubclass(thread.exc_type, OSError):
+        threading.__excepthook__(thread)
 
 
 def _end(name: str, message: str, code: int) -> None:

@@ -50,7 +50,7 @@ def device_of(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        torch.zeros(1, device=device)
+        torch.zeros(1, device=device).item()  # which the meta device refuses
     except (RuntimeError, AssertionError) as e:
         raise SettingsError(f"device {name!r} cannot be used; give auto, cpu or cuda") from e
     return device

@@ -86,6 +86,8 @@ def create_run(
     actions = _checked_actions(robot, settings)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
+    if folder.resolve() == Path.cwd():
+        raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     source = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else urdf
     words = source.parent / "robot.json" if description is None else description
     about = {"format": FORMAT, "version": VERSION, "cgtorch": cgtorch.__version__}
@@ -113,7 +115,8 @@ def open_run(folder: Path, trusted: Sequence[str] = ()) -> Run:
 
     Raises:
         RunError: there is none, or it is of another version, or damaged.
-        ActionError: it uses an action that is not trusted or cannot be found.
+        ActionError: it uses an action that is not trusted or cannot be found, or does not use
+            one that is trusted.
     """
     if not (folder / "run.json").is_file():
         raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
@@ -126,6 +129,11 @@ def open_run(folder: Path, trusted: Sequence[str] = ()) -> Run:
             f"{VERSION}; use the version that wrote it"
         )
     settings = settings_from_dict(about.get("settings"))
+    if unused := [spec for spec in trusted if spec not in settings.actions]:
+        raise ActionError(
+            f"run {str(folder)!r} was begun without action {unused[0]!r} and cannot use it; leave "
+            "it out"
+        )
     for spec in settings.actions:
         if ":" in spec and spec not in trusted:
             raise ActionError(
@@ -173,8 +181,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
     try:
         try:
             partial_path.mkdir()
-        except OSError as e:
-            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
+        except (OSError, ValueError) as e:
+            reason = e.strerror if isinstance(e, OSError) else e
+            raise RunError(f"cannot write {str(path)!r} ({reason}); check the folder") from e
         yield partial_path
         try:
             partial_path.replace(path)

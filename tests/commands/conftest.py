@@ -1,0 +1,22 @@
+"""The small run that is trained once."""
+
+from pathlib import Path
+
+import pytest
+from command_line import Shell
+from trained import Trained, trained_run
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """A run up to S1; its folder is not to be changed."""
+    return trained_run(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture
+def shell(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Shell:
+    """Runs commands in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return Shell(monkeypatch, capsys)

@@ -1,0 +1,310 @@
+"""Bad input: one line that says what and what to do, exit code 2, nothing half-written."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Shell, in_a_shell, listing
+from trained import Trained, copied
+
+from cgtorch.kinematics import robots_folder
+
+PR2 = robots_folder() / "pr2"
+TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--stage", "S4"], "unknown stage 'S4'; use one of S0, S1, S2, S3"),
+        (["--stage", ""], "unknown stage ''"),
+        (["--stage", "../S0"], "unknown stage '../S0'"),
+        (["--actions", "Fly"], "unknown action 'Fly'; known are"),
+        (["--actions", "no_such_package:Fly"], "cannot import action 'no_such_package:Fly'"),
+        (["--actions", "json:loads"], "give a subclass of Action"),
+        (["--actions", ":"], "action ':'"),
+        (["--seed", "-1"], "seed is -1; give a whole number of at least 0"),
+        (["--seed", "one"], "'one' is not a valid integer; see cgtorch-train --help"),
+        (["--seed", "99999999999999999999"], "seed is 99999999999999999999"),
+        (["--population", "1"], "population is 1; give a whole number of at least 2"),
+        (["--generations", "0"], "generations is 0"),
+        (["--attempts", "0"], "attempts is 0"),
+        (["--transitions", "5"], "transitions is 5"),
+        (["--method", "magic"], "method is 'magic'; use one of compose, paper"),
+        (["--position-noise", "nan"], "position_noise is nan"),
+        (["--device", "abacus"], "device 'abacus' cannot be used; give auto, cpu or cuda"),
+        (["--device", "cuda:99"], "device 'cuda:99' cannot be used"),
+        (["--device", "meta"], "device 'meta' cannot be used"),
+        (["--colour", "red"], "--colour"),
+        (["more"], "unexpected extra argument (more); see cgtorch-train --help"),
+        (["--urdf", "none.urdf"], "none.urdf"),
+        (["--robot", "none.json"], "none.json"),
+        (["--resume", "none"], "'none' is no run (it has no run.json); give the folder of a run"),
+        (["--run-dir", ""], "a run cannot replace the current folder; choose another"),
+        (["--run-dir", "."], "a run cannot replace the current folder; choose another"),
+    ],
+)
+def test_training_with_bad_arguments(
+    shell: Shell, tmp_path: Path, words: list[str], message: str
+) -> None:
+    assert message in shell.refuses(TRAIN, *words)
+    assert listing(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "Missing argument 'RUN_OR_SKILL'; see cgtorch-evaluate --help"),
+        (["none"], "'none' is no run and no stage of one"),
+        (["run", "--count", "0"], "--count': 0 is not in the range"),
+        (["run", "--count", "many"], "'many' is not a valid integer"),
+        (["run", "--seed", "-1"], "--seed': -1 is not in the range"),
+        (["run", "--scenarios", "top"], "unknown placement 'top'; use one of near, left"),
+        (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
+        (["run/S1"], "'run/S1' is no run and no stage of one"),
+        (["run/start"], "'run/start' is no run and no stage of one"),
+        (["run/run.json"], "not a skill file"),
+        (["run/S0/data.safetensors"], "not proper JSON"),
+        (["/dev/null"], "'/dev/null' is no run"),
+        (["run", "more"], "unexpected extra argument"),
+    ],
+)
+def test_evaluating_with_bad_arguments(
+    shell: Shell, trained: Trained, tmp_path: Path, words: list[str], message: str
+) -> None:
+    before = listing(copied(trained, tmp_path / "run", ("S0",)))
+    assert message in shell.refuses(EVALUATE, *words)
+    assert listing(tmp_path / "run") == before
+
+
+def robot(folder: Path, urdf: str | None = None, **words: Any) -> tuple[Path, Path]:
+    about = json.loads((PR2 / "robot.json").read_text())
+    paths = folder / "my.urdf", folder / "my.json"
+    paths[0].write_text((PR2 / "pr2.urdf").read_text() if urdf is None else urdf)
+    paths[1].write_text(json.dumps({**about, **words}))
+    return paths
+
+
+@pytest.mark.parametrize(
+    ("urdf", "message"), [("<robot", "XML"), ("", "XML"), ("<robot/>", "root links")]
+)
+def test_a_broken_urdf(shell: Shell, tmp_path: Path, urdf: str, message: str) -> None:
+    urdf_path, words_path = robot(tmp_path, urdf)
+    assert message in shell.refuses(TRAIN, "--urdf", urdf_path, "--robot", words_path)
+    assert listing(tmp_path) == {"my.urdf", "my.json"}
+
+
+def test_a_joint_that_the_urdf_lacks(shell: Shell, tmp_path: Path) -> None:
+    urdf_path, words_path = robot(tmp_path, torso_joint="neck_joint")
+    assert "'neck_joint'" in shell.refuses(TRAIN, "--urdf", urdf_path, "--robot", words_path)
+    assert listing(tmp_path) == {"my.urdf", "my.json"}
+
+
+@pytest.mark.parametrize("place", ["a_file", "a_file/run", "/proc/run", "full", "/dev/null"])
+def test_a_run_folder_that_cannot_be_written(shell: Shell, tmp_path: Path, place: str) -> None:
+    (tmp_path / "a_file").write_text("text")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("text")
+    before = listing(tmp_path)
+    message = shell.refuses(TRAIN, "--run-dir", place)
+    assert "choose another" in message or "check the folder" in message
+    assert listing(tmp_path) == before
+
+
+def test_a_name_that_no_file_can_have(shell: Shell, tmp_path: Path) -> None:
+    name = "x" * 300
+    for words in ((TRAIN, "--run-dir", name), (TRAIN, "--resume", name), (EVALUATE, name)):
+        assert "File name too long" in shell.refuses(*words)
+    assert listing(tmp_path) == set()
+
+
+@pytest.fixture
+def run_folder(trained: Trained, tmp_path: Path) -> Path:
+    """A run up to S0, to be spoilt."""
+    return copied(trained, tmp_path / "run", ("S0",))
+
+
+def edited(path: Path, **values: Any) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+
+
+def skill_file(folder: Path, change: str) -> Path:
+    data = json.loads((folder / "S0" / "skill.json").read_text())
+    while data["skills"] and not data["edges"]:
+        data = next(iter(data["skills"].values()))
+    if change == "edge":
+        del data["edges"][0]
+    else:
+        node = next(n for n in data["nodes"] if n["parameters"])
+        node["parameters"][0] = float("nan")
+    path = folder.parent / "skill.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def test_a_skill_file_with_a_missing_edge(shell: Shell, run_folder: Path) -> None:
+    path = skill_file(run_folder, "edge")
+    assert "has no edge for outcome" in shell.refuses(EVALUATE, path)
+    shutil.copy(path, run_folder / "S0" / "skill.json")
+    assert "has no edge for outcome" in shell.refuses(EVALUATE, run_folder)
+    before = listing(run_folder)
+    assert "has no edge for outcome" in shell.refuses(TRAIN, "--resume", run_folder, "--quiet")
+    assert {name for name in listing(run_folder) - before if "tfevents" not in name} == set()
+
+
+def test_a_skill_file_with_parameters_that_are_no_numbers(shell: Shell, run_folder: Path) -> None:
+    path = skill_file(run_folder, "nan")
+    assert "number NaN is not finite" in shell.refuses(EVALUATE, path)
+    path.write_text(path.read_text().replace("NaN", "1e999"))
+    assert "number 1e999 is not finite" in shell.refuses(EVALUATE, path)
+    path.write_text(path.read_text().replace("1e999", "1e39"))
+    assert "has parameter 1e+39; give finite" in shell.refuses(EVALUATE, path)
+
+
+def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
+    before = listing(run_folder)
+    for version in (2, 0, "1", None, [1]):
+        edited(run_folder / "run.json", version=version)
+        for words in (
+            (TRAIN, "--resume", run_folder),
+            (TRAIN, "--run-dir", run_folder),
+            (EVALUATE, run_folder),
+            (EVALUATE, run_folder / "S0"),
+        ):
+            assert "this cgtorch reads 1; use the version" in shell.refuses(*words)
+    edited(run_folder / "run.json", version=1, format="other")
+    assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)
+    assert listing(run_folder) == before
+
+
+def test_a_run_with_an_unknown_setting(shell: Shell, run_folder: Path) -> None:
+    settings = json.loads((run_folder / "run.json").read_text())["settings"]
+    edited(run_folder / "run.json", settings={**settings, "colour": "red"})
+    assert "'colour' is unknown or missing" in shell.refuses(EVALUATE, run_folder)
+
+
+def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    folder = copied(trained, tmp_path / "run", ())
+    assert "has no finished stage; go on with --resume" in shell.refuses(EVALUATE, folder)
+
+
+def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
+    before = listing(run_folder)
+    message = shell.refuses(TRAIN, "--run-dir", run_folder, "--seed", 3)
+    assert "was begun with --seed 2, not 3; choose another --run-dir" in message
+    assert "has its robot already" in shell.refuses(
+        TRAIN, "--run-dir", run_folder, "--urdf", PR2 / "pr2.urdf"
+    )
+    for words in (["--seed", 2], ["--population", 60], ["--run-dir", "x"], ["--urdf", "x"]):
+        message = shell.refuses(TRAIN, "--resume", run_folder, *words)
+        assert f"{words[0]} cannot change in a run that has begun; leave it out" in message
+    assert listing(run_folder) == before
+
+
+MODULE = """
+import pathlib
+pathlib.Path("imported").write_text("yes")
+from cgtorch.actions import Detect
+class Look(Detect): pass
+"""
+
+
+def test_code_that_a_file_names_is_not_imported(
+    shell: Shell, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "foreign_code.py").write_text(MODULE)
+    settings = json.loads((run_folder / "run.json").read_text())["settings"]
+    edited(run_folder / "run.json", settings={**settings, "actions": ["foreign_code:Look"]})
+    monkeypatch.syspath_prepend(tmp_path)
+    for words in (
+        (TRAIN, "--resume", run_folder),
+        (EVALUATE, run_folder),
+        (EVALUATE, run_folder / "S0"),
+    ):
+        message = shell.refuses(*words)
+        assert (
+            "which is code of its own; if you trust it, add --actions foreign_code:Look" in message
+        )
+        assert not (tmp_path / "imported").exists()
+    # A skill that names an action so cannot load code either.
+    path = tmp_path / "skill.json"
+    path.write_text(
+        (run_folder / "S0" / "skill.json").read_text().replace("Grasp", "foreign_code:Look")
+    )
+    assert "unknown action" in shell.refuses(EVALUATE, path)
+    assert not (tmp_path / "imported").exists()
+    ended = shell(EVALUATE, run_folder, "--actions", "foreign_code:Look", "--count", 1)
+    assert ended.code == 0
+    assert (tmp_path / "imported").exists()
+
+
+def test_names_in_files_lead_nowhere(shell: Shell, run_folder: Path, tmp_path: Path) -> None:
+    """Names in a skill file are labels: they are never used as paths."""
+    (tmp_path / "secret").write_text("text")
+    path = run_folder / "S0" / "skill.json"
+    before = listing(tmp_path)
+    edited(path, name="../../../secret")
+    ended = shell(EVALUATE, run_folder, "--count", 1)
+    assert ended.code == 0
+    assert listing(tmp_path) == before
+    assert (tmp_path / "secret").read_text() == "text"
+
+
+def fill(disk: Path, leave: int) -> None:
+    """Write a file that leaves only so many bytes free."""
+    free = shutil.disk_usage(disk).free
+    (disk / "ballast").write_bytes(b"0" * (free - leave))
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 2 MiB, or nothing where it cannot be mounted."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = os.system(f"mount -t tmpfs -o size=2m none {place} 2>/dev/null") == 0  # noqa: S605
+    if not mounted:
+        pytest.skip("needs the right to mount")
+    yield place
+    os.system(f"umount {place}")  # noqa: S605
+
+
+def test_a_full_disk(shell: Shell, small_disk: Path) -> None:
+    fill(small_disk, leave=20_000)
+    message = shell.refuses(TRAIN, "--run-dir", small_disk / "run")
+    assert "No space left on device" in message
+    assert listing(small_disk) == {"ballast"}
+
+
+def test_a_disk_that_fills_up_while_a_run_goes_on(small_disk: Path, trained: Trained) -> None:
+    folder = copied(trained, small_disk / "run", ("S0",))
+    before = listing(folder)
+    fill(small_disk, leave=0)
+    words = ["--resume", str(folder), "--stage", "S1", "--quiet"]
+    ended = in_a_shell(TRAIN, *words)
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1, ended.err
+    assert "No space left on device" in ended.err
+    assert {name for name in listing(folder) - before if "tfevents" not in name} == set()
+    (small_disk / "ballast").unlink()
+    assert in_a_shell(TRAIN, *words).code == 0
+    assert (folder / "S1" / "skill.json").is_file()
+
+
+def no_large_files() -> None:
+    """Files end at 4 KiB from now on, as on a disk that is full."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+def test_files_that_may_not_grow(tmp_path: Path) -> None:
+    ended = in_a_shell(TRAIN, "--run-dir", str(tmp_path / "run"), before=no_large_files)
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1, ended.err
+    assert "File too large" in ended.err
+    assert listing(tmp_path) == set()

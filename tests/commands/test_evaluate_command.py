@@ -1,0 +1,77 @@
+"""`cgtorch-evaluate`: a run, a stage of it, a skill file; for people and for programs."""
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import Shell, in_a_shell, listing
+from trained import Trained, copied
+
+from cgtorch.experiments.evaluate import evaluate_skill
+from cgtorch.experiments.run import last_skill
+
+EVALUATE = "cgtorch-evaluate"
+
+
+def test_help_has_examples() -> None:
+    ended = in_a_shell(EVALUATE, "--help")
+    assert ended.code == 0
+    assert ended.err == ""
+    assert "Examples:" in ended.out
+    assert "cgtorch-evaluate runs/reference\n" in ended.out
+    for option in ("--scenarios", "--count", "--seed", "--actions", "--json"):
+        assert option in ended.out
+
+
+def test_the_version(shell: Shell) -> None:
+    ended = shell(EVALUATE, "--version")
+    assert (ended.code, ended.err) == (0, "")
+    assert "0.1" in ended.out
+
+
+@pytest.mark.parametrize(("place", "name"), [("", "S1"), ("S0", "S0"), ("S1", "S1")])
+def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: str) -> None:
+    before = listing(trained.folder)
+    words = (trained.folder / place, "--count", 12, "--seed", 4, "--scenarios", "near")
+    ended = shell(EVALUATE, *words, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    found = json.loads(ended.out)
+    run, skill = last_skill(trained.folder / place)
+    assert skill.name == name
+    score = evaluate_skill(skill, run.world_of, "near", 12, 4)
+    assert found == {
+        "skill": name,
+        "scenarios": "near",
+        "seed": 4,
+        "tried": 12,
+        "succeeded": score.successes,
+        "rate": score.successes / 12,
+        "interval": list(score.interval),
+    }
+    ended = shell(EVALUATE, *words)
+    assert f"{name} on near: {score.successes} / 12 succeeded" in ended.out
+    assert listing(trained.folder) == before
+
+
+def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_bytes((trained.folder / "S1" / "skill.json").read_bytes())
+    alone, in_run = (
+        shell(EVALUATE, place, "--count", 10, "--json") for place in (path, trained.folder)
+    )
+    assert alone.code == 0
+    assert alone.out == in_run.out  # the run has the built-in robot and noise, too
+
+
+def test_from_another_folder_and_process(trained: Trained, tmp_path: Path) -> None:
+    folder = copied(trained, tmp_path / "runs" / "mine")
+    ended = in_a_shell(EVALUATE, "runs/mine", "--count", "5", "--json", folder=tmp_path)
+    assert ended.code == 0
+    assert ended.err == ""
+    found = json.loads(ended.out)
+    assert found["tried"] == 5
+    assert found["rate"] == found["succeeded"] / 5
+    ended = in_a_shell(EVALUATE, "runs/other", folder=tmp_path)
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1
+    assert listing(folder) == listing(copied(trained, tmp_path / "untouched"))

@@ -1,0 +1,138 @@
+"""`cgtorch-train`: new runs, going on with runs, actions of one's own, giving up."""
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import Shell, in_a_shell, listing
+from trained import SMALL, Trained, copied
+
+TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
+OPTIONS = [
+    f"--{name.replace('_', '-')}={value}"
+    for name, value in SMALL.to_dict().items()
+    if name != "actions"
+]
+HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", "--practice=0"]
+LITTLE = ["--transitions=50", "--labels=60"]
+
+
+def test_help_has_examples() -> None:
+    ended = in_a_shell(TRAIN, "--help")
+    assert ended.code == 0
+    assert ended.err == ""
+    assert "Examples:" in ended.out
+    assert "cgtorch-train --stage S2\n" in ended.out
+    for option in ("stage", "seed", "run-dir", "population", "generations", "device", "actions"):
+        assert f"--{option}" in ended.out
+    assert "--resume" in ended.out
+    assert "--quiet" in ended.out
+
+
+def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> None:
+    """A fresh run says what it makes; what it has made is kept."""
+    words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE]
+    ended = in_a_shell(TRAIN, *words, folder=tmp_path)
+    assert ended.code == 1, ended
+    assert "S2 needs S0, S1 first, which run lacks; making all" in ended.err
+    last = ended.err.splitlines()[-1]
+    assert last.startswith("cgtorch-train: stage S0 found no skill that keeps W and solves more")
+    assert "raise --attempts, --generations or --population" in last
+    assert "Traceback" not in ended.err
+    assert ended.out == ""
+    left = {name for name in listing(tmp_path / "run") if "tfevents" not in name}
+    files = {"data.safetensors", "gamma.safetensors", "classifier.safetensors", "scenarios.json"}
+    assert left == {
+        "run.json",
+        "robot",
+        "robot/robot.urdf",
+        "robot/robot.json",
+        "start",
+        *(f"start/{name}" for name in files),
+    }
+    notes = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert notes["settings"]["population"] == 2
+
+
+def test_a_finished_stage_is_not_made_again(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    folder = copied(trained, tmp_path / "run")
+    was = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    for words in (["--resume", folder], ["--run-dir", folder, *OPTIONS]):
+        ended = shell(TRAIN, *words, "--stage", "S1", "--quiet")
+        assert ended.code == 0, ended
+        assert "S0" in ended.out + ended.err
+        assert "S1" in ended.out + ended.err
+    assert {p: p.read_bytes() for p in was} == was
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary == json.loads((trained.folder / "summary.json").read_text())
+    assert [stage["stage"] for stage in summary["stages"]] == ["S0", "S1"]
+
+
+def test_the_stages_that_a_run_lacks_are_made(
+    shell: Shell, trained: Trained, tmp_path: Path
+) -> None:
+    """The run is begun elsewhere and ended here: the skills are the same, bit for bit."""
+    folder = copied(trained, tmp_path / "run", ())
+    ended = shell(TRAIN, "--resume", folder, "--stage", "S1")
+    assert ended.code == 0, ended
+    assert f"S1 needs S0 first, which {folder} lacks; making all" in ended.err.replace("\n", " ")
+    for stage in ("S0", "S1"):
+        for name in ("skill.json", "scenarios.json"):
+            made = (folder / stage / name).read_bytes()
+            assert made == (trained.folder / stage / name).read_bytes()
+    left = {Path(name).name for name in listing(folder)}
+    assert not any(name.endswith(".tmp") for name in left)
+
+
+ACTIONS = '''
+from torch import Tensor
+
+from cgtorch.actions import Action
+from cgtorch.environment import Environment, Lanes
+
+RUNS = []
+
+
+class Wait(Action):
+    """Does nothing, now or later."""
+
+    outcomes = ("done", "bored")
+    num_parameters = 2
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        RUNS.append(len(lanes))
+        return lanes, (parameters[:, 0] > parameters[:, 1]).long()
+'''
+
+
+def test_an_action_of_ones_own_takes_part(
+    shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module in the current folder is enough; the run remembers its name, not its code."""
+    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
+    monkeypatch.syspath_prepend(tmp_path)
+    import waiting_actions  # the module that was just written
+
+    folder = copied(trained, tmp_path / "run", ())
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["actions"] = ["waiting_actions:Wait"]
+    (folder / "run.json").write_text(json.dumps(about))
+    words = ["--resume", folder, "--actions", "waiting_actions:Wait", "--stage", "S0", "--quiet"]
+    ended = shell(TRAIN, *words)
+    assert ended.code == 0, ended
+    assert sum(waiting_actions.RUNS) > 1000
+    own = (folder / "S0" / "skill.json").read_bytes()
+    assert own != (trained.folder / "S0" / "skill.json").read_bytes()
+    ended = shell(EVALUATE, folder, "--actions", "waiting_actions:Wait", "--count", 10, "--json")
+    assert json.loads(ended.out)["tried"] == 10
+
+
+def test_a_new_run_with_an_action_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
+    words = ["--stage", "S0", "--run-dir", "run", "--quiet", *HASTY, *LITTLE]
+    ended = in_a_shell(TRAIN, *words, "--actions", "waiting_actions:Wait", folder=tmp_path)
+    assert ended.code in (0, 1), ended
+    about = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert about["settings"]["actions"] == ["waiting_actions:Wait"]
