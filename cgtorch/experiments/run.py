@@ -169,7 +169,7 @@ def last_skill(path: Path, trusted: Sequence[str] = ()) -> tuple[Run, Skill]:
             raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
         return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
     if (path / "skill.json").is_file():
-        run = open_run(path.parent, trusted)
+        run = open_run(path.absolute().parent, trusted)  # also of "."
         return run, load_skill(path / "skill.json", run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 

@@ -71,6 +71,8 @@ def test_from_another_folder_and_process(trained: Trained, tmp_path: Path) -> No
     found = json.loads(ended.out)
     assert found["tried"] == 5
     assert found["rate"] == found["succeeded"] / 5
+    here = in_a_shell(EVALUATE, ".", "--count", "5", "--json", folder=folder / "S1")
+    assert here.out == ended.out
     ended = in_a_shell(EVALUATE, "runs/other", folder=tmp_path)
     assert ended.code == 2
     assert ended.err.count("\n") == 1
