@@ -15,7 +15,7 @@ from cgtorch.errors import RunError
 from cgtorch.evolution import STRATEGY, Population
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Graphs, valid
-from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.improvement.knowledge import Knowledge, swift_gamma
 from cgtorch.models import (
     Choice,
     SuccessClassifier,
@@ -113,7 +113,7 @@ def load_knowledge(folder: Path) -> Knowledge:
     except (TypeError, KeyError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
     data = load_dataset(folder / "data.safetensors")
-    return Knowledge(data, gamma, classifier, gamma_report, report)
+    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, gamma_report, report)
 
 
 def _frozen(report: dict[str, Any]) -> dict[str, Any]:

@@ -36,10 +36,11 @@ from cgtorch.improvement.events import (
     Watch,
 )
 from cgtorch.improvement.grow import grow
-from cgtorch.improvement.improve import Progress, Setup, improve
+from cgtorch.improvement.improve import improve
 from cgtorch.improvement.knowledge import fit_models
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import Budget
-from cgtorch.world import stage_scenarios
+from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
 
@@ -143,14 +144,19 @@ def _stage(
         watch(event)
 
     method = {"compose": improve, "paper": grow}[run.settings.method]
-    progress = method(setup, progress, name, task.scenarios, task.targets, generator, listen)
+
+    def draw(generator: Generator) -> Scenarios:
+        return random_scenarios(STAGES[name], practice, generator)
+
+    earlier = len(progress.solved)
+    progress = method(setup, progress, name, task.scenarios, task.targets, draw, generator, listen)
     if accepted is None or progress.skill is None:
         raise NotImprovedError(
             f"stage {name} found no skill that keeps W and solves more within "
             f"{setup.attempts} attempts; raise --attempts, --generations or --population"
         )
     with working(f"testing {name} on fresh placements"):
-        result = _result(run, name, accepted, tally)
+        result = _result(run, name, accepted, earlier, tally)
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)
         write_json(folder / "result.json", result)
@@ -172,14 +178,16 @@ def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
     )
 
 
-def _result(run: Run, name: str, accepted: SkillAccepted, tally: Tally) -> dict[str, Any]:
-    """A stage's line of the final table, with what only the world could tell."""
+def _result(
+    run: Run, name: str, accepted: SkillAccepted, earlier: int, tally: Tally
+) -> dict[str, Any]:
+    """A stage's line of the final table; the first `earlier` scenarios are the W it began with."""
     skill, succeeded = accepted.skill, accepted.succeeded
     seed = FRESH_SEED + run.settings.seed
     edge = STAGES[name]
     fresh = evaluate_skill(skill, run.world_of, edge, FRESH, seed)
     around = evaluate_skill(skill, run.world_of, "perimeter", PERIMETER, seed)
-    five = succeeded[accepted.size_w : accepted.size_w + 5]
+    five = succeeded[earlier : earlier + 5]
     return {
         "stage": name,
         "edge": edge,
@@ -187,8 +195,8 @@ def _result(run: Run, name: str, accepted: SkillAccepted, tally: Tally) -> dict[
         "targets": len(five),
         "earlier_failures": int(accepted.targets.sum()) - len(five),
         "earlier_failures_succeeded": int(succeeded[accepted.targets].sum()) - int(five.sum()),
-        "w_size": accepted.size_w,
-        "w_lost": int((~succeeded[: accepted.size_w]).sum()),
+        "w_size": earlier,
+        "w_lost": int((~succeeded[:earlier]).sum()),
         "nodes": skill.num_nodes,
         "depth": skill.depth,
         "generations": tally.generations,

@@ -76,16 +76,16 @@ class WorldTested:
 class SkillAccepted:
     """Eq. 1 holds in the world for a new skill.
 
-    `succeeded` (B,) is its result on each of `scenarios`, of which the first `size_w` are W;
-    `targets` (B,) bool marks the five test placements of the stage.
+    `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those that are W,
+    `targets` (B,) bool the test placements of the stage.
     """
 
     stage: str
     skill: Skill
     scenarios: Scenarios
     succeeded: Tensor
+    keep: Tensor
     targets: Tensor
-    size_w: int
     seconds: float
 
 

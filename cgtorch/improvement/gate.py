@@ -6,7 +6,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import BranchingNN
 from cgtorch.actions.networks import one_hidden_layer, sigmoid
 
-RESTARTS, EPOCHS, RATE, BLUR = 4, 400, 0.05, 0.01
+RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0
 
 
@@ -34,16 +34,13 @@ def train_branches(
         return empty, torch.zeros(len(percepts), dtype=torch.long)
     x = percepts[:, : branch.inputs]
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
-    useful = solves.amax(1) > 0
-    best_loss, best = float("inf"), torch.zeros(solves.shape[1] - 1, branch.num_parameters)
-    for _ in range(RESTARTS):
-        parameters, loss = _descend(
-            branch, (x - centre) / scale, solves, weight * useful, BLUR / scale, generator
-        )
-        if loss < best_loss:
-            best_loss, best = loss, parameters
-    best = _unscaled(branch, best, centre, scale)
-    return best, sent_to(branch, best, percepts)
+    weight = weight * (solves.amax(1) > 0)
+    tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
+    ends = [_unscaled(branch, parameters, centre, scale) for parameters in tries]
+    sent = [sent_to(branch, parameters, percepts) for parameters in ends]
+    wrong = [float((weight * (1 - solves.gather(1, s[:, None])[:, 0])).sum()) for s in sent]
+    best = wrong.index(min(wrong))
+    return ends[best], sent[best]
 
 
 def _descend(
@@ -53,43 +50,46 @@ def _descend(
     weight: Tensor,
     blur: Tensor,
     generator: Generator,
-) -> tuple[Tensor, float]:
-    """Adam from one random start; the parameters and how much weight is sent wrong."""
-    shape = (solves.shape[1] - 1, branch.num_parameters)
+) -> Tensor:
+    """(RESTARTS, M - 1, K) parameters, by Adam from as many random starts side by side."""
+    shape = (RESTARTS, solves.shape[1] - 1, branch.num_parameters)
     parameters = torch.randn(shape, generator=generator).requires_grad_()
     optimiser = torch.optim.Adam([parameters], lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS)
+    log_solves = solves.clamp_min(1e-6).log()
     for _ in range(EPOCHS):
         noisy = x + torch.randn(x.shape, generator=generator) * blur
         chosen = _log_chosen(branch, parameters, noisy)
-        reached = torch.logsumexp(chosen + solves.clamp_min(1e-6).log(), 1)
-        loss = -(weight * reached).sum() / weight.sum().clamp_min(1) + 1e-4 * (parameters**2).mean()
+        reached = torch.logsumexp(chosen + log_solves, -1)
+        loss = -(weight * reached).sum() / weight.sum().clamp_min(1)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    final = parameters.detach()
-    member = sent_to(branch, final, x)
-    wrong = (weight * (1 - solves.gather(1, member[:, None])[:, 0])).sum()
-    return final, float(wrong) + 1e-3 * float(loss.detach())
+        schedule.step()
+    return parameters.detach()
 
 
 def _outputs(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(M - 1, B, 2) outputs of all branches, before the sigmoid, which keeps their order."""
-    return torch.stack([one_hidden_layer(x, p, branch.hidden, 2) for p in parameters])
+    """(..., M - 1, B, 2) outputs of all branches (..., M - 1, K), before the last sigmoid."""
+    size, hidden = branch.hidden * branch.inputs, branch.hidden
+    w1, b1, w2, b2 = parameters.tensor_split([size, size + hidden, size + 3 * hidden], -1)
+    h = torch.sigmoid(x @ w1.unflatten(-1, (hidden, branch.inputs)).mT + b1[..., None, :])
+    return h @ w2.unflatten(-1, (2, hidden)).mT + b2[..., None, :]
 
 
 def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(B, M) log-probability that each member is chosen."""
-    first, second = (SHARPNESS * _outputs(branch, parameters, x)).log_softmax(-1).unbind(-1)
-    passed = torch.cat([torch.zeros_like(second[:1]), second.cumsum(0)])
-    taken = torch.cat([first, torch.zeros_like(first[:1])])
-    return (passed + taken).T
+    """(..., B, M) log-probability that each member is chosen."""
+    out = (SHARPNESS * _outputs(branch, parameters, x)).log_softmax(-1)
+    first, second = out.movedim(-3, -1).unbind(-2)
+    passed = torch.nn.functional.pad(second.cumsum(-1), (1, 0))
+    return passed + torch.nn.functional.pad(first, (0, 1))
 
 
 def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
     """(B,) long, the member that each percept is sent to."""
     x = percepts[:, : branch.inputs]
-    # The sigmoid rounds large outputs to the same number, as it does when the skill runs.
-    out = sigmoid(_outputs(branch, parameters, x))
+    # As in the running skill, where the sigmoid rounds large outputs to the same number.
+    out = torch.stack([sigmoid(one_hidden_layer(x, p, branch.hidden, 2)) for p in parameters])
     takes = out[..., 0] >= out[..., 1]
     return torch.cat([takes, torch.ones_like(takes[:1])]).long().argmax(0)
 

@@ -9,9 +9,11 @@ from torch import Generator, Tensor
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import ModelsFitted, SkillAccepted, Watch
-from cgtorch.improvement.improve import Progress, Setup, make_task, world_tested
+from cgtorch.improvement.improve import Draw
 from cgtorch.improvement.knowledge import imagine, learn
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.team import make_task, world_tested
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios
 
@@ -22,6 +24,7 @@ def grow(
     stage: str,
     scenarios: Scenarios,
     targets: Tensor,
+    draw: Draw,
     generator: Generator,
     watch: Watch,
 ) -> Progress:
@@ -29,7 +32,7 @@ def grow(
 
     Half of each first population is the last graph; fitness is 0 where a scenario of W fails.
     What meets eq. 1 in the world becomes the graph that the next attempt starts from. Arguments
-    and result are those of `cgtorch.improvement.improve.improve`.
+    and result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are not drawn.
     """
     began = time.perf_counter()
     task = make_task(setup, progress, stage, scenarios, targets)
@@ -69,9 +72,7 @@ def grow(
     if accepted is None:
         return replace(progress, knowledge=knowledge)
     seconds = time.perf_counter() - began
-    watch(
-        SkillAccepted(stage, accepted, task.scenarios, solved, task.targets, task.size_w, seconds)
-    )
+    watch(SkillAccepted(stage, accepted, task.scenarios, solved, task.keep, task.targets, seconds))
     return Progress(
         skill=accepted,
         solved=task.scenarios[solved.nonzero()[:, 0]],

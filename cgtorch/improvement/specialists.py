@@ -19,11 +19,13 @@ class Budget:
     Attributes:
         generations: the most for one evolution.
         patience: generations without a better fitness, once all is solved in the models.
+        stall: generations without a better fitness after which the search gives up.
         enough: fitness with which a candidate that solves all is good enough.
     """
 
     generations: int = 150
     patience: int = 10
+    stall: int = 40
     enough: float = 0.97
 
 
@@ -82,7 +84,7 @@ def evolve_candidate(
         if fitness > best + 1e-3:
             champion, solved, best, since = generation.champion, result, fitness, 0
         done = bool(solved.all()) and (best >= budget.enough or since >= budget.patience)
-        if done or generation.number + 1 >= budget.generations:
+        if done or since >= budget.stall or generation.number + 1 >= budget.generations:
             break
     assert champion is not None  # noqa: S101  the loop body has run
     return champion, solved

@@ -38,8 +38,8 @@ def world_tested(event: WorldTested) -> str:
 
 def skill_accepted(event: SkillAccepted) -> str:
     """The line for a skill that was accepted."""
-    w, targets = event.succeeded[: event.size_w], event.targets
-    others = event.succeeded[event.size_w :]
+    w, targets = event.succeeded[event.keep], event.targets
+    others = event.succeeded[~event.keep]
     nodes = f"{event.skill.num_nodes} node{'s' if event.skill.num_nodes != 1 else ''}"
     parts = [
         f"test placements {int(event.succeeded[targets].sum())}/{int(targets.sum())}",

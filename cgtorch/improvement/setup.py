@@ -1,0 +1,70 @@
+"""What improvement works with, and what it hands on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution import EvolutionSettings, Population
+from cgtorch.graphs import Skill
+from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.improvement.specialists import Budget
+from cgtorch.world import Scenarios, TabletopWorld
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What improvement works with and never changes.
+
+    Attributes:
+        actions: the primitive actions.
+        world_of: makes the world of given scenarios.
+        footprint: (4,) of the base (m).
+        evolution: settings of each evolution.
+        budget: when each evolution ends.
+        attempts: the most evolutions in one stage.
+        idle: evolutions without a new member after which no more are tried.
+        rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
+        group: scenarios a specialist is evolved on.
+        lanes: runs of a specialist in the models, each scenario of its group at least twice, with
+            different errors of Γ.
+        trials: runs in the world, with different noise, that a member must all pass to count as
+            solving a scenario.
+        max_transitions: of every skill.
+        device: where populations are evaluated.
+    """
+
+    actions: ActionSet
+    world_of: Callable[[Scenarios], TabletopWorld]
+    footprint: Tensor
+    evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
+    budget: Budget = field(default_factory=Budget)
+    attempts: int = 24
+    idle: int = 4
+    rounds: int = 1
+    group: int = 12
+    lanes: int = 24
+    trials: int = 3
+    max_transitions: int = 20
+    device: torch.device | str = "cpu"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What one stage hands on to the next.
+
+    Attributes:
+        skill: the last accepted skill, None before the first.
+        solved: W, what it succeeds on in the world.
+        missed: M, what it was tried on and failed.
+        knowledge: experience and models.
+        specialists: graphs evolved so far, seeds of later populations; None before the first.
+    """
+
+    skill: Skill | None
+    solved: Scenarios
+    missed: Scenarios
+    knowledge: Knowledge
+    specialists: Population | None = None

@@ -1,0 +1,215 @@
+"""A team of skills that a composed skill branches to: recruiting members, composing them."""
+
+import time
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.data import Dataset
+from cgtorch.evolution import Population, join
+from cgtorch.graphs import Skill
+from cgtorch.improvement.compose import branching_action, compose, fewest_members
+from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
+from cgtorch.improvement.gate import train_branches
+from cgtorch.improvement.knowledge import Knowledge, imagine, learn
+from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.specialists import evolve_candidate, local_group
+from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.world import Scenarios, concatenate_scenarios
+
+
+@dataclass(frozen=True)
+class Team:
+    """Skills that a composed skill may branch to, and what each does in the world.
+
+    Attributes:
+        members: M skills, the earlier skill first if there is one.
+        rates: (B, M) share of runs in the world that succeed.
+        population: the specialists' graphs; None while there is none.
+        knowledge: experience and models, with what the members' runs have taught.
+        hints: a candidate that held in the models only, to go on from; None if there is none.
+    """
+
+    members: tuple[Skill, ...]
+    rates: Tensor
+    population: Population | None
+    knowledge: Knowledge
+    hints: Population | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a stage is about.
+
+    Attributes:
+        stage: name of the new skill.
+        scenarios: B of them.
+        keep: (B,) bool, W: what must not be lost.
+        targets: (B,) bool, the stage's own test placements.
+        percepts: (B, D) what the robot first sees in each.
+    """
+
+    stage: str
+    scenarios: Scenarios
+    keep: Tensor
+    targets: Tensor
+    percepts: Tensor
+
+
+def make_task(
+    setup: Setup, progress: Progress, stage: str, scenarios: Scenarios, targets: Tensor
+) -> Task:
+    """W and the scenarios of a stage, with what the robot first sees in each."""
+    everything = concatenate_scenarios([progress.solved, scenarios])
+    keep = torch.arange(len(everything)) < len(progress.solved)
+    mask = torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets])
+    return Task(stage, everything, keep, mask, first_percepts(setup.world_of(everything)))
+
+
+def with_fresh(
+    setup: Setup, task: Task, team: Team, solved: Tensor, fresh: Scenarios
+) -> tuple[Task, Team]:
+    """The task and team after more scenarios; what is `solved` (B + fresh,) becomes W."""
+    everything = concatenate_scenarios([task.scenarios, fresh])
+    targets = torch.cat([task.targets, torch.zeros(len(fresh), dtype=torch.bool)])
+    percepts = torch.cat([task.percepts, first_percepts(setup.world_of(fresh))])
+    rates = [try_all(setup, member, fresh)[0] for member in team.members]
+    return (
+        Task(task.stage, everything, solved, targets, percepts),
+        replace(team, rates=torch.cat([team.rates, torch.stack(rates, 1)])),
+    )
+
+
+def first_team(setup: Setup, progress: Progress, task: Task) -> Team:
+    """The earlier skill, or nobody."""
+    if progress.skill is None:
+        rates = torch.zeros(len(task.scenarios), 0)
+        return Team((), rates, progress.specialists, progress.knowledge)
+    rate = task.keep.float()  # W is what it succeeds on
+    new = (~task.keep).nonzero()[:, 0]
+    rate[new], _ = try_all(setup, progress.skill, task.scenarios[new])
+    return Team((progress.skill,), rate[:, None], progress.specialists, progress.knowledge)
+
+
+def with_noise(scenarios: Scenarios, copy: int) -> Scenarios:
+    """The same placements met by other noise; copy 0 is the scenarios themselves."""
+    return replace(scenarios, seed=(scenarios.seed + copy * 0x9E3779B1) % 2**31)
+
+
+def try_all(setup: Setup, skill: Skill, scenarios: Scenarios) -> tuple[Tensor, Dataset]:
+    """How surely a skill solves each scenario, and what was experienced.
+
+    Where it succeeds it is tried again under other noise, `setup.trials` times in all.
+
+    Returns:
+        (B,) share of the runs that succeeded, 0 where the first one failed, and the experience.
+    """
+    trial = try_skill(skill, setup.world_of(scenarios))
+    rate, experience = trial.succeeded.float(), trial.experience
+    rows = trial.succeeded.nonzero()[:, 0]
+    for copy in range(1, setup.trials):
+        trial = try_skill(skill, setup.world_of(with_noise(scenarios[rows], copy)))
+        rate[rows] += trial.succeeded.float()
+        experience = experience.extended(trial.experience)
+    rate[rows] /= setup.trials
+    return rate, experience
+
+
+def recruit(
+    setup: Setup,
+    team: Team,
+    task: Task,
+    name: str,
+    missed: Tensor,
+    generator: Generator,
+    watch: Watch,
+) -> Team:
+    """Evolve one specialist on a local group of what is `missed` (B,), and try it in the world.
+
+    It joins the team if it solves anything that nobody does. Where the world does not keep what
+    the models promised, Γ and C learn from it, and the next search goes on from there.
+    """
+    group = local_group(task.percepts, missed, setup.group, generator)
+    percepts = task.percepts[group]
+    replicas = max(2, setup.lanes // len(group))
+    environment = imagine(
+        team.knowledge, percepts, setup.footprint, replicas, generator, setup.device
+    )
+    champion, solved = evolve_candidate(
+        environment,
+        setup.actions,
+        setup.evolution,
+        setup.budget,
+        generator,
+        watch,
+        task.stage,
+        name,
+        seeds=team.hints or team.population,
+        max_transitions=setup.max_transitions,
+        device=setup.device,
+    )
+    member = Skill(name, champion.graphs, setup.actions, setup.max_transitions)
+    rate, experience = try_all(setup, member, task.scenarios)
+    promised = solved.view(len(group), -1).all(1)
+    watch(
+        replace(
+            world_tested(task, name, rate == 1),
+            kept=int((rate[group] == 1).sum()),
+            promised=int(promised.sum()),
+        )
+    )
+    if (rate[missed] == 1).any():
+        population = join(team.population, champion) if team.population else champion
+        rates = torch.cat([team.rates, rate[:, None]], 1)
+        team = replace(team, members=(*team.members, member), rates=rates, population=population)
+    team = replace(team, hints=None)
+    if (rate[group] < 1).any():
+        began = time.perf_counter()
+        knowledge = learn(team.knowledge, experience, generator)
+        watch(ModelsFitted(task.stage, knowledge, time.perf_counter() - began))
+        hints = join(champion, team.population) if team.population else champion
+        team = replace(team, knowledge=knowledge, hints=hints)
+    return team
+
+
+def compose_team(
+    setup: Setup,
+    team: Team,
+    task: Task,
+    has_earlier: bool,
+    generator: Generator,
+    watch: Watch,
+    tries: int = 3,
+) -> tuple[Skill, Tensor] | None:
+    """The smallest team that solves what all of it solve, under trained branches.
+
+    Returns:
+        The skill and (B,) bool what it solves in the world on the recorded noise, or None if in
+        no try it solves all of W and at least one other scenario (eq. 1).
+    """
+    if not team.members:
+        return None
+    stay = torch.zeros(len(team.members), dtype=torch.bool)
+    stay[0] = has_earlier
+    chosen = fewest_members(team.rates == 1, stay)
+    # The earlier skill comes last: it gets what no specialist takes.
+    order = sorted(chosen, key=lambda i: (i == 0 and has_earlier, i))
+    members, rates = [team.members[i] for i in order], team.rates[:, order]
+    _, branch = branching_action(setup.actions)
+    weight = torch.where(task.keep | task.targets, 3.0, 1.0)
+    for _ in range(tries):
+        parameters, _ = train_branches(branch, task.percepts, rates, weight, generator)
+        skill = compose(task.stage, members, parameters, setup.actions, setup.max_transitions)
+        succeeded = try_skill(skill, setup.world_of(task.scenarios)).succeeded
+        watch(world_tested(task, task.stage, succeeded))
+        if succeeded[task.keep].all() and succeeded[~task.keep].any():
+            return skill, succeeded
+        weight = torch.where(succeeded, weight, 3 * weight)
+    return None
+
+
+def world_tested(task: Task, name: str, succeeded: Tensor) -> WorldTested:
+    """The event for what a candidate `succeeded` (B,) on in the world."""
+    w, m = succeeded[task.keep], succeeded[~task.keep]
+    return WorldTested(task.stage, name, int(w.sum()), len(w), int(m.sum()), len(m))
