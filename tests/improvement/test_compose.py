@@ -1,0 +1,174 @@
+"""Composed skills: branches over frozen members, run by the engine."""
+
+from itertools import combinations
+from pathlib import Path
+
+import networkx as nx
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import random_skill, seeded, world
+
+from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
+from cgtorch.environment import Lanes
+from cgtorch.errors import ActionError
+from cgtorch.graphs import Skill, from_networkx, load_skill, save_skill
+from cgtorch.graphs.view import View
+from cgtorch.improvement.compose import branching_action, compose, fewest_members
+from cgtorch.improvement.gate import sent_to, train_branches
+from cgtorch.simulation import rollout
+
+ACTIONS = paper_actions()
+BRANCH = branching_action(ACTIONS)[1]
+COUNT = 60
+
+
+def members(count: int) -> list[Skill]:
+    return [random_skill(s, f"member {s}", ACTIONS, max_transitions=8) for s in range(count)]
+
+
+def branches(count: int, seed: int) -> torch.Tensor:
+    """Branches that send the scenarios of `world` to different members, by where objects are."""
+    percepts = world(0, COUNT).start(torch.arange(COUNT))[1]
+    edges = percepts[:, 5].quantile(torch.linspace(0, 1, count + 1)[1:-1])
+    zone = torch.bucketize(percepts[:, 5].contiguous(), edges)
+    solves = torch.nn.functional.one_hot(zone, count).float()
+    found, member = train_branches(BRANCH, percepts, solves, torch.ones(COUNT), seeded(seed))
+    assert len(set(member.tolist())) == count
+    return found
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_each_scenario_is_run_by_the_member_it_is_sent_to(count: int) -> None:
+    """Step by step what the member does alone, since noise belongs to the scenario."""
+    team, parameters = members(count), branches(count, count)
+    skill = compose("all", team, parameters, ACTIONS, max_transitions=count + 1)
+    assert skill.num_nodes == 2 * count - 1
+    assert skill.depth == 2
+    place = world(0, COUNT)
+    member = sent_to(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
+    alone = [rollout(s.graph, s.actions, place, max_transitions=s.max_transitions) for s in team]
+    whole = rollout(skill.graph, skill.actions, place, max_transitions=skill.max_transitions)
+    compared = 0
+    for i, m in enumerate(member.tolist()):
+        asked = min(m, count - 2) + 1  # how many branches it took to get there
+        if alone[m].succeeded[0, i]:
+            compared += 1
+            assert whole.succeeded[0, i]
+            assert torch.equal(whole.percept[0, i], alone[m].percept[0, i])
+            assert int(whole.transitions[0, i]) == asked + int(alone[m].transitions[0, i])
+    assert compared >= 3
+
+
+def visited(skill: Skill, count: int = COUNT) -> list[list[int]]:
+    """The slots of the skill's own nodes that each scenario visits, sub-skills' not among them."""
+    found: list[list[int]] = [[] for _ in range(count)]
+
+    def trace(active: torch.Tensor, node: torch.Tensor, outcome: torch.Tensor, _: Lanes) -> None:
+        for lane, slot in zip(active.tolist(), node.tolist(), strict=True):
+            if slot < skill.num_nodes:
+                found[lane].append(slot)
+
+    rollout(
+        skill.graph,
+        skill.actions,
+        world(0, count),
+        max_transitions=skill.max_transitions,
+        trace=trace,
+    )
+    return found
+
+
+def looker() -> Skill:
+    """A member that only looks, until it has run out of its transitions."""
+    view: View = nx.MultiDiGraph(start=0)
+    view.add_node(0, action="Detect", parameters=[])
+    view.add_edge(0, 0, outcome="success")
+    return Skill("looker", from_networkx(view, ACTIONS), ACTIONS, 3)
+
+
+def test_a_member_that_fails_hands_back_to_the_first_branch() -> None:
+    team = [
+        looker(),
+        Skill("other", looker().graph, ACTIONS, 2),
+        Skill("third", looker().graph, ACTIONS),
+    ]
+    parameters = branches(3, 3)
+    skill = compose("all", team, parameters, ACTIONS, max_transitions=9)
+    member = sent_to(BRANCH, parameters, world(0, COUNT).start(torch.arange(COUNT))[1])
+    # Round after round of one or two branches and a member, nine transitions in all; noise may
+    # turn a branch in later rounds, so only the first two are told.
+    for way, m in zip(visited(skill), member.tolist(), strict=True):
+        asked = list(range(min(m, 1) + 1))
+        assert way[: len(asked)] == asked
+        assert way[len(asked)] == 0
+        assert len(way) >= 3
+
+
+def test_one_member_is_that_member_under_a_new_name() -> None:
+    (one,) = members(1)
+    skill = compose("S0", [one], torch.zeros(0, BRANCH.num_parameters), ACTIONS, 8)
+    assert skill.name == "S0"
+    assert skill.depth == 1
+    first, second = (
+        rollout(s.graph, s.actions, world(0, 20), max_transitions=8) for s in (one, skill)
+    )
+    assert torch.equal(first.percept, second.percept)
+
+
+def test_composed_skills_can_be_stored_and_composed_again(tmp_path: Path) -> None:
+    inner = compose("S0", members(2), branches(2, 2), ACTIONS, 20)
+    outer = compose("S1", [random_skill(9, "new", ACTIONS), inner], branches(2, 3), ACTIONS, 20)
+    assert outer.depth == 3
+    save_skill(tmp_path / "skill.json", outer)
+    again = load_skill(tmp_path / "skill.json", ACTIONS)
+    one, two = (rollout(s.graph, s.actions, world(0, 30)) for s in (outer, again))
+    for name, value in vars(one).items():
+        assert torch.equal(value, getattr(two, name))
+
+
+def test_members_of_one_name_are_an_error() -> None:
+    one = members(1)[0]
+    with pytest.raises(ActionError, match="is used twice"):
+        compose("all", [one, one], branches(2, 1), ACTIONS, 20)
+
+
+def test_composing_needs_a_branching_network() -> None:
+    few = ActionSet(("MoveBase", "Detect", "Grasp"), (MoveBase(), Detect(), Grasp()))
+    with pytest.raises(ActionError, match="no BranchingNN among MoveBase, Detect, Grasp"):
+        branching_action(few)
+
+
+tables = st.integers(1, 6).flatmap(
+    lambda m: st.tuples(
+        st.lists(st.lists(st.booleans(), min_size=m, max_size=m), min_size=1, max_size=10),
+        st.lists(st.booleans(), min_size=m, max_size=m),
+    )
+)
+
+
+@given(tables)
+def test_few_members_solve_all_that_any_solve(table: tuple[list[list[bool]], list[bool]]) -> None:
+    solves, keep = torch.tensor(table[0]), torch.tensor(table[1])
+    chosen = fewest_members(solves, keep)
+    assert chosen == sorted(set(chosen))
+    assert set(keep.nonzero()[:, 0].tolist()) <= set(chosen)
+    covered = solves.any(1)
+    assert torch.equal(solves[:, chosen].any(1), covered)
+    fewest = next(
+        size
+        for size in range(solves.shape[1] + 1)
+        for some in combinations(range(solves.shape[1]), size)
+        if set(keep.nonzero()[:, 0].tolist()) <= set(some)
+        and torch.equal(solves[:, list(some)].any(1), covered)
+    )
+    # Greedy choice of n scenarios takes at most H(n) times the fewest (Johnson 1974).
+    harmonic = sum(1 / i for i in range(1, len(solves) + 1))
+    assert fewest <= len(chosen) <= int(keep.sum()) + harmonic * max(1, fewest)
+
+
+def test_nobody_to_choose_from() -> None:
+    assert (
+        fewest_members(torch.zeros(4, 0, dtype=torch.bool), torch.zeros(0, dtype=torch.bool)) == []
+    )

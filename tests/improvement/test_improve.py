@@ -1,0 +1,207 @@
+"""Algorithm 1: nothing that was solved is lost, whatever the search brings."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from support import FOOTPRINT, seeded
+from torch import Tensor
+
+from cgtorch.data import Dataset
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    WorldTested,
+)
+from cgtorch.improvement.grow import grow
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.trial import try_skill
+from cgtorch.world import (
+    Scenarios,
+    TabletopWorld,
+    concatenate_scenarios,
+    random_scenarios,
+    stage_scenarios,
+)
+
+METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow}
+Told = list[Event]
+
+
+def stage(
+    method: str, setup: Setup, progress: Progress, name: str, edge: str, seed: int
+) -> tuple[Progress, Told]:
+    """One stage on an edge: five placements and five of practice."""
+    scenarios = concatenate_scenarios(
+        [stage_scenarios(edge), random_scenarios(edge, 5, seeded(seed))]
+    )
+    told: Told = []
+    after = METHODS[method](
+        setup,
+        progress,
+        name,
+        scenarios,
+        torch.arange(10) < 5,
+        lambda generator: random_scenarios(edge, 5, generator),
+        seeded(seed),
+        told.append,
+    )
+    return after, told
+
+
+def solves(setup: Setup, progress: Progress, scenarios: Scenarios) -> Tensor:
+    assert progress.skill is not None
+    return try_skill(progress.skill, setup.world_of(scenarios)).succeeded
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_that_was_solved_is_lost(
+    setup: Setup, nothing_yet: Progress, method: str, seed: int
+) -> None:
+    """Eq. 1 over two stages, measured in the world by running the skills again."""
+    progress, accepted = nothing_yet, 0
+    for name, edge in (("S0", "near"), ("S1", "left")):
+        after, told = stage(method, setup, progress, name, edge, seed)
+        events = [e for e in told if isinstance(e, SkillAccepted)]
+        if not events:
+            assert after.skill is progress.skill
+            assert after.solved is progress.solved
+            assert after.missed is progress.missed
+            continue
+        accepted += 1
+        assert after.skill is events[-1].skill
+        assert after.skill.name == name
+        assert solves(setup, after, progress.solved).all()  # eq. 1a
+        assert len(after.solved) > len(progress.solved)  # eq. 1b
+        assert solves(setup, after, after.solved).all()
+        assert not solves(setup, after, after.missed).any()
+        for event in events:
+            assert event.succeeded[event.keep].all()
+            assert event.succeeded[~event.keep].any()
+            assert int(event.targets.sum()) == 5
+        progress = after
+    assert accepted >= 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_generator_decides(setup: Setup, nothing_yet: Progress, method: str) -> None:
+    first, again = (stage(method, setup, nothing_yet, "S0", "near", 1)[0] for _ in range(2))
+    assert first.skill is not None
+    assert again.skill is not None
+    for name, value in vars(first.skill.graph).items():
+        assert torch.equal(value, getattr(again.skill.graph, name))
+    for one, other in ((first.solved, again.solved), (first.missed, again.missed)):
+        assert torch.equal(one.object, other.object)
+
+
+def out_of_reach(scenarios: Scenarios) -> TabletopWorld:
+    """A world that the models have got all wrong."""
+
+    def never(at: Tensor, table: Tensor) -> Tensor:
+        return torch.zeros(len(at), dtype=torch.bool)
+
+    return TabletopWorld(scenarios, never, FOOTPRINT)
+
+
+def grown(before: Dataset, after: Dataset) -> int:
+    """How many rows are new; the old ones must come first."""
+    for name, rows in vars(before).items():
+        assert torch.equal(vars(after)[name][: len(rows)], rows), name
+    return len(after.graspable) - len(before.graspable)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_where_nothing_can_be_solved_all_stays_and_the_models_learn(
+    setup: Setup, nothing_yet: Progress, method: str
+) -> None:
+    hopeless = replace(setup, world_of=out_of_reach)
+    after, told = stage(method, hopeless, nothing_yet, "S0", "near", 0)
+    assert after.skill is None
+    assert len(after.solved) == len(after.missed) == 0
+    assert not any(isinstance(e, SkillAccepted) for e in told)
+    assert sum(isinstance(e, ModelsFitted) for e in told) >= 1
+    before = nothing_yet.knowledge
+    assert grown(before.dataset, after.knowledge.dataset) > 0
+    seen = after.knowledge.dataset
+    new = slice(len(before.dataset.graspable), None)
+    assert not seen.graspable[new].any()
+    # Where grasping failed, C no longer believes in it as it did.
+    where = seen.grasp_percept[new]
+    doubt = before.classifier(where).mean() - after.knowledge.classifier(where).mean()
+    assert float(doubt) > 0.05
+    # The knowledge that the stage began with is as it was.
+    assert before is nothing_yet.knowledge
+    assert not torch.equal(before.classifier(where), after.knowledge.classifier(where))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_skill_that_cannot_be_improved_is_kept(
+    setup: Setup, nothing_yet: Progress, method: str
+) -> None:
+    first, _ = stage(method, setup, nothing_yet, "S0", "near", 1)
+    assert first.skill is not None
+    hasty = replace(setup, attempts=1, budget=Budget(generations=1))
+    hopeless = replace(hasty, world_of=out_of_reach)
+    after, told = stage(method, hopeless, first, "S1", "far", 1)
+    assert after.skill is first.skill
+    assert after.solved is first.solved
+    assert after.missed is first.missed
+    assert not any(isinstance(e, SkillAccepted) for e in told)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_budget_is_kept(setup: Setup, nothing_yet: Progress, method: str) -> None:
+    small = replace(setup, attempts=2, budget=Budget(generations=3))
+    _, told = stage(method, small, nothing_yet, "S0", "far", 2)
+    done = [e for e in told if isinstance(e, GenerationDone)]
+    assert len({e.candidate for e in done}) <= 2
+    for name in {e.candidate for e in done}:
+        numbers = [e.generation.number for e in done if e.candidate == name]
+        assert numbers == list(range(len(numbers)))
+        assert len(numbers) <= 3
+
+
+def test_the_papers_way_evolves_under_a_hard_w(setup: Setup, nothing_yet: Progress) -> None:
+    """Who loses a scenario of W in the models is worth nothing, and the last skill is a seed."""
+    first, _ = stage("paper", setup, nothing_yet, "S0", "near", 1)
+    assert first.skill is not None
+    after, told = stage("paper", setup, first, "S1", "left", 1)
+    done = [e for e in told if isinstance(e, GenerationDone)]
+    assert {e.size_w for e in done} >= {len(first.solved)}
+    for event in done:
+        best = event.generation.fitness.max()
+        assert (event.solved_w == event.size_w) or float(best) == 0
+    start = done[0].generation.population.graphs
+    n = first.skill.num_nodes
+    copies = (start.action[:, :n] == first.skill.graph.action[0, :n]).all(1)
+    assert int(copies.sum()) >= setup.evolution.population // 2
+    for event in told:
+        if isinstance(event, WorldTested):
+            assert event.size_w + event.size_m == len(first.solved) + 10
+    if after.skill is not first.skill:
+        assert after.skill is not None
+        assert after.skill.depth == 1
+
+
+def test_a_stage_whose_every_scenario_is_w(setup: Setup, nothing_yet: Progress) -> None:
+    """Nothing is missed at first; the skill is improved or kept, and W is not lost."""
+    first, _ = stage("compose", setup, nothing_yet, "S0", "near", 1)
+    none = stage_scenarios("near", 0)
+    after = improve(
+        setup,
+        first,
+        "S1",
+        none,
+        torch.zeros(0, dtype=torch.bool),
+        lambda generator: none,
+        seeded(0),
+        lambda event: None,
+    )
+    assert solves(setup, after, first.solved).all()
+    assert len(after.solved) >= len(first.solved)
