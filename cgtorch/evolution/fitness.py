@@ -65,18 +65,18 @@ def evaluate(
         )
         transitions += int(runs.transitions.sum())
         succeeded[alive[:, None], part] = runs.succeeded
-        score[alive[:, None], part] = _last_success(runs, environment)
+        score[alive[:, None], part] = _last_success(runs, environment, part)
         alive = alive[succeeded[alive][:, keep].all(1)]
     fitness = torch.zeros(p, device=device)
     fitness[alive] = score[alive].mean(1)
     return Evaluation(torch.nan_to_num(fitness).to(home), succeeded.to(home), transitions)
 
 
-def _last_success(runs: Rollouts, environment: Environment) -> Tensor:
-    """(P, B) C(p_t) at the last percept, half of it where the lane did not succeed."""
-    p, b, d = runs.percept.shape
-    lanes = start_lanes(environment, torch.zeros_like(runs.transitions).view(-1), 0, 0)
-    lanes = replace(lanes, percept=runs.percept.reshape(p * b, d))
+def _last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:
+    """(P, B) C(p_t) where each lane ended, half of it where the lane did not succeed."""
+    p, b = runs.succeeded.shape
+    lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)
+    lanes = replace(lanes, percept=runs.percept.flatten(0, 1), state=runs.state.flatten(0, 1))
     probability = environment.success(lanes).view(p, b)
     # A percept that is not finite is worth nothing, and no other lane is the worse for it.
     probability = torch.nan_to_num(probability).clamp(0, 1)

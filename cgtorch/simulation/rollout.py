@@ -27,12 +27,14 @@ class Rollouts:
         succeeded: (P, B) bool, a terminal outcome with success was reached.
         timed_out: (P, B) bool, no terminal outcome within the limit of transitions.
         percept: (P, B, D), the last percept p_t.
+        state: (P, B, S), what the environment kept of the lane at its end.
         transitions: (P, B) long, actions executed.
     """
 
     succeeded: Tensor
     timed_out: Tensor
     percept: Tensor
+    state: Tensor
     transitions: Tensor
 
 
@@ -99,7 +101,7 @@ def rollout(
         ),
     )
     status = torch.zeros(p * b, dtype=torch.long, device=device)
-    percept = lanes.percept.clone()
+    percept, state = lanes.percept.clone(), lanes.state.clone()
     transitions = lanes.step.clone()
     active = torch.arange(p * b, device=device)
     while len(active):
@@ -117,6 +119,7 @@ def rollout(
             gone, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
             status[active[gone]] = ended[gone]
             percept[active[gone]] = lanes.percept[gone]
+            state[active[gone]] = lanes.state[gone]
             transitions[active[gone]] = lanes.step[gone].clamp_max(max_steps)
             active, lanes = active[stay], lanes.rows(stay)
             frames = _Frames(*(x[stay] for x in vars(frames).values()))
@@ -125,6 +128,7 @@ def rollout(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
         percept=percept.view(p, b, percept.shape[1]),
+        state=state.view(p, b, state.shape[1]),
         transitions=transitions.view(p, b),
     )
 
