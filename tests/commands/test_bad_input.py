@@ -291,9 +291,7 @@ def test_a_disk_that_fills_up_while_a_run_goes_on(small_disk: Path, trained: Tra
     assert ended.err.count("\n") == 1, ended.err
     assert "No space left on device" in ended.err
     assert {name for name in listing(folder) - before if "tfevents" not in name} == set()
-    (small_disk / "ballast").unlink()
-    assert in_a_shell(TRAIN, *words).code == 0
-    assert (folder / "S1" / "skill.json").is_file()
+    assert (folder / "S0" / "skill.json").is_file()
 
 
 def no_large_files() -> None:

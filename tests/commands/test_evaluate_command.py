@@ -63,7 +63,7 @@ def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> N
     assert alone.out == in_run.out  # the run has the built-in robot and noise, too
 
 
-def test_from_another_folder_and_process(trained: Trained, tmp_path: Path) -> None:
+def test_in_a_process_of_its_own(trained: Trained, tmp_path: Path) -> None:
     folder = copied(trained, tmp_path / "runs" / "mine")
     ended = in_a_shell(EVALUATE, "runs/mine", "--count", "5", "--json", folder=tmp_path)
     assert ended.code == 0
@@ -71,9 +71,13 @@ def test_from_another_folder_and_process(trained: Trained, tmp_path: Path) -> No
     found = json.loads(ended.out)
     assert found["tried"] == 5
     assert found["rate"] == found["succeeded"] / 5
-    here = in_a_shell(EVALUATE, ".", "--count", "5", "--json", folder=folder / "S1")
-    assert here.out == ended.out
-    ended = in_a_shell(EVALUATE, "runs/other", folder=tmp_path)
-    assert ended.code == 2
-    assert ended.err.count("\n") == 1
     assert listing(folder) == listing(copied(trained, tmp_path / "untouched"))
+
+
+@pytest.mark.parametrize(("here", "name"), [("", "S1"), ("S0", "S0")])
+def test_the_current_folder(
+    shell: Shell, trained: Trained, monkeypatch: pytest.MonkeyPatch, here: str, name: str
+) -> None:
+    monkeypatch.chdir(trained.folder / here)
+    ended = shell(EVALUATE, ".", "--count", 2, "--json")
+    assert json.loads(ended.out)["skill"] == name

@@ -17,6 +17,29 @@ HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", 
 LITTLE = ["--transitions=50", "--labels=60"]
 
 
+ACTIONS = '''
+from torch import Tensor
+
+from cgtorch.actions import Action
+from cgtorch.environment import Environment, Lanes
+
+RUNS = []
+
+
+class Wait(Action):
+    """Does nothing, now or later."""
+
+    outcomes = ("done", "bored")
+    num_parameters = 2
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        RUNS.append(len(lanes))
+        return lanes, (parameters[:, 0] > parameters[:, 1]).long()
+'''
+
+
 def test_help_has_examples() -> None:
     ended = in_a_shell(TRAIN, "--help")
     assert ended.code == 0
@@ -30,8 +53,13 @@ def test_help_has_examples() -> None:
 
 
 def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> None:
-    """A fresh run says what it makes; what it has made is kept."""
-    words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE]
+    """A fresh run says what it makes; what it has made is kept.
+
+    A module in the current folder is enough for an action of one's own.
+    """
+    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
+    own = ["--actions", "waiting_actions:Wait"]
+    words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE, *own]
     ended = in_a_shell(TRAIN, *words, folder=tmp_path)
     assert ended.code == 1, ended
     assert "S2 needs S0, S1 first, which run lacks; making all" in ended.err
@@ -52,6 +80,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     }
     notes = json.loads((tmp_path / "run" / "run.json").read_text())
     assert notes["settings"]["population"] == 2
+    assert notes["settings"]["actions"] == ["waiting_actions:Wait"]
 
 
 def test_a_finished_stage_is_not_made_again(shell: Shell, trained: Trained, tmp_path: Path) -> None:
@@ -84,33 +113,10 @@ def test_the_stages_that_a_run_lacks_are_made(
     assert not any(name.endswith(".tmp") for name in left)
 
 
-ACTIONS = '''
-from torch import Tensor
-
-from cgtorch.actions import Action
-from cgtorch.environment import Environment, Lanes
-
-RUNS = []
-
-
-class Wait(Action):
-    """Does nothing, now or later."""
-
-    outcomes = ("done", "bored")
-    num_parameters = 2
-
-    def forward(
-        self, lanes: Lanes, parameters: Tensor, environment: Environment
-    ) -> tuple[Lanes, Tensor]:
-        RUNS.append(len(lanes))
-        return lanes, (parameters[:, 0] > parameters[:, 1]).long()
-'''
-
-
 def test_an_action_of_ones_own_takes_part(
     shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A module in the current folder is enough; the run remembers its name, not its code."""
+    """A run remembers its name, not its code."""
     (tmp_path / "waiting_actions.py").write_text(ACTIONS)
     monkeypatch.syspath_prepend(tmp_path)
     import waiting_actions  # the module that was just written
@@ -127,12 +133,3 @@ def test_an_action_of_ones_own_takes_part(
     assert own != (trained.folder / "S0" / "skill.json").read_bytes()
     ended = shell(EVALUATE, folder, "--actions", "waiting_actions:Wait", "--count", 10, "--json")
     assert json.loads(ended.out)["tried"] == 10
-
-
-def test_a_new_run_with_an_action_of_ones_own(tmp_path: Path) -> None:
-    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
-    words = ["--stage", "S0", "--run-dir", "run", "--quiet", *HASTY, *LITTLE]
-    ended = in_a_shell(TRAIN, *words, "--actions", "waiting_actions:Wait", folder=tmp_path)
-    assert ended.code in (0, 1), ended
-    about = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert about["settings"]["actions"] == ["waiting_actions:Wait"]

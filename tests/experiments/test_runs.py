@@ -197,9 +197,9 @@ def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
     return (folder / "S0" / "skill.json").read_bytes()
 
 
-def test_the_seed_decides(trained: Trained, tmp_path: Path) -> None:
+def test_another_seed_makes_another_skill(trained: Trained, tmp_path: Path) -> None:
+    """The same seed makes the same skills, which the test of the command shows."""
     was = (trained.folder / "S0" / "skill.json").read_bytes()
-    assert made_again(trained, tmp_path / "same", SMALL.seed) == was
     assert made_again(trained, tmp_path / "other", SMALL.seed + 1) != was
 
 
