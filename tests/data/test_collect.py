@@ -101,6 +101,9 @@ def test_no_blocked_motion_and_none_out_of_the_arena(
         there = Scenarios(state[:, :3], state[:, 3:9], state[:, 9:11], torch.arange(len(state)))
         assert not in_table(there, torch.tensor(FOOTPRINT)).any()
     assert made["after"][:, :2].norm(dim=1).max() <= ARENA
+    # Only a first pose may be in a corner of the square around the arena.
+    first = made["before"][:, 11] == 1
+    assert (first | (made["before"][:, :2].norm(dim=1) <= ARENA)).all()
 
 
 def test_the_robot_is_driven_along_all_sides(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from members import nearly
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
@@ -20,7 +21,8 @@ from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import Budget
-from cgtorch.improvement.trial import try_skill
+from cgtorch.improvement.team import Task, Team, compose_team
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import (
     Scenarios,
     TabletopWorld,
@@ -205,3 +207,27 @@ def test_a_stage_whose_every_scenario_is_w(setup: Setup, nothing_yet: Progress) 
     )
     assert solves(setup, after, first.solved).all()
     assert len(after.solved) >= len(first.solved)
+
+
+def test_a_team_that_would_lose_something_is_not_accepted(
+    setup: Setup, nothing_yet: Progress
+) -> None:
+    """Even where the members are believed to solve everything, the world has the last word."""
+    scenarios = random_scenarios("near", 40, seeded(5))
+    member = nearly(0.3)
+    solved = try_skill(member, setup.world_of(scenarios)).succeeded
+    assert 0 < int(solved.sum()) < 40
+    percepts = first_percepts(setup.world_of(scenarios))
+    nobody = torch.zeros(40, dtype=torch.bool)
+    team = Team(
+        (nearly(0.0), member), torch.tensor([[0.0, 1.0]]).repeat(40, 1), None, nothing_yet.knowledge
+    )
+    for keep, accepted in (
+        (~solved, False),
+        (solved, False),
+        (nobody, True),
+        (solved & (torch.arange(40) > 20), True),
+    ):
+        task = Task("S1", scenarios, keep, nobody, percepts)
+        found = compose_team(setup, team, task, True, seeded(0), lambda event: None)
+        assert (found is not None) == accepted

@@ -2,18 +2,15 @@
 
 from dataclasses import replace
 
-import networkx as nx
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from members import nearly
 from support import FOOTPRINT, seeded, world
 
-from cgtorch.actions import paper_actions
 from cgtorch.data import Dataset
 from cgtorch.environment import start_lanes
-from cgtorch.graphs import Skill, from_networkx
-from cgtorch.graphs.view import View
 from cgtorch.improvement.knowledge import MOST_NEW, Knowledge, imagine, learn, sampled
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
@@ -151,17 +148,3 @@ def test_who_succeeds_is_tried_again(setup: Setup) -> None:
     assert torch.allclose(share, torch.where(runs[0] == 1, runs.mean(0), 0.0))
     assert len(set(share.tolist())) >= 2
     assert len(experience.percept) >= len(trials[0].experience.percept) > 0
-
-
-def nearly(ahead: float) -> Skill:
-    """Drives ahead and grasps once, over and over."""
-    actions = paper_actions()
-    view: View = nx.MultiDiGraph(start=0)
-    view.add_node(0, action="ContinuousNN", parameters=[0.0] * 33 + [ahead, 0.0, 0.0])
-    view.add_node(1, action="MoveBase", parameters=[])
-    view.add_node(2, action="Grasp", parameters=[])
-    view.add_edge(0, 1, outcome="success")
-    view.add_edge(1, 2, outcome="success")
-    view.add_edge(1, 0, outcome="failure")
-    view.add_edge(2, 0, outcome="failure")
-    return Skill("nearly", from_networkx(view, actions), actions, 6)
