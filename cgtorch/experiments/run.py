@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 
 import torch
@@ -55,8 +56,10 @@ class Run:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The finished stages, in order."""
-        return tuple(s for s in STAGES if (self.folder / s / "skill.json").is_file())
+        """The finished stages, in order, up to the first that is missing."""
+        return tuple(
+            takewhile(lambda stage: (self.folder / stage / "skill.json").is_file(), STAGES)
+        )
 
 
 def tabletop_of(robot: Robot, noise: Noise) -> Callable[[Scenarios], TabletopWorld]:

@@ -16,12 +16,17 @@ def stage_started(event: StageStarted) -> str:
 def models_fitted(event: ModelsFitted) -> str:
     """The line for models that were trained."""
     gamma, classifier = event.knowledge.gamma_report, event.knowledge.classifier_report
+    data = event.knowledge.dataset
+    rows = f"{len(data.percept)} transitions and {len(data.graspable)} labels"
+    if len(data.percept) > gamma.rows:
+        return f"{event.stage}: Γ and C have learned on, now from {rows}, {event.seconds:.1f} s"
     error = dict(zip(gamma.coordinates, gamma.error, strict=True))
     object_error = (error["object x"] + error["object y"]) / 2
+    table_error = sum(error[f"table {side}"] for side in ("x min", "x max", "y min", "y max")) / 4
     return (
-        f"{event.stage}: Γ errs by {100 * object_error:.1f} cm on the object, "
-        f"C is right on {100 * classifier.balanced_accuracy:.1f} %; "
-        f"{gamma.rows} transitions and {classifier.rows} labels, {event.seconds:.1f} s"
+        f"{event.stage}: Γ errs by {100 * object_error:.1f} cm on the object and "
+        f"{100 * table_error:.1f} cm on the table, C is right on "
+        f"{100 * classifier.balanced_accuracy:.1f} %; {rows}, {event.seconds:.1f} s"
     )
 
 

@@ -44,7 +44,7 @@ def _knowledge() -> Knowledge:
         data.percept, data.motion, data.next_percept, epsilon=(0.1,), **grid
     )
     classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, **grid)
-    return Knowledge(data, gamma, classifier, gamma_report, report)
+    return Knowledge(data, gamma, gamma, classifier, gamma_report, report)
 
 
 @pytest.fixture(scope="session")
@@ -86,6 +86,7 @@ def events() -> list[Event]:
     skill = compose("S1", members, parameters, actions, 20)
     result = try_skill(skill, world).succeeded
     told.append(WorldTested("S1", "S1", int(result[keep].sum()), 6, int(result[~keep].sum()), 5))
-    told.append(SkillAccepted("S1", skill, scenarios, result, targets, 6, 62.0))
+    keep = torch.arange(len(scenarios)) < 6
+    told.append(SkillAccepted("S1", skill, scenarios, result, keep, targets, 62.0))
     assert sum(isinstance(e, GenerationDone) for e in told) == GENERATIONS + 2
     return told

@@ -38,7 +38,8 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     assert len(lines) == sum(not isinstance(e, GenerationDone) for e in events) + 1
     assert lines[0] == "S1: stage 2 of 3, 6 scenarios to keep (W), 5 to solve"
     assert re.fullmatch(
-        r"S1: Γ errs by \d+\.\d cm on the object, C is right on \d+\.\d %; "
+        r"S1: Γ errs by \d+\.\d cm on the object and \d+\.\d cm on the table, C is right on "
+        r"\d+\.\d %; "
         r"120 transitions and \d+ labels, 1\.5 s",
         lines[1],
     )
