@@ -20,6 +20,8 @@ def main() -> None:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     for path in FOLDER.glob("S?/*.safetensors"):
         path.unlink()
+    for path in FOLDER.glob("events.out.*"):
+        path.rename(FOLDER / "events.out.tfevents.0.reference")
 
 
 if __name__ == "__main__":
