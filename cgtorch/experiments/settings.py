@@ -28,7 +28,7 @@ class RunSettings:
     attempts: int = _option(24, "Most evolutions in one stage.")
     tournament: int = _option(5, "Individuals in a tournament.")
     max_transitions: int = _option(20, "Transitions after which a skill has failed.")
-    practice: int = _option(60, "Random placements practised in each stage beside the five tests.")
+    practice: int = _option(150, "Random placements practised in each stage beside the five tests.")
     transitions: int = _option(2000, "Random transitions collected for the transition model.")
     labels: int = _option(3000, "Grasp labels collected for the success classifier.")
     position_noise: float = _option(0.005, "Noise of odometry and detection, m.")
