@@ -8,6 +8,9 @@ from cgtorch.models.compact import compact_transition_model as compact_transitio
 from cgtorch.models.grid_search import Choice as Choice
 from cgtorch.models.grid_search import GridResult as GridResult
 from cgtorch.models.grid_search import grid_search as grid_search
+from cgtorch.models.learning_curve import LearningCurve as LearningCurve
+from cgtorch.models.learning_curve import doubling_sizes as doubling_sizes
+from cgtorch.models.learning_curve import learning_curve as learning_curve
 from cgtorch.models.storage import load_model as load_model
 from cgtorch.models.storage import load_report as load_report
 from cgtorch.models.storage import save_model as save_model

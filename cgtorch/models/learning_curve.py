@@ -1,0 +1,160 @@
+"""Learning curves: what more rows would bring, from one batched exact solve.
+
+Every size, fold and output is a dual problem over the same rows and on the same kernel matrix, in
+which the rows that it must not learn from have the box [0, 0]; so one call of the solver answers
+them all, and the values on all rows, used or not, come with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import SettingsError
+from cgtorch.models import inputs
+from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
+from cgtorch.models.grid_search import SCORES
+from cgtorch.models.kernels import kernel_matrix, make_kernel, resolve_gamma
+from cgtorch.models.problems import Problems, classification, regression
+from cgtorch.models.solver import FINAL_RIDGE, solve
+from cgtorch.models.svc import SVC, row_weights
+from cgtorch.models.svr import SVR, per_output
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """Scores by the number of rows trained on, more is better.
+
+    Attributes:
+        sizes: Rows trained on (S,).
+        train_scores: Score on these rows, by size and fold (S, F).
+        test_scores: Score on the rows that the fold holds out, by size and fold (S, F).
+    """
+
+    sizes: tuple[int, ...]
+    train_scores: tuple[tuple[float, ...], ...]
+    test_scores: tuple[tuple[float, ...], ...]
+
+
+def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
+    """Up to `count` sizes, each twice the one before and the last all that `folds` leave of `rows`.
+
+    Sizes under 16 rows are left out, as hardly anything can be learnt from them.
+    """
+    most = rows - -(-rows // folds)
+    return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)
+
+
+def learning_curve(
+    model: SVC | SVR,
+    x: Any,
+    y: Any,
+    *,
+    sizes: Sequence[int],
+    folds: Any = 5,
+    seed: int | torch.Generator = 0,
+    scoring: str | None = None,
+) -> LearningCurve:
+    """Cross-validated scores of a model trained on the first rows of each training fold.
+
+    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on
+    the first so many of the rows outside the fold, in the order given, and score these and the
+    fold. Shuffle rows whose order means something. Scores of several outputs are averaged.
+
+    Args:
+        model: An `SVC` or `SVR` with the parameters to judge; it is not changed. A gamma of
+            "scale" is that of all rows.
+        x: Rows (n, d).
+        y: Labels (n,), or targets (n,) or (n, k).
+        sizes: Numbers of rows to train on (S,).
+        folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
+        seed: Seed or generator of the folds and of the solver.
+        scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
+
+    Returns:
+        The scores.
+
+    Raises:
+        DataError: Data that the model's `fit` would refuse, too few rows for the folds, or one
+            class only among the first rows.
+        SettingsError: No size, one below 1 or beyond the smallest training fold, or an unknown
+            score.
+    """
+    scoring = scoring or ("accuracy" if isinstance(model, SVC) else "r2")
+    if scoring not in SCORES:
+        raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    rows = inputs.as_rows(x)
+    inputs.check_memory(len(rows), model.max_memory)
+    generator = inputs.generator_of(seed)
+    if isinstance(model, SVC):
+        classes, signs = inputs.as_binary(y, len(rows))
+        targets = signs.to(rows)[None]
+    else:
+        targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
+    if not isinstance(folds, int):
+        numbers = given_folds(folds, len(rows))
+    elif isinstance(model, SVC):
+        numbers = stratified_folds(targets[0], folds, generator)
+    else:
+        numbers = plain_folds(len(rows), folds, generator)
+    used = _first_rows(training_masks(numbers), sizes).to(rows.device)
+
+    flat = used.flatten(0, 1)
+    if isinstance(model, SVC):
+        cap = torch.full((len(flat),), inputs.positive(model.C, "C")).to(rows)
+        weight = row_weights(targets[0], classes, model.class_weight, flat)
+        problems = classification(targets[0], cap, weight)
+    else:
+        problems = _regressions(model, targets, flat)
+    gamma = resolve_gamma(model.gamma, rows)
+    kernel = make_kernel(model.kernel, gamma, model.degree, model.coef0)
+    matrix = kernel_matrix(kernel, rows)
+    found = solve(matrix, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
+    values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
+    return _scored(values, targets, used, numbers.to(rows.device), scoring, tuple(sizes))
+
+
+def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
+    """Masks (S, F, n) of the first rows of each training fold, whose masks are (F, n).
+
+    Raises:
+        SettingsError: No size, or one that cannot be had.
+    """
+    most = int(masks.sum(1).min())
+    if not sizes or not all(isinstance(s, int) and 1 <= s <= most for s in sizes):
+        raise SettingsError(f"sizes are {tuple(sizes)}; give numbers of rows from 1 to {most}")
+    place = masks.cumsum(1)
+    return masks & (place <= torch.tensor(sizes)[:, None, None])
+
+
+def _regressions(model: SVR, targets: Tensor, used: Tensor) -> Problems:
+    """Problems (Q k) of targets (k, n) for each mask of the rows used (Q, n), output by output."""
+    outputs, repeats = len(targets), len(used)
+    cap = per_output(model.C, "C", outputs, targets).repeat(repeats)
+    tube = torch.zeros_like(cap)
+    if model.epsilon != 0:
+        tube = per_output(model.epsilon, "epsilon", outputs, targets).repeat(repeats)
+    weight = used.to(targets).repeat_interleave(outputs, 0)
+    return regression(targets.repeat(repeats, 1), cap, tube, weight)
+
+
+def _scored(
+    values: Tensor, targets: Tensor, used: Tensor, numbers: Tensor, scoring: str, sizes: Any
+) -> LearningCurve:
+    """Scores of values (S, F, k, n) on the rows used (S, F, n) and on those of each fold."""
+    score = SCORES[scoring]
+
+    def mean(value: Tensor, rows: Tensor) -> float:
+        return float(score(value[:, rows], targets[:, rows]).mean())
+
+    train = tuple(
+        tuple(mean(values[s, f], used[s, f]) for f in range(used.shape[1]))
+        for s in range(len(used))
+    )
+    test = tuple(
+        tuple(mean(values[s, f], numbers == f) for f in range(used.shape[1]))
+        for s in range(len(used))
+    )
+    return LearningCurve(sizes, train, test)
