@@ -1,0 +1,102 @@
+"""Measure what cgtorch promises: one table, or with --json one object with all details.
+
+    python tools/benchmark.py [--quick] [--json] [--only NAME ...]
+
+Every line checks that both sides give the same results, then times them in turns in this one
+process. A new line is a function `Effort -> Line` in `benchmarks/`, entered in `LINES`.
+"""
+
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import click
+from benchmarks.inference import inference_ceiling, inference_vs_sklearn
+from benchmarks.measure import FULL, QUICK, Effort, Line, cores
+from rich.console import Console
+from rich.table import Table
+
+from cgtorch.errors import CgtorchError
+
+LINES: dict[str, Callable[[Effort], Line]] = {
+    "inference_vs_sklearn": inference_vs_sklearn,
+    "inference_ceiling": inference_ceiling,
+}
+
+PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")
+
+
+def as_json(lines: list[Line], effort: Effort, seconds: float) -> dict[str, Any]:
+    """The whole measurement as JSON values; `ratios` holds one number per line."""
+    return {
+        "ratios": {line.name: line.ratio for line in lines},
+        "lines": {line.name: asdict(line) for line in lines},
+        "effort": asdict(effort),
+        "seconds": seconds,
+        "machine": {"cores": cores(), "cpu": _cpu(), "load": list(os.getloadavg())},
+        "versions": {"python": platform.python_version()} | {p: _version(p) for p in PACKAGES},
+    }
+
+
+def as_table(lines: list[Line]) -> Table:
+    """One row per case of each line: seconds per call as median and extremes, and the ratio."""
+    table = Table(title=f"{cores()} cores, {_cpu()}", title_justify="left")
+    for heading in ("line", "case", "ours, s", "other, s", "ratio", "target", "clock"):
+        table.add_column(heading, justify="left" if heading in ("line", "case") else "right")
+    for line in lines:
+        for part in line.parts:
+            times = [
+                f"{t.median:.3g} ({t.fastest:.3g}–{t.slowest:.3g})" for t in (part.ours, part.other)
+            ]
+            ratio, target = f"{part.ratio:.3g} {line.unit}", f"{line.target:g}"
+            table.add_row(line.name, part.label, *times, ratio, target, line.clock)
+    return table
+
+
+def _cpu() -> str:
+    try:
+        with open("/proc/cpuinfo") as file:
+            return next(row for row in file if row.startswith("model name")).split(":")[1].strip()
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Smaller sizes and five repeats: under two minutes.")
+@click.option("--json", "print_json", is_flag=True, help="Print one JSON object, no table.")
+@click.option(
+    "--only", multiple=True, type=click.Choice(list(LINES)), help="This line; may be repeated."
+)
+def main(quick: bool, print_json: bool, only: tuple[str, ...]) -> None:
+    """Measure cgtorch against what it is compared to."""
+    effort, begin, lines = QUICK if quick else FULL, time.perf_counter(), []
+    for name in only or LINES:
+        click.echo(f"{name} ...", err=True)
+        try:
+            lines.append(LINES[name](effort))
+        except ModuleNotFoundError as e:
+            raise click.ClickException(f"{e.name} is missing; pip install '.[test]'") from e
+        except CgtorchError as e:
+            raise click.ClickException(f"{name}: {e}") from e
+    if print_json:
+        found = as_json(lines, effort, time.perf_counter() - begin)
+        click.echo(json.dumps(found, indent=1, allow_nan=False))
+    else:
+        Console(width=None if sys.stdout.isatty() else 140).print(as_table(lines))
+
+
+if __name__ == "__main__":
+    main()
