@@ -1,73 +1,175 @@
 """The hot path: values of an RBF machine with the fewest passes over memory.
 
-With s = gamma log2(e), the kernel is exp2(-s |c|^2 + 2 s x'c - s |x|^2): one addmm of the rows
-(x, |x|^2) with the matrix [2 s C'; -s], one exp2 in place, and one addmm with the weights, in
-chunks whose buffer stays in cache. The weights are padded to 16 columns because narrow matrix
-products run at a fraction of the peak.
+With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2): one product of the rows
+2 s (x, |x|^2, 1) with the matrix [C'; -1/2; -|c|^2 / 2], one exp2 in place, and one product with
+the weights, in chunks whose buffer stays in cache.
+
+A row has the same values, bit for bit, in whatever batch it comes and on however many threads:
+the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 4 and
+centres to multiples of 16, with weight 0 (docs/decisions.md). Weights are filled up to 16 columns
+because narrower products run at a fraction of the peak.
 """
 
 import math
+from dataclasses import dataclass
+from functools import partial
+from queue import Empty, SimpleQueue
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-_LOG2E = math.log2(math.e)
-_COLUMNS = 16
-_CHUNK_BYTES = 4 * 1024**2
-_SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 2048
+from cgtorch.models.threads import one_thread_each, side_by_side
+
+LOG2E = math.log2(math.e)
+_ROWS, _COLUMNS = 4, 16
+_CHUNK_BYTES = 1024**2
+_SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
+_CHUNKS = 4  # in a block, which is what the small operations before and after work on
+_WORTH_SHARING = 2**19  # kernel values, about 0.4 ms of one core
+
+Machine = tuple[Tensor, Tensor, Tensor, Tensor]
+"""Centres (m, d), weights (m, k), bias (k,) and gamma ()."""
+
+Block = tuple[Tensor, Tensor, Tensor | None]
+"""Rows (b, d), where their values (b, k) go, and where the nearest centre's exponents (b,) go."""
 
 
-def fused_rbf(
-    x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Values sum_j w_j exp(-gamma |x - c_j|^2) + bias and the nearest centre's distance.
+def fused_rbf(x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:
+    """Values (n, k): sum_j w_j exp(-gamma |x - c_j|^2) + bias, differentiable in all but gamma.
 
     Args:
         x: Rows (n, d).
-        centres: Centres (m, d).
+        centres: Centres (m, d), at least one.
         weights: Weights (m, k).
         bias: Biases (k,).
         gamma: Kernel width parameter ().
-
-    Returns:
-        Values (n, k), and gamma |x - c|^2 log2(e) of the nearest centre (n,), which costs one
-        pass over the exponents and no kernel evaluation. Both are differentiable in x.
     """
-    scale = gamma * _LOG2E
-    matrix = torch.cat([2 * scale * centres.T, (-scale).expand(1, len(centres))])
-    offset = -scale * (centres * centres).sum(1)
-    rows = torch.cat([x, (x * x).sum(1, keepdim=True)], dim=1)
-    k = weights.shape[1]
-    missing = -k % _COLUMNS if k > 1 else 0
-    padded = torch.nn.functional.pad(weights, (0, missing))
-    shifted = torch.nn.functional.pad(bias, (0, missing))
-    if torch.is_grad_enabled() and any(t.requires_grad for t in (x, centres, weights, bias)):
-        exponent = torch.addmm(offset, rows, matrix)
-        nearest = -exponent.amax(1)
-        return torch.addmm(shifted, exponent.exp2(), padded)[:, :k], nearest
-    return _chunked(rows, matrix, offset, padded, shifted, k)
+    machine = centres, weights, bias, gamma
+    if _wants_gradient(x, *machine):
+        return _exponents(x, centres, gamma).exp2() @ weights + bias
+    values = x.new_empty(len(x), len(bias))
+    _compute(x, machine, values, None)
+    return values
+
+
+def fused_rbf_and_nearest(
+    x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
+) -> tuple[Tensor, Tensor]:
+    """As `fused_rbf`, and gamma |x - c|^2 log2(e) of the nearest centre (n,).
+
+    The distance costs one pass over the exponents and no kernel evaluation.
+    """
+    machine = centres, weights, bias, gamma
+    if _wants_gradient(x, *machine):
+        exponent = _exponents(x, centres, gamma)
+        return exponent.exp2() @ weights + bias, -exponent.amax(1)
+    values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x))
+    _compute(x, machine, values, nearest)
+    return values, nearest.neg_()
 
 
 def chunk_rows(centres: int, item: int) -> int:
     """Rows per chunk so that the buffer of `centres` columns of `item` bytes stays in cache."""
-    fitting = _CHUNK_BYTES // max(1, centres * item)
+    fitting = _CHUNK_BYTES // max(1, centres * item) // _ROWS * _ROWS
     return min(_LARGEST_CHUNK, max(_SMALLEST_CHUNK, fitting))
 
 
-@torch.no_grad()
-def _chunked(
-    rows: Tensor, matrix: Tensor, offset: Tensor, padded: Tensor, shifted: Tensor, k: int
-) -> tuple[Tensor, Tensor]:
-    """`fused_rbf` without a graph, through one reused buffer."""
-    n, m = len(rows), matrix.shape[1]
-    size = min(max(n, 1), chunk_rows(m, rows.element_size()))
-    values, nearest = rows.new_empty(n, k), rows.new_empty(n)
-    buffer = rows.new_empty(size, m)
-    for begin in range(0, n, size):
-        end = min(begin + size, n)
-        exponent = buffer[: end - begin]
-        torch.addmm(offset, rows[begin:end], matrix, out=exponent)
-        torch.amax(exponent, 1, out=nearest[begin:end])
-        kernel = exponent.exp2_()
-        values[begin:end] = torch.addmm(shifted, kernel, padded)[:, :k]
-    return values, nearest.neg_()
+def _wants_gradient(*parts: Tensor) -> bool:
+    return torch.is_grad_enabled() and any(part.requires_grad for part in parts)
+
+
+def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
+    """Base-2 exponents (n, m) of the kernel, with a graph."""
+    inner = torch.addmm((centres * centres).sum(1), x, centres.T, alpha=-2)
+    return (inner + (x * x).sum(1, keepdim=True)) * (-LOG2E * gamma)
+
+
+@dataclass(frozen=True)
+class _Folded:
+    """A machine ready for products, M >= m and K >= k filled up as the module says.
+
+    Attributes:
+        matrix: [C'; -1/2; -|c|^2 / 2] (d + 2, M).
+        weights: (M, K).
+        bias: (k,).
+        scale: 2 gamma log2(e) ().
+        centres: m.
+        chunk: Rows that go through the kernel's buffer at once.
+    """
+
+    matrix: Tensor
+    weights: Tensor
+    bias: Tensor
+    scale: Tensor
+    centres: int
+    chunk: int
+
+
+def _fold(machine: Machine, rows: int) -> _Folded:
+    centres, weights, bias, gamma = machine
+    (m, d), k = centres.shape, len(bias)
+    missing = -m % _COLUMNS
+    matrix = centres.new_zeros(d + 2, m + missing)
+    matrix[:d, :m] = centres.T
+    matrix[d] = -0.5
+    torch.sum(centres * centres, 1, out=matrix[d + 1, :m]).mul_(-0.5)
+    return _Folded(
+        matrix=matrix,
+        weights=pad(weights, (0, -k % _COLUMNS if k > 1 else 0, 0, missing)),
+        bias=bias,
+        scale=gamma * (2 * LOG2E),
+        centres=m,
+        chunk=min(chunk_rows(m + missing, centres.element_size()), max(rows, 1) + -rows % _ROWS),
+    )
+
+
+@torch.inference_mode()
+def _compute(x: Tensor, machine: Machine, values: Tensor, nearest: Tensor | None) -> None:
+    """Fill `values` (n, k), and `nearest` (n,) if given, from rows x (n, d)."""
+    with one_thread_each() as threads:
+        folded = _fold(machine, len(x))
+        block = folded.chunk * _CHUNKS
+        rows = x.split(block)
+        ends = nearest.split(block) if nearest is not None else [None] * len(rows)
+        todo: SimpleQueue[Block] = SimpleQueue()
+        for each in zip(rows, values.split(block), ends, strict=True):
+            todo.put(each)
+        work = partial(_work_off, todo, folded, min(block, len(x) + -len(x) % _ROWS))
+        useful = min(threads, len(rows), len(x) * folded.centres // _WORTH_SHARING)
+        if useful > 1 and x.device.type == "cpu":
+            side_by_side(work, useful, threads)
+        else:
+            work()
+
+
+@torch.inference_mode()
+def _work_off(todo: "SimpleQueue[Block]", folded: _Folded, most: int) -> None:
+    """Take blocks of at most `most` rows off `todo` until there are none, in the same buffers."""
+    matrix, weights, chunk = folded.matrix, folded.weights, folded.chunk
+    rows = matrix.new_zeros(most, len(matrix))
+    rows[:, -1] = folded.scale
+    kernel = matrix.new_empty(chunk, matrix.shape[1])
+    sums = matrix.new_empty(most, weights.shape[1])
+    while True:
+        try:
+            x, values, nearest = todo.get_nowait()
+        except Empty:
+            return
+        n, d = x.shape
+        torch.mul(x, folded.scale, out=rows[:n, :d])
+        torch.sum(rows[:n, :d] * x, 1, out=rows[:n, d])
+        for begin in range(0, n, chunk):
+            last = min(begin + chunk, n)
+            end = last + (begin - last) % _ROWS
+            part = kernel[: end - begin]
+            torch.mm(rows[begin:end], matrix, out=part)
+            if nearest is not None:
+                real = part[: last - begin, : folded.centres]
+                torch.amax(real, 1, out=nearest[begin:last])
+            part.exp2_()
+            if weights.shape[1] == 1:
+                torch.mv(part, weights[:, 0], out=sums[begin:end, 0])
+            else:
+                torch.mm(part, weights, out=sums[begin:end])
+        torch.add(sums[:n, : len(folded.bias)], folded.bias, out=values)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.errors import DataError, ModelError, SettingsError
-from cgtorch.models.fused import chunk_rows, fused_rbf
+from cgtorch.models.fused import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
 from cgtorch.models.kernels import Kernel, make_kernel
 from cgtorch.models.problems import Problems
 from cgtorch.models.solver import classify
@@ -84,7 +84,9 @@ class KernelMachine(nn.Module):
             ModelError: Not fitted.
             DataError: Another number of features.
         """
-        return self.values_and_distance(x)[0]
+        rows = self._rows(x)
+        values = fused_rbf(rows, *self._machine) if self.kernel == "rbf" else self._plain(rows)
+        return values.reshape(*x.shape[:-1], values.shape[1])
 
     def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Values (..., k), and for an RBF kernel the squared distance (...) to the nearest centre.
@@ -95,21 +97,32 @@ class KernelMachine(nn.Module):
             ModelError: Not fitted.
             DataError: Another number of features.
         """
+        rows = self._rows(x)
+        if self.kernel == "rbf":
+            values, exponent = fused_rbf_and_nearest(rows, *self._machine)
+            distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
+        else:
+            values, distance = self._plain(rows), rows.new_zeros(len(rows))
+        lead = x.shape[:-1]
+        return values.reshape(*lead, values.shape[1]), distance.reshape(lead)
+
+    @property
+    def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return self.centres, self.weights, self.bias, self.gamma_value
+
+    def _rows(self, x: Tensor) -> Tensor:
+        """Rows (n, d) of x (..., d), in the type of the buffers.
+
+        Raises:
+            ModelError: Not fitted.
+            DataError: Another number of features.
+        """
         self._check_fitted()
         if x.shape[-1] != self.centres.shape[1]:
             raise DataError(
                 f"a row has {x.shape[-1]} features; the model was fitted on {self.centres.shape[1]}"
             )
-        rows = x.reshape(-1, x.shape[-1]).to(self.centres)
-        if self.kernel == "rbf":
-            values, exponent = fused_rbf(
-                rows, self.centres, self.weights, self.bias, self.gamma_value
-            )
-            distance = exponent.clamp_min(0) / (self.gamma_value * 1.4426950408889634)
-        else:
-            values, distance = self._plain(rows), rows.new_zeros(len(rows))
-        lead = x.shape[:-1]
-        return values.reshape(*lead, values.shape[1]), distance.reshape(lead)
+        return x.reshape(-1, x.shape[-1]).to(self.centres)
 
     def _plain(self, rows: Tensor) -> Tensor:
         """Values (n, k) with any kernel, in chunks of bounded memory."""
