@@ -7,21 +7,12 @@ from torch import Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.environment import Environment, Lanes
+from cgtorch.numerics import sigmoid
 
 
 def network_parameters(inputs: int, hidden: int, outputs: int) -> int:
     """Number of weights of a network with one hidden layer: W1, b1, W2, b2."""
     return hidden * (inputs + 1) + outputs * (hidden + 1)
-
-
-def sigmoid(x: Tensor) -> Tensor:
-    """The logistic function, bit for bit the same for a number wherever it stands in `x`.
-
-    `torch.sigmoid` rounds the last few numbers of a tensor in another way than the rest, so that
-    a lane could come to depend on its neighbours. The bound, past which the result is 0 in all
-    but name, keeps gradients finite.
-    """
-    return 1 / (1 + torch.exp((-x).clamp_max(80)))
 
 
 def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> Tensor:

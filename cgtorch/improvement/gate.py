@@ -4,7 +4,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import BranchingNN
-from cgtorch.actions.networks import one_hidden_layer, sigmoid
+from cgtorch.actions.networks import one_hidden_layer
+from cgtorch.numerics import sigmoid
 
 RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0

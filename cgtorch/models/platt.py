@@ -7,14 +7,19 @@ Lin & Weng, "A note on Platt's probabilistic outputs for support vector machines
 import torch
 from torch import Tensor
 
+from cgtorch.numerics import sigmoid
+
 _MAX_STEPS = 100
 _SMALLEST_RIDGE = 1e-12
 _SMALLEST_STEP = 1e-10
 
 
 def probability(decision: Tensor, slope: Tensor, offset: Tensor) -> Tensor:
-    """P(positive | decision) = 1 / (1 + exp(slope decision + offset)), any shape."""
-    return torch.sigmoid(-(slope * decision + offset))
+    """P(positive | decision) = 1 / (1 + exp(slope decision + offset)), any shape.
+
+    A decision has the same probability, bit for bit, whatever others come with it.
+    """
+    return sigmoid(-(slope * decision + offset))
 
 
 def _loss(logit: Tensor, target: Tensor) -> Tensor:
@@ -45,7 +50,7 @@ def fit_platt(decision: Tensor, signs: Tensor) -> tuple[Tensor, Tensor]:
     theta = torch.stack([torch.zeros_like(start), start]).to(f.device)
     loss = _loss(columns @ theta, target)
     for _ in range(_MAX_STEPS):
-        p = torch.sigmoid(-(columns @ theta))
+        p = sigmoid(-(columns @ theta))
         gradient = columns.T @ (target - p)
         if float(gradient.abs().max()) < 1e-9 * len(f):
             break

@@ -1,0 +1,32 @@
+"""The logistic function, and that no neighbour changes it."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cgtorch.numerics import sigmoid
+
+
+def test_sigmoid_is_the_logistic_function() -> None:
+    x = torch.linspace(-75, 75, 3001, dtype=torch.float64)
+    torch.testing.assert_close(sigmoid(x), torch.sigmoid(x), rtol=1e-12, atol=0)
+    ends = sigmoid(torch.tensor([-torch.inf, torch.inf]))
+    assert ends[0] < 1e-30
+    assert ends[1] == 1
+
+
+def test_gradients_of_large_numbers_stay_finite() -> None:
+    far = torch.tensor([-1e30, -100.0, 0.0, 100.0, 1e30], requires_grad=True)
+    sigmoid(far).sum().backward()
+    assert far.grad is not None
+    assert far.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@given(first=st.integers(0, 499), count=st.integers(1, 100))
+def test_no_neighbour_changes_a_number(dtype: torch.dtype, first: int, count: int) -> None:
+    x = torch.linspace(-20, 20, 600, dtype=dtype)
+    part = slice(first, first + count)
+    assert torch.equal(sigmoid(x[part]), sigmoid(x)[part])
+    assert torch.equal(sigmoid(x[part].clone()), sigmoid(x)[part])
