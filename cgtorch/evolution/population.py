@@ -23,7 +23,7 @@ STRATEGY = (
 INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Population:
     """P individuals.
 

@@ -11,7 +11,7 @@ from cgtorch.errors import GraphError
 NO_NODE = -1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Graphs:
     """P computational graphs of up to N nodes.
 

@@ -13,7 +13,7 @@ from cgtorch.graphs.graphs import Graphs, compacted
 from cgtorch.graphs.validity import check_graph
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Skill:
     """A named computational graph.
 
