@@ -18,6 +18,7 @@ from cgtorch.graphs import Graphs, valid
 from cgtorch.improvement.knowledge import Knowledge, swift_gamma
 from cgtorch.models import (
     Choice,
+    LearningCurve,
     SuccessClassifier,
     SuccessReport,
     TransitionModel,
@@ -108,17 +109,27 @@ def load_knowledge(folder: Path) -> Knowledge:
     try:
         about = reports[0]["choice"], reports[1]["choice"]
         first = tuple(None if c is None else Choice(**c) for c in about[0])
-        gamma_report = TransitionReport(**{**_frozen(reports[0]), "choice": first})
-        report = SuccessReport(**{**_frozen(reports[1]), "choice": Choice(**about[1])})
+        gamma_report = TransitionReport(**{**_fields(reports[0]), "choice": first})
+        report = SuccessReport(**{**_fields(reports[1]), "choice": Choice(**about[1])})
     except (TypeError, KeyError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
     data = load_dataset(folder / "data.safetensors")
     return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, gamma_report, report)
 
 
-def _frozen(report: dict[str, Any]) -> dict[str, Any]:
-    """JSON's lists as the tuples they were."""
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in report.items()}
+def _fields(report: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a report: JSON's lists as tuples, and the learning curve, if it has one."""
+    found = {name: _frozen(value) for name, value in report.items()}
+    if found.get("learning_curve") is not None:
+        found["learning_curve"] = LearningCurve(**found["learning_curve"])
+    return found
+
+
+def _frozen(value: Any) -> Any:
+    """JSON's lists as the tuples they were, at any depth."""
+    if isinstance(value, dict):
+        return {name: _frozen(one) for name, one in value.items()}
+    return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
 
 
 def save_population(path: Path, population: Population) -> None:

@@ -20,7 +20,9 @@ from cgtorch.models.success import fit_success_classifier as fit_success_classif
 from cgtorch.models.svc import SVC as SVC
 from cgtorch.models.svr import SVR as SVR
 from cgtorch.models.transition import TransitionModel as TransitionModel
-from cgtorch.models.transition import TransitionReport as TransitionReport
-from cgtorch.models.transition import fit_transition_model as fit_transition_model
+from cgtorch.models.transition_fit import TransitionReport as TransitionReport
+from cgtorch.models.transition_fit import fit_transition_model as fit_transition_model
+from cgtorch.models.transition_quality import TransitionQuality as TransitionQuality
+from cgtorch.models.transition_quality import transition_quality as transition_quality
 from cgtorch.models.update import update_success_classifier as update_success_classifier
 from cgtorch.models.update import update_transition_model as update_transition_model

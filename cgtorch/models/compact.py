@@ -5,7 +5,7 @@ that the others explain least, and their weights fitted by QR to the exact model
 """
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import torch
@@ -33,21 +33,25 @@ class CompactReport:
         before: Centres of the exact model.
         mean_loss: Mean absolute difference of the values on rows not used in the fit, by output.
         largest_loss: Largest such difference, by output.
+        metres: For Γ, mean absolute difference of each coordinate of the next percept.
     """
 
     centres: int
     before: int
     mean_loss: tuple[float, ...]
     largest_loss: tuple[float, ...]
+    metres: tuple[float, ...] = ()
 
 
 def compact_transition_model(
     model: TransitionModel, centres: int, percept: Tensor, motion: Tensor
 ) -> tuple[TransitionModel, CompactReport]:
-    """`compact` for Γ on percepts (n, 7) and motions (n, 3); the loss is in standardised parts."""
+    """`compact` for Γ on percepts (n, 7) and motions (n, 3); `metres` is on all of them."""
     smaller = deepcopy(model)
-    smaller.machine, report = compact(model.machine, centres, model.features(percept, motion))
-    return smaller, report
+    smaller.machine, report = compact(model.machine, centres, model.features(percept))
+    with torch.no_grad():
+        metres = (smaller(percept, motion) - model(percept, motion)).abs().mean(0)
+    return smaller, replace(report, metres=tuple(metres.tolist()))
 
 
 def compact_success_classifier(

@@ -13,11 +13,7 @@ from cgtorch.errors import DataError
 COORDINATES = (
     "table x min", "table x max", "table y min", "table y max", "object x", "object y", "object z",
 )  # fmt: skip
-PARTS = (
-    "table centre x", "table centre y", "table width", "table depth",
-    "object x", "object y", "object z",
-)  # fmt: skip
-FEATURES = 6
+FEATURES = 4
 
 
 def check_percept(percept: Tensor, motion: Tensor) -> None:
@@ -61,16 +57,73 @@ def move_rigidly(parts: Tensor, motion: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*columns), dim=-1)
 
 
-def turn_features(parts: Tensor, motion: Tensor) -> Tensor:
-    """Features (..., 6) that the change of the box's extents depends on.
+def table_sides(extents: Tensor) -> Tensor:
+    """Short and long side (2,) of the one table whose box had the extents (n, 2) from n yaws.
 
-    A rectangle is the same after half a turn, so only cos 2dθ and sin 2dθ matter. The box's
-    extents fix the rectangle's yaw up to sign; where the object lies in the box tells the sign,
-    and mirroring the scene changes the sign of sin 2dθ and of the object's u v together, so only
-    their product enters. The features are cos 2dθ, width, depth, u v sin 2dθ, u² and v², with
-    (u, v) the object's place relative to the box's centre.
+    The box of a rectangle a × b has the extents w = a|cos| + b|sin| and h = a|sin| + b|cos|, so
+    with A = a² + b², B = 2ab and K = A² - B² all (w, h) lie on the ellipse
+    (A (w² + h²) - 2B wh) / K = 1, whose two coefficients are found by linear least squares.
+    Where that gives no rectangle, the mean extents are its sides.
     """
+    w, h = extents.double().unbind(-1)
+    terms = torch.stack([w * w + h * h, -2 * w * h], dim=1)
+    gram = terms.T @ terms + 1e-12 * torch.eye(2).to(terms)
+    first, second = torch.linalg.solve(gram, terms.sum(0)).unbind()
+    scale = first * first - second * second
+    total, gap = (first + second) / scale, (first - second) / scale
+    if bool((scale > 0) & (gap > 0) & (total > gap)):
+        low, high = total.sqrt() - gap.sqrt(), total.sqrt() + gap.sqrt()
+        return torch.stack([low, high]) / 2
+    return extents.double().mean(0).sort().values
+
+
+def turned_extents(yaw: Tensor, sides: Tensor) -> Tensor:
+    """Extents (..., 2) of the box of a rectangle of sides (2,), the first along x at yaw 0."""
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    return torch.stack([sides[0] * c + sides[1] * s, sides[0] * s + sides[1] * c], dim=-1)
+
+
+def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
+    """The two yaws (..., 2) that a table of sides (2,) may have within the box of parts (..., 7).
+
+    With the terms of `table_sides`, w² + h² = A + B |sin 2θ| and h² - w² = (b² - a²) cos 2θ, so
+    the box tells the yaw but for its sign. The first of the two is the one with the sign of u v,
+    where (u, v) is the object's place relative to the box's centre: then mirroring the scene
+    mirrors both and changes nothing else.
+    """
+    w2, h2 = parts[..., 2].square(), parts[..., 3].square()
     u, v = parts[..., 4] - parts[..., 0], parts[..., 5] - parts[..., 1]
-    turn = 2 * motion[..., 2]
-    columns = turn.cos(), parts[..., 2], parts[..., 3], u * v * turn.sin(), u * u, v * v
+    a2, b2 = sides.square().unbind()
+    sin = ((w2 + h2 - a2 - b2) / (2 * sides.prod())).clamp_min(0)
+    size = torch.atan2(sin, (h2 - w2) / (b2 - a2).clamp_min(1e-9)) / 2
+    first = torch.where(u * v < 0, -size, size)
+    return torch.stack([first, -first], dim=-1)
+
+
+def places_on_table(parts: Tensor, yaws: Tensor) -> Tensor:
+    """Features (..., 4): |x|, |y| (m) of the object in the table's frame under either yaw (..., 2).
+
+    A rectangle is the same after half a turn and mirrored in its axes, so only sizes matter.
+    They tell the yaws apart, because people put things near the edges of tables.
+    """
+    offset = parts[..., None, 4:6] - parts[..., None, 0:2]
+    c, s = yaws.cos(), yaws.sin()
+    x = c * offset[..., 0] + s * offset[..., 1]
+    y = c * offset[..., 1] - s * offset[..., 0]
+    return torch.stack([x, y], dim=-1).abs().flatten(-2)
+
+
+def boxes_after(yaws: Tensor, motion: Tensor, sides: Tensor) -> Tensor:
+    """Extents (..., 2 yaws, 2) of the box after motions (..., 3), for either yaw (..., 2)."""
+    return turned_extents(yaws - motion[..., 2:3], sides)
+
+
+def extremes(parts: Tensor, motion: Tensor, yaws: Tensor, sides: Tensor) -> Tensor:
+    """What tells how unusual a transition is (..., 4).
+
+    Distance of the object (m), way driven (m), size of the turn (rad), and how badly a table of
+    the given sides fits the box (m).
+    """
+    misfit = parts[..., 2:4] - turned_extents(yaws[..., 0], sides)
+    columns = [x.norm(dim=-1) for x in (parts[..., 4:6], motion[..., :2], motion[..., 2:], misfit)]
     return torch.stack(torch.broadcast_tensors(*columns), dim=-1)

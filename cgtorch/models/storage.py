@@ -21,7 +21,7 @@ from cgtorch.models.transition import TransitionModel
 
 Model = SVC | SVR | TransitionModel | SuccessClassifier
 
-VERSION = 1
+VERSION = 2
 MAX_BYTES = 1024**3
 """Largest model file that `load_model` reads."""
 
@@ -192,12 +192,13 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
         "weights": (m, k), "gap": (k,), "cost": (k,), "tube": (k,),
         "support": (m,), "classes": (2,), "platt": (2,),
     }  # fmt: skip
+    fixed = k == 1 or isinstance(model, SVR)
+    outer: dict[str, tuple[int, ...]] = {}
     if isinstance(model, TransitionModel):
-        fixed = d == len(model.mean) and k == 7
-        outer: dict[str, tuple[int, ...]] = {"mean": (d,), "scale": (d,), "residual_scale": (7,)}
-    else:
-        fixed = k == 1 or not isinstance(model, SVC | SuccessClassifier)
-        outer = {"mean": (d,), "scale": (d,)} if isinstance(model, SuccessClassifier) else {}
+        fixed = fixed and d == len(model.mean)
+        outer = {"mean": (d,), "scale": (d,), "sides": (2,), "most": (4,)}
+    elif isinstance(model, SuccessClassifier):
+        outer = {"mean": (d,), "scale": (d,)}
     wrong = [n for n, s in shapes.items() if prefix + n in state and state[prefix + n].shape != s]
     wrong += [n for n, s in outer.items() if state[n].shape != s]
     if wrong or not fixed or m == 0 or d == 0:

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError
-from cgtorch.models import geometry, inputs
+from cgtorch.models import inputs
 from cgtorch.models.folds import stratified_folds
 from cgtorch.models.success import SuccessClassifier
 from cgtorch.models.svc import SVC, ClassWeight
 from cgtorch.models.svr import SVR
-from cgtorch.models.transition import TransitionModel, rim
+from cgtorch.models.transition import TransitionModel
+from cgtorch.models.transition_fit import rim, transition_rows, which_yaw
 
 
 def update_transition_model(
@@ -42,37 +42,25 @@ def update_transition_model(
         DataError: Wrong shapes, NaN, or fewer rows than before.
         ModelError: Not fitted.
     """
-    p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(motion, "motion")
-    q = inputs.as_rows(next_percept, "next_percept")
-    geometry.check_percept(p, u)
-    if not len(p) == len(u) == len(q) or q.shape[1] != 7:
-        raise DataError(f"percept, motion and next percept have {len(p)}, {len(u)}, {len(q)} rows")
+    p, u, q = transition_rows(percept, motion, next_percept, max_memory)
     kind = model.mean.dtype
     fresh = deepcopy(model).double().to(p.device)
     old = fresh.machine
     old._check_fitted()
-    parts = geometry.to_parts(p)
-    residual = geometry.to_parts(q) - geometry.move_rigidly(parts, u)
-    features, target = fresh.features(p, u), residual / fresh.residual_scale
-    learnt = (old.cost > 0).nonzero().flatten()
-    if len(learnt) == 0:
+    if float(old.cost) == 0:
         return fresh.to(kind)
-    part = SVR(
-        old.cost[learnt].tolist(),
+    target, tells = which_yaw(fresh, p, u, q)
+    features = fresh.features(p)[tells]
+    machine = SVR(
+        float(old.cost),
         gamma=float(old.gamma_value),
-        epsilon=old.tube[learnt].tolist(),
+        epsilon=float(old.tube),
         seed=seed,
         max_memory=max_memory,
     )
-    part.centres, part.support, part.gamma_value = old.centres, old.support, old.gamma_value
-    part.weights, part.bias = old.weights[:, learnt], old.bias[learnt]
-    part.fit(features, target[:, learnt], warm=True)
-    beta = torch.zeros_like(target.T)
-    bias, gap = torch.zeros_like(old.bias), torch.zeros_like(old.bias)
-    beta[learnt[:, None], part.support] = part.weights.T
-    bias[learnt], gap[learnt] = part.bias, part.gap
-    old._keep(features, beta, bias, gap, float(old.gamma_value))
-    fresh.reach = rim(old, features)
+    machine.load_state_dict(old.state_dict())
+    fresh.machine = machine.fit(features, target[tells][:, None], warm=True)
+    fresh.reach = rim(fresh.machine, features)
     return fresh.to(kind)
 
 
