@@ -1,6 +1,6 @@
 """Folds for cross-validation: a fold number for each row."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -47,20 +47,29 @@ def given_folds(folds: Any, rows: int) -> Tensor:
     Raises:
         DataError: They do not give each of the rows exactly one fold.
     """
-    if isinstance(folds, Iterable) and not hasattr(folds, "shape"):
-        numbers = torch.full((rows,), -1, dtype=torch.long)
-        times = 0
-        for number, (_, test) in enumerate(folds):
-            index = torch.as_tensor(test)
-            numbers[index] = number
-            times += len(index)
-        if times != rows:
-            numbers[0] = -1
-    else:
-        numbers = torch.as_tensor(folds).long().cpu()
-    if numbers.shape != (rows,) or bool((numbers < 0).any()) or len(numbers.unique()) < 2:
+    try:
+        given = folds if hasattr(folds, "shape") else list(folds)
+        if isinstance(given, list) and given and isinstance(given[0], Sequence):
+            numbers = _from_pairs(given, rows)
+        else:
+            numbers = torch.as_tensor(given).cpu()
+    except (TypeError, ValueError, RuntimeError, IndexError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise DataError(f"the given folds are no fold numbers or index pairs: {said}") from error
+    whole = numbers.shape == (rows,) and torch.equal(numbers.double(), numbers.long().double())
+    if not whole or bool((numbers < 0).any()) or len(numbers.unique()) < 2:
         raise DataError(f"the given folds do not place each of {rows} rows in one of 2 or more")
     return numbers.unique(return_inverse=True)[1]
+
+
+def _from_pairs(folds: Sequence[Any], rows: int) -> Tensor:
+    """The number of the one pair whose test rows a row is among, -1 where there is not one (n,)."""
+    numbers, times = torch.full((rows,), -1), torch.zeros(rows)
+    for number, (_, test) in enumerate(folds):
+        index = torch.as_tensor(test)
+        numbers[index] = number
+        times[index] += 1
+    return numbers.masked_fill(times != 1, -1)
 
 
 def training_masks(folds: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """Checks at the door: training data as float64 tensors, and the memory that a fit would take."""
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,28 @@ def as_tensor(values: Any, name: str) -> Tensor:
     """`values` (torch, numpy or nested lists) as a finite float64 tensor on its device.
 
     Raises:
-        DataError: The values are not numbers, or not all finite.
+        DataError: The values are not real numbers, or not all finite.
     """
     try:
-        tensor = torch.as_tensor(values).detach().to(torch.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise DataError(f"{name} is not an array of numbers: {error}") from error
+        tensor = values.detach() if isinstance(values, Tensor) else _from_array(values)
+        if tensor.is_complex():
+            raise TypeError(f"its type is {tensor.dtype}")
+        tensor = tensor.to(torch.float64)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise DataError(f"{name} is not an array of numbers: {said}") from error
     bad = int((~torch.isfinite(tensor)).sum())
     if bad:
         raise DataError(f"{name} has {bad} NaN or infinite values; remove those rows first")
     return tensor
+
+
+def _from_array(values: Any) -> Tensor:
+    """A copy of what numpy understands, whatever its strides, byte order and number type."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"its type is {array.dtype}")
+    return torch.from_numpy(np.array(array, dtype=np.float64, order="C"))
 
 
 def as_rows(values: Any, name: str = "x") -> Tensor:
@@ -99,17 +112,42 @@ def positive(value: Any, name: str) -> float:
     Raises:
         SettingsError: It is not.
     """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
+    number = _number(value)
     if not 0 < number < float("inf"):
-        raise SettingsError(f"{name} is {value!r}; it must be a positive number")
+        raise SettingsError(f"{name} is {value!r:.80}; it must be a positive number")
     return number
 
 
+def not_negative(value: Any, name: str) -> float:
+    """`value` as a finite float, 0 or above.
+
+    Raises:
+        SettingsError: It is not.
+    """
+    number = _number(value)
+    if not 0 <= number < float("inf"):
+        raise SettingsError(f"{name} is {value!r:.80}; it must be 0 or a positive number")
+    return number
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        return float("nan")
+
+
 def generator_of(seed: int | torch.Generator) -> torch.Generator:
-    """A generator on the CPU from a seed, or the given one."""
+    """A generator on the CPU from a seed, or the given one.
+
+    Raises:
+        SettingsError: The seed is not a whole number of at most 63 bits.
+    """
     if isinstance(seed, torch.Generator):
         return seed
-    return torch.Generator().manual_seed(int(np.int64(seed)))
+    try:
+        return torch.Generator().manual_seed(int(np.int64(operator.index(seed))))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SettingsError(
+            f"seed is {seed!r:.80}; use a whole number of at most 63 bits, or a torch.Generator"
+        ) from error

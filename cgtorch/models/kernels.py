@@ -5,6 +5,7 @@ semidefinite. The formulas are those of libsvm (Chang & Lin 2011).
 """
 
 from collections.abc import Callable
+from math import inf, isfinite, nan
 
 import torch
 from torch import Tensor
@@ -18,6 +19,8 @@ KERNELS = ("rbf", "linear", "poly")
 
 def squared_distance(x: Tensor, s: Tensor) -> Tensor:
     """Squared Euclidean distances (m, n) between rows x (m, d) and s (n, d), never negative."""
+    mean = s.mean(0)  # an offset of the features would cost digits
+    x, s = x - mean, s - mean
     inner = torch.addmm((s * s).sum(1), x, s.T, alpha=-2.0)
     return inner.add_((x * x).sum(1)[:, None]).clamp_min_(0)
 
@@ -41,10 +44,15 @@ def make_kernel(kernel: str | Kernel, gamma: float, degree: int = 3, coef0: floa
     """The kernel function of a name in `KERNELS`, or the callable itself.
 
     Raises:
-        SettingsError: The name is unknown.
+        SettingsError: The name is unknown, or a constant of "poly" cannot be used.
     """
     if callable(kernel):
         return kernel
+    if kernel == "poly" and not (isinstance(degree, int) and degree >= 0 and isfinite(coef0)):
+        raise SettingsError(
+            f"degree is {degree!r:.40} and coef0 {coef0!r:.40}; pass a whole number from 0 on and "
+            "a finite one"
+        )
     if kernel == "rbf":
         return lambda x, s: rbf(x, s, gamma)
     if kernel == "linear":
@@ -67,9 +75,13 @@ def resolve_gamma(gamma: str | float, x: Tensor) -> float:
     if gamma == "scale":
         variance = float(x.double().var(correction=0))
         return 1.0 / (x.shape[1] * variance) if variance > 0 else 1.0
-    if isinstance(gamma, str) or not 0 < float(gamma) < float("inf"):
-        raise SettingsError(f'gamma is {gamma!r}; choose "scale", "auto" or a positive number')
-    return float(gamma)
+    try:
+        number = float(gamma)
+    except (TypeError, ValueError, OverflowError):
+        number = nan
+    if isinstance(gamma, str) or not 0 < number < inf:
+        raise SettingsError(f'gamma is {gamma!r:.40}; choose "scale", "auto" or a positive number')
+    return number
 
 
 def kernel_matrix(kernel: Kernel, x: Tensor) -> Tensor:

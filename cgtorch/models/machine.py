@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.models import inputs
 from cgtorch.models.fused import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
-from cgtorch.models.kernels import Kernel, make_kernel
+from cgtorch.models.kernels import Kernel, kernel_matrix, make_kernel, resolve_gamma
 from cgtorch.models.problems import Problems
 from cgtorch.models.solver import classify
 
@@ -31,8 +32,10 @@ class KernelMachine(nn.Module):
     cost: Tensor
 
     kernel: str | Kernel
+    gamma: str | float
     degree: int
     coef0: float
+    max_memory: int
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,10 +121,10 @@ class KernelMachine(nn.Module):
             DataError: Another number of features.
         """
         self._check_fitted()
-        if x.shape[-1] != self.centres.shape[1]:
-            raise DataError(
-                f"a row has {x.shape[-1]} features; the model was fitted on {self.centres.shape[1]}"
-            )
+        features = self.centres.shape[1]
+        if x.shape[-1:] != (features,):
+            given = x.shape[-1] if x.ndim else "no"
+            raise DataError(f"a row has {given} features; the model was fitted on {features}")
         return x.reshape(-1, x.shape[-1]).to(self.centres)
 
     def _plain(self, rows: Tensor) -> Tensor:
@@ -156,10 +159,35 @@ class KernelMachine(nn.Module):
                 f"this {type(self).__name__} has not been fitted; call fit(x, y) first"
             )
 
-    def _start(self, rows: int, problems: Problems) -> tuple[Tensor, Tensor, Tensor]:
+    def _asked(self, x: Any) -> Tensor:
+        """What a prediction is asked for: tensors as they are, all else checked and converted.
+
+        Raises:
+            ModelError: Not fitted.
+            DataError: Not numbers, or not all finite.
+        """
+        self._check_fitted()
+        return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
+
+    def _gram(self, rows: Tensor) -> tuple[Tensor, float]:
+        """The kernel matrix (n, n) of training rows (n, d), and the gamma that it has.
+
+        Raises:
+            DataError: It takes more than `max_memory`, or the kernel returned what is no matrix.
+            SettingsError: The kernel or one of its parameters cannot be used.
+        """
+        inputs.check_memory(len(rows), self.max_memory)
+        gamma = resolve_gamma(self.gamma, rows)
+        kernel = make_kernel(self.kernel, gamma, self.degree, self.coef0)
+        return kernel_matrix(kernel, rows), gamma
+
+    def _start(
+        self, rows: int, problems: Problems, mean: Tensor, unit: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Coefficients (k, n), biases (k,) and statuses of this machine as a start for a new fit.
 
-        The rows that it was fitted on have to come first among the n rows of the new fit.
+        The rows that it was fitted on have to come first among the n rows of the new fit, whose
+        targets had `mean` (k,) subtracted and were divided by `unit` (k,).
 
         Raises:
             DataError: There are fewer rows than it was fitted on.
@@ -171,9 +199,10 @@ class KernelMachine(nn.Module):
                 "fit; pass all known rows first, in the same order, and the new ones after them"
             )
         beta = torch.zeros_like(problems.z)
-        beta[:, self.support] = self.weights.T.to(beta)
+        beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
         beta = torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
-        return beta, self.bias.to(beta), classify(beta, problems.lower, problems.upper)
+        bias = (self.bias.to(beta) - mean) / unit
+        return beta, bias, classify(beta, problems.lower, problems.upper)
 
     def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
         """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""

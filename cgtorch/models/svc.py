@@ -8,7 +8,7 @@ from torch import Tensor
 from cgtorch.errors import DataError, ModelError, SettingsError
 from cgtorch.models import inputs
 from cgtorch.models.folds import given_folds, stratified_folds, training_masks
-from cgtorch.models.kernels import Kernel, kernel_matrix, make_kernel, resolve_gamma
+from cgtorch.models.kernels import Kernel
 from cgtorch.models.machine import KernelMachine
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.problems import Problems, classification
@@ -23,7 +23,7 @@ def row_weights(signs: Tensor, classes: Tensor, weight: ClassWeight, mask: Tenso
     "balanced" weighs a class by rows / (2 rows of the class) among the rows of the mask.
 
     Raises:
-        SettingsError: The weight is neither None, "balanced" nor a weight per class.
+        SettingsError: The weight is neither None, "balanced" nor a positive weight per class.
         DataError: A mask leaves one class only.
     """
     kept = mask.to(signs)
@@ -35,8 +35,11 @@ def row_weights(signs: Tensor, classes: Tensor, weight: ClassWeight, mask: Tenso
     if weight == "balanced":
         each = count.sum(1, keepdim=True) / (2 * count)
     elif isinstance(weight, dict):
+        unknown = [c for c in weight if c not in classes.tolist()]
+        if unknown:
+            raise SettingsError(f"class_weight has {unknown[0]!r:.40}, which is no label in y")
         pair = [inputs.positive(weight.get(c, 1.0), "class_weight") for c in classes.tolist()]
-        each = torch.tensor(pair).to(signs).expand(len(kept), 2)
+        each = torch.tensor(pair, dtype=torch.float64).to(signs).expand(len(kept), 2)
     else:
         raise SettingsError(f'class_weight is {weight!r}; use None, "balanced" or a dict')
     return kept * torch.where(signs < 0, each[:, :1], each[:, 1:])
@@ -106,17 +109,14 @@ class SVC(KernelMachine):
         rows = inputs.as_rows(x)
         classes, signs = inputs.as_binary(y, len(rows))
         signs = signs.to(rows)
-        inputs.check_memory(len(rows), self.max_memory)
         generator = inputs.generator_of(self.seed)
-        gamma = resolve_gamma(self.gamma, rows)
-        kernel = make_kernel(self.kernel, gamma, self.degree, self.coef0)
-        matrix = kernel_matrix(kernel, rows)
+        matrix, gamma = self._gram(rows)
         everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
-        caps = torch.tensor([cap]).to(rows)
+        caps = torch.tensor([cap], dtype=torch.float64).to(rows)
         problem = classification(
             signs, caps, row_weights(signs, classes, self.class_weight, everything)
         )
-        start = self._start(len(rows), problem) if warm else None
+        start = self._start(len(rows), problem, 0 * caps, caps / cap) if warm else None
         found = solve(matrix, problem, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
         platt = torch.full((2,), torch.nan, dtype=torch.float64, device=rows.device)
         if self.probability:
@@ -159,14 +159,12 @@ class SVC(KernelMachine):
             DataError: Wrong shape.
         """
         with torch.no_grad():
-            rows = x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
-            return inputs.as_given(self.values(rows)[..., 0], x)
+            return inputs.as_given(self.values(self._asked(x))[..., 0], x)
 
     def predict(self, x: Any) -> Any:
         """The class (...) on whose side of the decision boundary each row lies."""
         with torch.no_grad():
-            rows = x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
-            second = self.values(rows)[..., 0] > 0
+            second = self.values(self._asked(x))[..., 0] > 0
             return inputs.as_given(self.classes[second.long()], x)
 
     def predict_proba(self, x: Any) -> Any:
@@ -176,8 +174,7 @@ class SVC(KernelMachine):
             ModelError: Not fitted, or fitted without `probability=True`.
         """
         with torch.no_grad():
-            rows = x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
-            second = self(rows)
+            second = self(self._asked(x))
             return inputs.as_given(torch.stack([1 - second, second], dim=-1), x)
 
     def score(self, x: Any, y: Any) -> float:

@@ -1,29 +1,49 @@
 """Epsilon-SVR with one or several outputs that share their centres."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
-from cgtorch.models.kernels import Kernel, kernel_matrix, make_kernel, resolve_gamma
+from cgtorch.models.kernels import Kernel
 from cgtorch.models.machine import KernelMachine
 from cgtorch.models.problems import regression
 from cgtorch.models.solver import FINAL_RIDGE, solve
 
 
-def per_output(value: float | Sequence[float], name: str, outputs: int, rows: Tensor) -> Tensor:
-    """One positive number per output (k,) from a number or a sequence.
+def per_output(
+    value: float | Sequence[float],
+    name: str,
+    outputs: int,
+    rows: Tensor,
+    check: Callable[[Any, str], float] = inputs.positive,
+) -> Tensor:
+    """One number per output (k,), on the device of `rows`, from a number or a sequence.
 
     Raises:
-        SettingsError: A number that is not positive, or a sequence of another length.
+        SettingsError: `check` refuses a number, or a sequence has another length.
     """
-    given = list(value) if isinstance(value, Sequence | Tensor) else [value] * outputs
+    given = list(value) if isinstance(value, Sequence | Tensor | np.ndarray) else [value] * outputs
     if len(given) != outputs:
         raise SettingsError(f"{name} has {len(given)} values for {outputs} outputs")
-    return torch.tensor([inputs.positive(one, name) for one in given]).to(rows)
+    return torch.tensor([check(one, name) for one in given], dtype=torch.float64).to(rows)
+
+
+def units(targets: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (k,) and a power of two near the largest distance from it (k,) of targets (k, n).
+
+    The dual problem of (z - mean) / unit with C / unit and epsilon / unit has the coefficients
+    beta / unit, so that what counts as small in the solver does not depend on the targets' unit.
+    """
+    mean = targets.mean(1)
+    largest = (targets - mean[:, None]).abs().amax(1)
+    # Where all targets are equal, there is only rounding left.
+    unit = torch.exp2(largest.clamp_min(1e-300).log2().round())
+    return mean, torch.where(largest > 1e-12 * mean.abs(), unit, 1.0)
 
 
 class SVR(KernelMachine):
@@ -78,23 +98,21 @@ class SVR(KernelMachine):
         given = inputs.as_targets(y, len(rows)).to(rows)
         targets = given.reshape(len(rows), -1).T.contiguous()
         cap = per_output(self.C, "C", len(targets), rows)
-        if self.epsilon == 0:
-            tube = torch.zeros_like(cap)
-        else:
-            tube = per_output(self.epsilon, "epsilon", len(targets), rows)
-        inputs.check_memory(len(rows), self.max_memory)
-        gamma = resolve_gamma(self.gamma, rows)
-        kernel = make_kernel(self.kernel, gamma, self.degree, self.coef0)
-        problems = regression(targets, cap, tube, torch.ones_like(targets))
+        tube = per_output(self.epsilon, "epsilon", len(targets), rows, inputs.not_negative)
+        matrix, gamma = self._gram(rows)
+        mean, unit = units(targets)
+        scaled = (targets - mean[:, None]) / unit[:, None]
+        problems = regression(scaled, cap / unit, tube / unit, torch.ones_like(targets))
         found = solve(
-            kernel_matrix(kernel, rows),
+            matrix,
             problems,
             inputs.generator_of(self.seed),
-            self._start(len(rows), problems) if warm else None,
+            self._start(len(rows), problems, mean, unit) if warm else None,
             last=FINAL_RIDGE,
             tolerance=1e-6,
         )
-        self._keep(rows, found.beta, found.bias, found.gap, gamma)
+        beta, bias = found.beta * unit[:, None], found.bias * unit + mean
+        self._keep(rows, beta, bias, found.gap * unit.square(), gamma)
         self.cost, self.tube = cap, tube
         self.squeeze = torch.tensor(given.ndim == 1, device=rows.device)
         return self
@@ -112,8 +130,7 @@ class SVR(KernelMachine):
     def predict(self, x: Any) -> Any:
         """Predictions for rows x (..., d), numpy for numpy."""
         with torch.no_grad():
-            rows = x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
-            return inputs.as_given(self(rows), x)
+            return inputs.as_given(self(self._asked(x)), x)
 
     def score(self, x: Any, y: Any) -> float:
         """Mean over the outputs of R^2, the share of variance explained, on x (n, d), y."""
