@@ -1,31 +1,62 @@
-"""The linear systems of a Newton step on the free coefficients, and products with the kernel."""
+"""Newton directions for given statuses: linear systems on the free coefficients."""
 
 import torch
 from torch import Tensor
 
-_SMALL = 160  # free coefficients up to which systems are factored as one padded batch
-_BATCH_ELEMENTS = 2**22
+from cgtorch.models.gram import Gram
+from cgtorch.models.problems import Problems
+from cgtorch.models.rounded import on_bounds
+
+_SMALLEST_PIVOT = 2e-5  # of the diagonal, below which a factor in float32 is not to be trusted
 
 
-def times_kernel(d: Tensor, kernel: Tensor) -> Tensor:
-    """D K (P, n) for a direction d (P, n) of which often few columns are not zero."""
-    columns = d.any(0).nonzero().flatten()
-    if 2 * len(columns) > len(kernel):
-        return d @ kernel
-    return d[:, columns] @ kernel[columns]
+def direction(
+    gram: Gram,
+    problems: Problems,
+    h: Tensor,
+    beta: Tensor,
+    residual: Tensor,
+    status: Tensor,
+    free: Tensor,
+    precise: list[bool],
+    *,
+    sharp: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Newton direction of the coefficients (P, n) and biases (P,), and its product with K (P, n).
+
+    Coefficients on a bound go there; the free ones solve (K_FF + h) d + shift = right with
+    coefficients that sum to 0.
+
+    Args:
+        gram: Kernel values.
+        problems: P problems.
+        h: Ridges (P,).
+        beta: Coefficients (P, n).
+        residual: z - K beta - bias (P, n).
+        status: Statuses (P, n).
+        free: Which coefficients are free by them (P, n), at least one in each problem.
+        precise: Which problems need systems in float64; updated.
+        sharp: Whether products with the kernel have to be in float64.
+    """
+    d = (on_bounds(problems, status) - beta).masked_fill_(free, 0.0)
+    right = residual - h[:, None] * beta
+    if bool(problems.epsilon.any()):
+        right -= problems.epsilon[:, None] * status.sign()
+    outer = gram.times(d, precise=sharp)
+    total = (beta + d).sum(1)
+    u, v = solve_free(gram, free, h, right - outer, precise)
+    shift = (u.sum(1) + total) / v.sum(1)
+    inner = u - shift[:, None] * v
+    return d + inner, shift, outer + gram.times(inner, precise=sharp)
 
 
 def solve_free(
-    kernel: Tensor, single: Tensor, free: Tensor, h: Tensor, right: Tensor, precise: list[bool]
+    gram: Gram, free: Tensor, h: Tensor, right: Tensor, precise: list[bool]
 ) -> tuple[Tensor, Tensor]:
-    """Solve (K_FF + h I) u = right_F and (K_FF + h I) v = 1 for P free sets.
-
-    Small systems are padded with the identity and factored together in float64, which saves the
-    overhead of one call each; large ones are factored one by one, in float32 where that is enough.
+    """Solve (K_FF + h I) u = right_F and (K_FF + h I) v = 1 for P free sets, one by one.
 
     Args:
-        kernel: Kernel matrix (n, n), float64.
-        single: The same in float32.
+        gram: Kernel values.
         free: Free coefficients (P, n), at least one in each row.
         h: Ridges (P,).
         right: Right sides (P, n).
@@ -35,59 +66,34 @@ def solve_free(
         u and v (P, n), 0 where not free.
     """
     u, v = torch.zeros_like(right), torch.zeros_like(right)
-    count = free.sum(1)
-    small = (count <= _SMALL).nonzero().flatten()
-    size = int(count[small].max()) if len(small) else 0
-    alone = (count > _SMALL).nonzero().flatten().tolist()
-    for part in small.split(max(1, _BATCH_ELEMENTS // max(1, size * size))):
-        good = _solve_small(kernel, free[part], h[part], right[part], size)
-        u[part], v[part] = good[0], good[1]
-        alone += part[good[2] != 0].tolist()
-    for row in alone:
+    for row, ridge in enumerate(h.tolist()):
         index = free[row].nonzero().flatten()
-        u[row, index], v[row, index], precise[row] = _solve_one(
-            kernel, single, index, float(h[row]), right[row, index], precise[row]
-        )
+        columns = torch.ones(len(index), 2, dtype=right.dtype, device=right.device)
+        columns[:, 0] = right[row, index]
+        solved, precise[row] = _solve_one(gram, index, ridge, columns, precise[row])
+        u[row, index], v[row, index] = solved[:, 0], solved[:, 1]
     return u, v
 
 
-def _solve_small(
-    kernel: Tensor, free: Tensor, h: Tensor, right: Tensor, size: int
-) -> tuple[Tensor, Tensor, Tensor]:
-    """`solve_free` for systems of at most `size` in one batch, and LAPACK's info (P,)."""
-    index = free.byte().argsort(dim=1, descending=True, stable=True)[:, :size]
-    real = free.gather(1, index).to(right)
-    matrix = kernel[index[:, :, None], index[:, None, :]]
-    matrix = matrix * real[:, :, None] * real[:, None, :]
-    matrix.diagonal(dim1=1, dim2=2).add_(h[:, None] * real + (1 - real))
-    columns = torch.stack([right.gather(1, index) * real, real], dim=2)
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    solved = torch.cholesky_solve(columns, factor)
-    solved = torch.where((info == 0)[:, None, None], solved, 0.0)
-    u, v = torch.zeros_like(right), torch.zeros_like(right)
-    return u.scatter(1, index, solved[:, :, 0]), v.scatter(1, index, solved[:, :, 1]), info
-
-
 def _solve_one(
-    kernel: Tensor, single: Tensor, free: Tensor, ridge: float, right: Tensor, precise: bool
-) -> tuple[Tensor, Tensor, bool]:
-    """Solve (K_FF + ridge I) x = [right, 1] and return both columns and whether float64 was used.
+    gram: Gram, index: Tensor, ridge: float, columns: Tensor, precise: bool
+) -> tuple[Tensor, bool]:
+    """Solve (K_FF + ridge I) x = columns (f, 2), and say whether float64 was used.
 
     The factor is made in float32 and again in float64 where its smallest pivot says that
     rounding would show.
     """
-    columns = torch.stack([right, torch.ones_like(right)], dim=1)
-    for source in (kernel,) if precise else (single, kernel):
-        matrix = source.index_select(0, free).index_select(1, free)
+    for exact in (True,) if precise else (False, True):
+        matrix = gram.block(index, precise=exact)
         matrix.diagonal().add_(ridge)
-        scale = float(matrix.diagonal().max())
         factor, info = torch.linalg.cholesky_ex(matrix)
-        smallest = float(factor.diagonal().min()) ** 2 / scale
-        if int(info) == 0 and (source is kernel or smallest > 2e-5):
-            solved = torch.cholesky_solve(columns.to(source.dtype), factor).to(kernel.dtype)
-            return solved[:, 0], solved[:, 1], source is kernel
+        pivots = factor.diagonal()
+        good = int(info) == 0 and (
+            exact or float(pivots.min()) > _SMALLEST_PIVOT**0.5 * float(pivots.max())
+        )
+        if good:
+            return torch.cholesky_solve(columns.to(factor.dtype), factor).to(columns.dtype), exact
     # Rounding made even the float64 matrix indefinite: a little more ridge is a shorter step.
     values, vectors = torch.linalg.eigh(matrix)
-    values = values.clamp_min(scale * 1e-14 * len(free))
-    solved = vectors @ ((vectors.T @ columns) / values[:, None])
-    return solved[:, 0], solved[:, 1], True
+    values = values.clamp_min(float(values[-1]) * 1e-14 * len(index))
+    return vectors @ ((vectors.T @ columns) / values[:, None]), True

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.errors import ModelError
-from cgtorch.models import smo, solver
+from cgtorch.models import active_set, smo, solver
 from cgtorch.models.problems import Problems, classification, regression
 
 
@@ -115,7 +115,7 @@ def test_what_does_not_converge_is_flagged_and_solved_by_smo(monkeypatch):
     one = torch.ones(1, dtype=torch.float64)
     problems = regression(x[None, :, 0], 5 * one, 0.1 * one, torch.ones(1, n).double())
     whole = solver.solve(kernel, problems, generator, last=1e-7)
-    monkeypatch.setattr(solver, "_MAX_STEPS", 2)
+    monkeypatch.setattr(active_set, "_MAX_STEPS", 2)
     found = solver.solve(kernel, problems, generator, last=1e-7, tolerance=1e-8)
     assert not bool(found.direct.any())
     _check_optimal(kernel, problems, found, 1e-4)
