@@ -46,6 +46,30 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
     write_bytes(path, text.encode() + b"\n", error)
 
 
+def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
+    """Read a file of at most `max_bytes`, once, and no larger one at all.
+
+    Args:
+        path: the file.
+        max_bytes: more is refused.
+        error: what to raise where it cannot be read or is too large.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise error(f"cannot read {str(path)!r}, which is not a file; check the path")
+        with path.open("rb") as file:
+            raw = b"" if path.stat().st_size > max_bytes else file.read(max_bytes + 1)
+            whole = file.read(1) == b"" and len(raw) <= max_bytes
+    except (OSError, ValueError) as e:
+        if isinstance(e, error):
+            raise
+        raise error(f"cannot read {str(path)!r} ({_reason(e)}); check the path") from e
+    if not whole:
+        raise error(f"{str(path)!r} is larger than {max_bytes} bytes; is it the right file?")
+    return raw
+
+
 def read_json(
     path: Path | str, max_bytes: int = MAX_JSON_BYTES, error: type[CgtorchError] = RunError
 ) -> Any:
@@ -54,18 +78,7 @@ def read_json(
     Stricter than the standard library: keys that come twice and numbers that are not finite in
     float64 are errors, and so is whatever else stops it, however the file is made.
     """
-    path = Path(path)
-    try:
-        if not path.is_file():
-            raise error(f"{str(path)!r} is not a file; check the path")
-        with path.open("rb") as file:
-            raw = file.read(max_bytes + 1)
-    except (OSError, ValueError) as e:
-        if isinstance(e, error):
-            raise
-        raise error(f"cannot read {str(path)!r} ({_reason(e)}); check the path") from e
-    if len(raw) > max_bytes:
-        raise error(f"{str(path)!r} is larger than {max_bytes} bytes; is it the right file?")
+    raw = read_bytes(path, max_bytes, error)
     try:
         return json.loads(
             raw.decode(),

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from cgtorch.errors import GraphError, RunError
-from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.files import read_bytes, read_json, write_bytes, write_json
 
 
 def test_round_trip_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path) -> None:
@@ -94,3 +94,15 @@ def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing", Path("/dev/zero"), tmp_path / "nul\0"):
         with pytest.raises(GraphError, match=r"not a file|cannot read"):
             read_json(path, error=GraphError)
+
+
+def test_bytes_come_back_unless_they_are_too_many(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    write_bytes(path, b"12345")
+    assert read_bytes(path, 5) == b"12345"
+    with pytest.raises(GraphError, match="larger than 4 bytes"):
+        read_bytes(path, 4, GraphError)
+    with path.open("wb") as file:
+        file.truncate(2**40)  # a hole, of which nothing is read
+    with pytest.raises(RunError, match="larger than"):
+        read_bytes(path, 2**30)

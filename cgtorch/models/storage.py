@@ -1,19 +1,17 @@
 """Models on disk: safetensors with a JSON header, never pickle, written all or not at all."""
 
 import json
-import math
-import os
-import tempfile
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from cgtorch.errors import ModelError
+from cgtorch.files import read_bytes, write_bytes
 from cgtorch.models.success import SuccessClassifier
 from cgtorch.models.svc import SVC
 from cgtorch.models.svr import SVR
@@ -24,6 +22,9 @@ Model = SVC | SVR | TransitionModel | SuccessClassifier
 VERSION = 2
 MAX_BYTES = 1024**3
 """Largest model file that `load_model` reads."""
+
+_LENGTH = 8  # bytes of a safetensors file that say how long its JSON is
+_POSITIVE = ("gamma_value", "scale", "residual_scale", "reach")
 
 _KINDS: dict[str, type[Model]] = {
     kind.__name__: kind for kind in (SVC, SVR, TransitionModel, SuccessClassifier)
@@ -64,20 +65,7 @@ def save_model(path: str | Path, model: Model, report: Any = None) -> None:
     }
     state = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     data = save(state, metadata={"cgtorch": json.dumps(header)})
-    target = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise ModelError(f"cannot write the model file {target}: {error.strerror}") from error
+    write_bytes(path, data, ModelError)
 
 
 def load_model(path: str | Path) -> Model:
@@ -86,7 +74,7 @@ def load_model(path: str | Path) -> Model:
     Raises:
         ModelError: The file is missing, damaged, of another version, too large, or no model.
     """
-    return _read(Path(path))[0]
+    return load_model_and_report(path)[0]
 
 
 def load_report(path: str | Path) -> Any:
@@ -95,23 +83,25 @@ def load_report(path: str | Path) -> Any:
     Raises:
         ModelError: As for `load_model`.
     """
-    return _read(Path(path))[1].get("report")
+    return load_model_and_report(path)[1]
 
 
-def _read(path: Path) -> tuple[Model, dict[str, Any]]:
+def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
+    """`load_model` and `load_report` from one reading of the file.
+
+    Raises:
+        ModelError: As for `load_model`.
+    """
+    path = Path(path)
+    data = read_bytes(path, MAX_BYTES, ModelError)
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ModelError(f"model file {path} has {size} bytes; the most is {MAX_BYTES}")
-        with safe_open(path, framework="pt") as file:
-            header = _header(path, (file.metadata() or {}).get("cgtorch"))
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except OSError as error:
-        raise ModelError(f"cannot read the model file {path}: {error.strerror or error}") from error
+        state = load(data)  # checks that the tensors are as large as the file and no larger
+        header = _header(path, _metadata(data).get("cgtorch"))
     except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
         if isinstance(error, ModelError):
             raise
-        raise ModelError(f"model file {path} is damaged: {error}") from error
+        said = " ".join(str(error).split())[:200]
+        raise ModelError(f"model file {path} is damaged: {said}") from error
     model = _KINDS[header["kind"]]()
     _machine(model).set_params(**header["settings"])
     _check(path, model, state)
@@ -119,7 +109,13 @@ def _read(path: Path) -> tuple[Model, dict[str, Any]]:
         model.load_state_dict(state)
     except RuntimeError as error:
         raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
-    return model.to(_machine_type(model, state)).eval(), header
+    return model.to(_machine_type(model, state)).eval(), header.get("report")
+
+
+def _metadata(data: bytes) -> dict[str, Any]:
+    """The notes in the JSON at the beginning of a safetensors file that has been checked."""
+    length = int.from_bytes(data[:_LENGTH], "little")
+    return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
 
 def _machine_type(model: Model, state: dict[str, Tensor]) -> torch.dtype:
@@ -135,7 +131,7 @@ def _header(path: Path, text: str | None) -> dict[str, Any]:
     """
     try:
         header = json.loads(text or "")
-    except (ValueError, RecursionError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise ModelError(f"{path} is no cgtorch model: it has no readable header") from error
     if not isinstance(header, dict) or header.get("format") != "cgtorch-model":
         raise ModelError(f"{path} is no cgtorch model")
@@ -151,8 +147,8 @@ def _header(path: Path, text: str | None) -> dict[str, Any]:
         and settings["kernel"] in ("rbf", "linear", "poly")
         and type(settings["degree"]) is int
         and 0 <= settings["degree"] <= 100
-        and isinstance(settings["coef0"], int | float)
-        and math.isfinite(settings["coef0"])
+        and type(settings["coef0"]) in (int, float)
+        and abs(settings["coef0"]) < 1e100
     )
     if not good:
         raise ModelError(f"model file {path} has unusable settings {settings!r:.200}")
@@ -186,6 +182,11 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
             raise ModelError(f"model file {path}: {name} has NaN or infinite values")
         if value.ndim != expected[name].ndim:
             raise ModelError(f"model file {path}: {name} has shape {tuple(value.shape)}")
+        last = name.split(".")[-1]
+        if (last in _POSITIVE and not bool((value > 0).all())) or (
+            last == "support" and not bool((value >= 0).all())
+        ):
+            raise ModelError(f"model file {path}: {name} has values that it cannot have")
     m, d = state[prefix + "centres"].shape
     k = state[prefix + "bias"].shape[0]
     shapes: dict[str, tuple[int, ...]] = {
@@ -201,5 +202,5 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
         outer = {"mean": (d,), "scale": (d,)}
     wrong = [n for n, s in shapes.items() if prefix + n in state and state[prefix + n].shape != s]
     wrong += [n for n, s in outer.items() if state[n].shape != s]
-    if wrong or not fixed or m == 0 or d == 0:
+    if wrong or not fixed or 0 in (m, d, k):
         raise ModelError(f"model file {path}: {', '.join(wrong) or 'centres'} of a wrong shape")

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import pytest
 import torch
@@ -20,6 +21,7 @@ from cgtorch.models import (
     load_report,
     save_model,
 )
+from cgtorch.models.storage import load_model_and_report
 
 GRID = {"C": [4.0], "gamma": [0.1]}
 
@@ -99,7 +101,10 @@ def _rewritten(path, target, change_state=None, **header):
         ({"format": "other"}, "no cgtorch model"),
         ({"settings": {"kernel": "rbf"}}, "unusable settings"),
         ({"settings": {"kernel": "rbf", "degree": 10**9, "coef0": 0.0}}, "unusable settings"),
+        ({"settings": {"kernel": "poly", "degree": 1, "coef0": 10**400}}, "unusable settings"),
+        ({"settings": {"kernel": "poly", "degree": 1, "coef0": True}}, "unusable settings"),
         ({"settings": []}, "unknown model"),
+        ({"kind": ["SVR"]}, "damaged"),
     ],
 )
 def test_a_foreign_header_is_refused(gamma_file, tmp_path, header, says):
@@ -116,6 +121,9 @@ def test_a_foreign_header_is_refused(gamma_file, tmp_path, header, says):
         ("machine.centres", lambda t: t[:, :-1], "wrong shape"),
         ("machine.centres", lambda t: t.int(), "type"),
         ("mean", lambda t: t[None].clone(), "shape"),
+        ("machine.gamma_value", lambda t: -t, "cannot have"),
+        ("machine.support", lambda t: -1 - t, "cannot have"),
+        ("scale", lambda t: 0 * t, "cannot have"),
         ("machine.bias", lambda t: None, "missing"),
     ],
 )
@@ -144,8 +152,47 @@ def test_files_that_are_no_models_are_refused(tmp_path):
 def test_a_huge_file_is_refused_unread(tmp_path):
     with (tmp_path / "m").open("wb") as file:
         file.truncate(2 * 1024**3)
-    with pytest.raises(ModelError, match="the most is"):
+    with pytest.raises(ModelError, match="larger than"):
         load_model(tmp_path / "m")
+
+
+def test_a_file_is_read_once(gamma_file, monkeypatch):
+    opened, plain = [], Path.open
+    monkeypatch.setattr(Path, "open", lambda p, *a, **k: opened.append(p) or plain(p, *a, **k))
+    model, report = load_model_and_report(gamma_file[0])
+    assert opened == [gamma_file[0]]
+    assert report == load_report(gamma_file[0])
+    assert torch.equal(model.machine.weights, gamma_file[1].machine.weights)
+
+
+@pytest.mark.parametrize("shape", [[2**40, 0], [2**20, 2**20], [2**62, 2**62]])
+def test_a_file_cannot_ask_for_more_memory_than_it_is_large(gamma_file, tmp_path, shape):
+    """Shapes are taken from the file only where its bytes fill them."""
+    content = gamma_file[0].read_bytes()
+    length = int.from_bytes(content[:8], "little")
+    tensors = json.loads(content[8 : 8 + length])
+    tensors["machine.centres"]["shape"] = shape
+    text = json.dumps(tensors).encode()
+    head = len(text).to_bytes(8, "little") + text
+    (tmp_path / "m").write_bytes(head + content[8 + length :])
+    with pytest.raises(ModelError):
+        load_model(tmp_path / "m")
+    (tmp_path / "m").write_bytes((2**60).to_bytes(8, "little") + content[8:])
+    with pytest.raises(ModelError):
+        load_model(tmp_path / "m")
+
+
+def test_outputs_that_are_none_are_refused(tmp_path):
+    x, _ = labelled(20)
+    save_model(tmp_path / "m", SVR().fit(x, x[:, :2]))
+
+    def none(state):
+        for name in ("weights", "bias", "gap", "cost", "tube"):
+            state[name] = state[name][..., :0].contiguous()
+
+    _rewritten(tmp_path / "m", tmp_path / "n", none)
+    with pytest.raises(ModelError, match="shape"):
+        load_model(tmp_path / "n")
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
