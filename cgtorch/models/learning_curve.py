@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
@@ -38,12 +38,51 @@ class LearningCurve:
     test_scores: tuple[tuple[float, ...], ...]
 
 
-def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
-    """Up to `count` sizes, each twice the one before and the last all that `folds` leave of `rows`.
+@dataclass(frozen=True)
+class LearningValues:
+    """Values on all rows of every model of a learning curve.
 
-    Sizes under 16 rows are left out, as hardly anything can be learnt from them.
+    Attributes:
+        sizes: Rows trained on (S,).
+        values: Decision values or predictions, by size, fold and output (S, F, k, n).
+        targets: Signs or targets (k, n).
+        used: Whether a row was trained on, by size and fold (S, F, n).
+        folds: Fold number of each row (n,).
     """
-    most = rows - -(-rows // folds)
+
+    sizes: tuple[int, ...]
+    values: Tensor
+    targets: Tensor
+    used: Tensor
+    folds: Tensor
+
+    @property
+    def held_out(self) -> Tensor:
+        """Value of each row from the largest model whose fold held it out (k, n)."""
+        index = torch.arange(len(self.folds), device=self.folds.device)
+        return self.values[-1, self.folds, :, index].T
+
+    def scored(self, scoring: str) -> LearningCurve:
+        """Scores, a name in `SCORES`, averaged over the outputs."""
+
+        def mean(value: Tensor, rows: Tensor) -> float:
+            return float(SCORES[scoring](value[:, rows], self.targets[:, rows]).mean())
+
+        train, test = [], []
+        for value, used in zip(self.values, self.used, strict=True):
+            folds = range(len(value))
+            train.append(tuple(mean(value[f], used[f]) for f in folds))
+            test.append(tuple(mean(value[f], self.folds == f) for f in folds))
+        return LearningCurve(self.sizes, tuple(train), tuple(test))
+
+
+def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
+    """Up to `count` sizes, each twice the one before, that plain or stratified `folds` allow.
+
+    The largest is all that any fold of `rows` leaves, less at most two rows. Sizes under 16 rows
+    are left out, as hardly anything can be learnt from them.
+    """
+    most = rows - rows // folds - 2  # each of two classes may leave one row over in the same fold
     return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)
 
 
@@ -54,7 +93,7 @@ def learning_curve(
     *,
     sizes: Sequence[int],
     folds: Any = 5,
-    seed: int | torch.Generator = 0,
+    seed: int | Generator = 0,
     scoring: str | None = None,
 ) -> LearningCurve:
     """Cross-validated scores of a model trained on the first rows of each training fold.
@@ -85,6 +124,19 @@ def learning_curve(
     scoring = scoring or ("accuracy" if isinstance(model, SVC) else "r2")
     if scoring not in SCORES:
         raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    return learning_values(model, x, y, sizes=sizes, folds=folds, seed=seed).scored(scoring)
+
+
+def learning_values(
+    model: SVC | SVR,
+    x: Any,
+    y: Any,
+    *,
+    sizes: Sequence[int],
+    folds: Any = 5,
+    seed: int | Generator = 0,
+) -> LearningValues:
+    """What `learning_curve` scores; see there for arguments and errors."""
     rows = inputs.as_rows(x)
     inputs.check_memory(len(rows), model.max_memory)
     generator = inputs.generator_of(seed)
@@ -100,7 +152,6 @@ def learning_curve(
     else:
         numbers = plain_folds(len(rows), folds, generator)
     used = _first_rows(training_masks(numbers), sizes).to(rows.device)
-
     flat = used.flatten(0, 1)
     if isinstance(model, SVC):
         cap = torch.full((len(flat),), inputs.positive(model.C, "C")).to(rows)
@@ -113,7 +164,7 @@ def learning_curve(
     matrix = kernel_matrix(kernel, rows)
     found = solve(matrix, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
-    return _scored(values, targets, used, numbers.to(rows.device), scoring, tuple(sizes))
+    return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))
 
 
 def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
@@ -138,23 +189,3 @@ def _regressions(model: SVR, targets: Tensor, used: Tensor) -> Problems:
         tube = per_output(model.epsilon, "epsilon", outputs, targets).repeat(repeats)
     weight = used.to(targets).repeat_interleave(outputs, 0)
     return regression(targets.repeat(repeats, 1), cap, tube, weight)
-
-
-def _scored(
-    values: Tensor, targets: Tensor, used: Tensor, numbers: Tensor, scoring: str, sizes: Any
-) -> LearningCurve:
-    """Scores of values (S, F, k, n) on the rows used (S, F, n) and on those of each fold."""
-    score = SCORES[scoring]
-
-    def mean(value: Tensor, rows: Tensor) -> float:
-        return float(score(value[:, rows], targets[:, rows]).mean())
-
-    train = tuple(
-        tuple(mean(values[s, f], used[s, f]) for f in range(used.shape[1]))
-        for s in range(len(used))
-    )
-    test = tuple(
-        tuple(mean(values[s, f], numbers == f) for f in range(used.shape[1]))
-        for s in range(len(used))
-    )
-    return LearningCurve(sizes, train, test)

@@ -2,21 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from cgtorch.errors import DataError
 from cgtorch.models import inputs
-from cgtorch.models.folds import stratified_folds
+from cgtorch.models.grasp_features import grasp_features
 from cgtorch.models.grid_search import Choice, Progress, balanced_accuracy, grid_search
+from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_values
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.svc import SVC, ClassWeight
 
-C_GRID = (1.0, 10.0, 100.0, 1000.0)
-GAMMA_GRID = (0.1, 0.3, 1.0, 3.0)
-GRID_ROWS = 700
+C_GRID = (100.0, 300.0, 1000.0)
+GAMMA_GRID = (0.5, 1.0, 2.0)
+GRID_ROWS = 1000
+_FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
+
+
+Reliability: TypeAlias = tuple[tuple[float, float, int], ...]
+"""Mean probability, frequency of success and number of rows of bins of probability."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,7 @@ class SuccessReport:
         grid_gamma: Kernel widths tried.
         grid_scores: Mean balanced accuracy by gamma and C.
         finished_by_smo: Cells of the grid that the active set left to SMO.
+        learning_curve: Balanced accuracy of the chosen cell by rows learnt from.
     """
 
     rows: int
@@ -45,7 +52,7 @@ class SuccessReport:
     balanced_accuracy: float
     brier: float
     calibration_error: float
-    reliability: tuple[tuple[float, float, int], ...]
+    reliability: Reliability
     choice: Choice
     gap: float
     centres: int
@@ -53,12 +60,13 @@ class SuccessReport:
     grid_gamma: tuple[float, ...]
     grid_scores: list[Any]
     finished_by_smo: int
+    learning_curve: LearningCurve
 
 
 class SuccessClassifier(nn.Module):
     """C: percept (..., D) -> probability of success (...), differentiable in the percept.
 
-    Buffers: the percepts' `mean` (D,) and common `scale` (D,); the machine's are in `machine`.
+    Buffers: the features' `mean` (D,) and common `scale` (D,); the machine's are in `machine`.
     """
 
     mean: Tensor
@@ -92,7 +100,7 @@ class SuccessClassifier(nn.Module):
                 f"a percept has {percept.shape[-1]} coordinates; the classifier was fitted on "
                 f"{len(self.mean)}"
             )
-        return (percept.to(self.mean) - self.mean) / self.scale
+        return (grasp_features(percept.to(self.mean)) - self.mean) / self.scale
 
     def _load_from_state_dict(
         self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
@@ -126,7 +134,7 @@ def fit_success_classifier(
         seed: Seed or generator of folds, subset and solver.
         folds: Number of stratified folds, for the grid and for Platt's probabilities.
         C: Costs to try.
-        gamma: Kernel widths to try, on scaled percepts.
+        gamma: Kernel widths to try, on scaled features.
         grid_rows: Random rows that the grid is scored on, None for all.
         class_weight: None, "balanced", or a factor on C per class.
         progress: Called with (cells done, all cells).
@@ -145,21 +153,13 @@ def fit_success_classifier(
     signs = signs.to(rows)
     inputs.check_memory(len(rows), max_memory)
     generator = inputs.generator_of(seed)
-    model = SuccessClassifier().to(rows.device)
-    model.mean = rows.mean(0)
-    # One scale for all coordinates: they are lengths, and what hardly varies is hardly more than
-    # noise, which a scale of its own would blow up.
-    spread = rows.var(0, correction=0).mean().sqrt()
-    model.scale = torch.where(spread > 0, spread, 1.0).expand_as(model.mean).clone()
-    features = (rows - model.mean) / model.scale
-
-    some = torch.randperm(len(rows), generator=generator)[: grid_rows or len(rows)]
-    some = some.to(rows.device)
-    plain = SVC(class_weight=class_weight, max_memory=max_memory)
+    model, features = _standardised(rows)
+    order = _mixed_order(signs, generator)  # whose first rows are a sample of all
+    mixed, truth = features[order], signs[order]
     grid = grid_search(
-        plain,
-        features[some],
-        signs[some],
+        SVC(class_weight=class_weight, max_memory=max_memory),
+        mixed[:grid_rows],
+        truth[:grid_rows],
         C=C,
         gamma=gamma,
         folds=folds,
@@ -168,27 +168,24 @@ def fit_success_classifier(
         progress=progress,
     )
     best = grid.best[0]
-    numbers = stratified_folds(signs, folds, generator)
-    model.machine = SVC(
-        best.C,
-        gamma=best.gamma,
-        class_weight=class_weight,
-        probability=True,
-        folds=numbers,
-        seed=generator,
-        max_memory=max_memory,
-    ).fit(features, signs)
-    value = grid_search(
-        plain, features, signs, C=[best.C], gamma=[best.gamma], folds=numbers, seed=generator
-    ).held_out[0, 0, 0, 0]
-    chance = _cross_fitted(value, signs, numbers.to(rows.device))
-    truth = (signs > 0).to(chance)
-    error, reliability = calibration(chance, truth)
+    machine = SVC(
+        best.C, gamma=best.gamma, class_weight=class_weight, seed=generator, max_memory=max_memory
+    )
+    fewest = _FEWEST * len(rows) / float(torch.minimum((signs > 0).sum(), (signs < 0).sum()))
+    sizes = [size for size in doubling_sizes(len(rows), folds) if size >= fewest]
+    sizes = sizes or [doubling_sizes(len(rows), folds)[-1]]
+    curve = learning_values(machine, mixed, truth, sizes=sizes, folds=folds, seed=generator)
+    value = curve.held_out[0]
+    chance = _cross_fitted(value, truth, curve.folds)
+    happened = (truth > 0).to(chance)
+    error, reliability = calibration(chance, happened)
+    model.machine = machine.fit(features, signs)
+    model.machine.platt = torch.stack(fit_platt(value, truth)).to(features)
     report = SuccessReport(
         rows=len(rows),
-        positive=float(truth.mean()),
-        balanced_accuracy=float(balanced_accuracy(value, signs)),
-        brier=float((chance - truth).square().mean()),
+        positive=float(happened.mean()),
+        balanced_accuracy=float(balanced_accuracy(value, truth)),
+        brier=float((chance - happened).square().mean()),
         calibration_error=error,
         reliability=reliability,
         choice=best,
@@ -198,8 +195,33 @@ def fit_success_classifier(
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_scores=grid.mean[:, 0, :, 0].tolist(),
         finished_by_smo=int((~grid.direct).sum()),
+        learning_curve=curve.scored("balanced_accuracy"),
     )
     return model.to(dtype), report
+
+
+def _standardised(rows: Tensor) -> tuple[SuccessClassifier, Tensor]:
+    """A classifier that has no machine yet, and the features (n, F) of percepts (n, D).
+
+    One scale for all features: they are lengths and weighed so that they matter about as much, and
+    what hardly varies is hardly more than noise, which a scale of its own would blow up.
+    """
+    features = grasp_features(rows)
+    model = SuccessClassifier().to(rows.device)
+    model.mean = features.mean(0)
+    spread = features.var(0, correction=0).mean().sqrt()
+    model.scale = torch.where(spread > 0, spread, 1.0).expand_as(model.mean).clone()
+    return model, (features - model.mean) / model.scale
+
+
+def _mixed_order(signs: Tensor, generator: torch.Generator) -> Tensor:
+    """A random order (n,) in which any first rows hold the two classes in proportion."""
+    place = torch.rand(len(signs), generator=generator).to(signs)
+    for sign in (-1, 1):
+        rows = (signs == sign).nonzero()[:, 0]
+        shuffled = rows[place[rows].argsort()]
+        place[shuffled] = (torch.arange(len(rows)).to(signs) + 0.5) / len(rows)
+    return place.argsort()
 
 
 def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
@@ -212,9 +234,7 @@ def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
     return chance
 
 
-def calibration(
-    chance: Tensor, truth: Tensor, bins: int = 10
-) -> tuple[float, tuple[tuple[float, float, int], ...]]:
+def calibration(chance: Tensor, truth: Tensor, bins: int = 10) -> tuple[float, Reliability]:
     """Expected calibration error and the reliability curve of probabilities (n,) (Naeini 2015).
 
     Args:

@@ -1,4 +1,4 @@
-"""What Γ and C learn from: transitions the world made, and balanced labels from all around."""
+"""What Γ and C learn from: transitions the world made, and labels from where they teach most."""
 
 import math
 from collections.abc import Callable
@@ -9,15 +9,8 @@ from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
 from cgtorch.data import Dataset, collect
-from cgtorch.data.collect import (
-    ARENA,
-    balanced_labels,
-    drive,
-    in_table,
-    label,
-    poses_around,
-    poses_at_object,
-)
+from cgtorch.data.collect import drive
+from cgtorch.data.poses import ARENA, in_table, poses_around
 from cgtorch.environment import Lanes
 from cgtorch.errors import DataError
 from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
@@ -120,49 +113,6 @@ def test_start_poses_are_free() -> None:
     assert len(scenarios) == 300
     assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
     assert scenarios.pose[:, :2].abs().max() <= ARENA
-
-
-@pytest.mark.parametrize("count", [60, 61, 300])
-def test_labels_are_balanced(count: int) -> None:
-    percept, answer = balanced_labels(world_of(), count, seeded(3))
-    assert percept.shape == (len(answer), 7)
-    assert count - 3 <= len(answer) <= count
-    assert int(answer.sum()) * 2 == len(answer)
-
-
-def test_labels_are_what_grasping_there_gives() -> None:
-    percept, answer = balanced_labels(world_of(), 300, seeded(4))
-    # Without noise the percept holds the object where it is, which is all the stand-in asks for.
-    assert torch.equal(answer, graspable(percept[:, 4:7], torch.empty(0)))
-
-
-def test_a_label_with_noise_is_that_of_the_true_object() -> None:
-    scenarios = poses_at_object(200, seeded(5))
-    noisy, answer = label(world_of(LAB_NOISE), scenarios)
-    exact, true_answer = label(world_of(), scenarios)
-    assert torch.equal(answer, true_answer)
-    assert not torch.equal(noisy, exact)
-    assert (noisy - exact).abs().max() < 0.05
-
-
-def test_labels_come_from_all_sides_and_from_within_the_table() -> None:
-    asked: list[Scenarios] = []
-
-    def watched(scenarios: Scenarios) -> TabletopWorld:
-        asked.append(scenarios)
-        return world_of()(scenarios)
-
-    percept, answer = balanced_labels(watched, 300, seeded(6))
-    poses = torch.cat([s.pose for s in asked])
-    placed = torch.cat([s.object for s in asked])
-    offset = poses[:, :2] - placed
-    for side in (offset[:, 0] < -0.2, offset[:, 0] > 0.2, offset[:, 1] < -0.2, offset[:, 1] > 0.2):
-        assert int(side.sum()) > 100
-    around = torch.cat([placed[:, 0] < -0.2, placed[:, 0] > 0.2, placed[:, 1] > 0.4]).view(3, -1)
-    assert (around.sum(1) > 50).all()
-    # The base is at the origin of its percept: these poses are within the table.
-    standing = (percept[:, [0, 2]] < 0).all(1) & (percept[:, [1, 3]] > 0).all(1)
-    assert int((standing & ~answer).sum()) > 5
 
 
 def never(at: Tensor, table: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 import sklearn.svm
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.model_selection import KFold, StratifiedKFold
@@ -15,6 +16,7 @@ from tabletop import labelled, transitions
 
 from cgtorch.errors import DataError, SettingsError
 from cgtorch.models import SVC, SVR, LearningCurve, doubling_sizes, learning_curve
+from cgtorch.models.folds import plain_folds, stratified_folds
 
 SIZES = (20, 47, 160, 240)
 
@@ -100,9 +102,16 @@ def test_bad_data_and_scores():
         learning_curve(SVR(), x * np.nan, x[:, 0], sizes=(20,))
 
 
-@given(st.integers(20, 10_000), st.integers(2, 10), st.integers(1, 8))
+@given(st.integers(60, 10_000), st.integers(2, 10), st.integers(1, 8))
 def test_sizes_double_up_to_what_the_folds_leave(rows, folds, count):
     sizes = doubling_sizes(rows, folds, count)
     assert 1 <= len(sizes) <= count
-    assert sizes[-1] == rows - -(-rows // folds)
+    signs = torch.arange(rows) % 3 - 0.5
+    generator = torch.Generator().manual_seed(rows)
+    for numbers in (
+        stratified_folds(signs.sign(), folds, generator),
+        plain_folds(rows, folds, generator),
+    ):
+        left = rows - int(numbers.bincount().max())
+        assert left - 2 <= sizes[-1] <= left
     assert all(b // a == 2 for a, b in itertools.pairwise(sizes))

@@ -1,0 +1,82 @@
+"""Whether probabilities mean what they say: how often it happens when C says how likely it is."""
+
+from typing import TYPE_CHECKING
+
+from cgtorch.errors import DataError
+from cgtorch.models.success import Reliability
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DOT, LINE, IDEAL, TEXT, GRID = "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6"
+SPREAD = 2.0  # standard errors of a frequency that its bar spans
+
+
+def draw_reliability(
+    curve: Reliability, bins: int = 10, *, title: str = "the success classifier C"
+) -> "Figure":
+    """Reliability diagram above a histogram of the probabilities (DeGroot & Fienberg 1983).
+
+    A green dot is a bin of probabilities, its bar two standard errors of the frequency either way;
+    on the dashed line they would be exactly as likely as they say.
+
+    Args:
+        curve: mean probability, frequency and rows of each bin that is not empty.
+        bins: equal bins that the probabilities were put into.
+        title: whose probabilities they are.
+
+    Raises:
+        DataError: the curve holds no rows.
+    """
+    from matplotlib.figure import Figure
+
+    rows = sum(count for _, _, count in curve)
+    if rows == 0:
+        raise DataError("the reliability curve holds no rows; measure it on some labels")
+    figure = Figure(figsize=(5.2, 6.2), dpi=100, facecolor="white", layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    _draw_dots(upper, curve)
+    _draw_counts(lower, curve, bins)
+    error = sum(abs(mean - frequency) * count for mean, frequency, count in curve) / rows
+    upper.set_title(
+        f"{title} on {rows} fresh labels\nexpected calibration error {error:.3f}",
+        fontsize=11, color=TEXT,
+    )  # fmt: skip
+    for axes in (upper, lower):
+        axes.set_axisbelow(True)
+        axes.grid(color=GRID, linewidth=0.6)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    return figure
+
+
+def _draw_dots(axes: "Axes", curve: Reliability) -> None:
+    mean, frequency, count = zip(*curve, strict=True)
+    # By the rule of succession, so that a bin where it always happens has a bar too.
+    sure = [(f * n + 1) / (n + 2) for f, n in zip(frequency, count, strict=True)]
+    bar = [SPREAD * (s * (1 - s) / n) ** 0.5 for s, n in zip(sure, count, strict=True)]
+    low = [min(b, f) for b, f in zip(bar, frequency, strict=True)]
+    high = [min(b, 1 - f) for b, f in zip(bar, frequency, strict=True)]
+    axes.plot([0, 1], [0, 1], "--", color=IDEAL, lw=1.4, zorder=1, label="as likely as it says")
+    axes.plot(mean, frequency, color=LINE, lw=1.0, zorder=2)
+    axes.errorbar(
+        mean, frequency, yerr=[low, high], fmt="o", color=DOT, ms=6, lw=1.2, capsize=3, zorder=3,
+        label="a bin of labels",
+    )  # fmt: skip
+    axes.set_xlim(-0.02, 1.02)
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_ylabel("share of grasps that succeed")
+    axes.legend(loc="upper left", frameon=False, fontsize=9)
+
+
+def _draw_counts(axes: "Axes", curve: Reliability, bins: int) -> None:
+    for mean, _, count in curve:
+        number = min(int(mean * bins), bins - 1)
+        place = (number + 0.5) / bins
+        axes.bar(place, count, width=0.92 / bins, color=LINE, gid="count")
+        axes.annotate(f"{count}", (place, count), ha="center", va="bottom", fontsize=8, color=TEXT)
+    axes.set_yscale("log")
+    axes.set_ylim(0.7, 4 * max(count for _, _, count in curve))
+    axes.set_xlabel("probability that C gives")
+    axes.set_ylabel("labels")
