@@ -26,6 +26,7 @@ LOG2E = math.log2(math.e)
 _ROWS, _COLUMNS = 4, 16
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
+_MOST_BYTES = 256 * 1024**2  # of a chunk, however many centres a stranger's model has
 _CHUNKS = 4  # in a block, which is what the small operations before and after work on
 _WORTH_SHARING = 2**19  # kernel values, about 0.4 ms of one core
 
@@ -72,8 +73,9 @@ def fused_rbf_and_nearest(
 
 def chunk_rows(centres: int, item: int) -> int:
     """Rows per chunk so that the buffer of `centres` columns of `item` bytes stays in cache."""
-    fitting = _CHUNK_BYTES // max(1, centres * item) // _ROWS * _ROWS
-    return min(_LARGEST_CHUNK, max(_SMALLEST_CHUNK, fitting))
+    row = max(1, centres * item)
+    fast = min(_LARGEST_CHUNK, max(_SMALLEST_CHUNK, _CHUNK_BYTES // row))
+    return max(1, min(fast, _MOST_BYTES // row) // _ROWS) * _ROWS
 
 
 def _wants_gradient(*parts: Tensor) -> bool:

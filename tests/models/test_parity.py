@@ -7,7 +7,14 @@ import pytest
 import sklearn.svm
 from sklearn.base import clone
 from sklearn.calibration import CalibratedClassifierCV
-from sklearn.datasets import load_breast_cancer, load_diabetes, load_digits, load_wine
+from sklearn.datasets import (
+    load_breast_cancer,
+    load_diabetes,
+    load_digits,
+    load_iris,
+    load_linnerud,
+    load_wine,
+)
 from sklearn.model_selection import StratifiedKFold
 from tabletop import labelled, transitions
 
@@ -19,9 +26,13 @@ def _scaled(x):
 
 
 def _split(x, y, count):
-    order = np.random.default_rng(0).permutation(len(x))
+    """Rows to train on, and 1,000 or more others: those held out, and shaken copies of all."""
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(x))
     train, fresh = order[:count], order[count:]
-    return x[train], y[train], x[fresh]
+    copies = x[rng.integers(0, len(x), 1000)]
+    shaken = copies + 0.3 * x.std(0) * rng.standard_normal(copies.shape)
+    return x[train], y[train], np.concatenate([x[fresh], shaken])
 
 
 def _classification(name):
@@ -35,9 +46,12 @@ def _classification(name):
     elif name == "wine":
         x, y = load_wine(return_X_y=True)
         y = (y == 1).astype(int)
+    elif name == "iris":
+        x, y = load_iris(return_X_y=True)
+        y = (y == 1).astype(int)
     else:
         x, y = load_breast_cancer(return_X_y=True)
-    return _split(_scaled(x), y, 120 if name == "wine" else 400)
+    return _split(_scaled(x), y, 120 if name in ("wine", "iris") else 400)
 
 
 def _regression(name):
@@ -64,7 +78,7 @@ def _gram(x, gamma):
 
 
 @pytest.mark.parametrize("C", [0.3, 10.0])
-@pytest.mark.parametrize("name", ["breast cancer", "wine", "digits", "tabletop"])
+@pytest.mark.parametrize("name", ["breast cancer", "wine", "iris", "digits", "tabletop"])
 def test_classifier_matches_libsvm(name, C):
     x, y, fresh = _classification(name)
     gamma = 1 / (x.shape[1] * x.var())
@@ -77,6 +91,7 @@ def test_classifier_matches_libsvm(name, C):
     assert abs(_objective(ours, gram, z, 0.0) - best) <= 1e-4 * abs(best)
     assert float(ours.gap) <= 1e-4 * abs(best)
     decision = theirs.decision_function(fresh)
+    assert len(fresh) >= 1000
     assert np.abs(ours.decision_function(fresh) - decision).max() <= 1e-3 * np.abs(decision).max()
     assert np.mean(ours.predict(fresh) == theirs.predict(fresh)) >= 0.999
     assert ours.score(x, y) == pytest.approx(theirs.score(x, y), abs=1e-12)
@@ -86,7 +101,7 @@ def test_classifier_matches_libsvm(name, C):
         warnings.simplefilter("ignore")
         oracle = CalibratedClassifierCV(base, ensemble=False, cv=folds).fit(x, y)
     chance = oracle.predict_proba(fresh)
-    assert np.abs(ours.predict_proba(fresh) - chance).max() <= 1e-6
+    assert np.abs(ours.predict_proba(fresh) - chance).max() <= 1e-5
     assert np.ptp(chance[:, 1]) > 0.5  # otherwise the comparison would say nothing
 
 
@@ -102,8 +117,25 @@ def test_regression_matches_libsvm(name, C):
     assert abs(_objective(ours, gram, y, 0.05) - best) <= 1e-4 * abs(best)
     assert float(ours.gap) <= 1e-4 * abs(best)
     value = theirs.predict(fresh)
+    assert len(fresh) >= 1000
     assert np.abs(ours.predict(fresh) - value).max() <= 1e-3 * np.ptp(value)
     assert ours.score(x, y) == pytest.approx(theirs.score(x, y), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["linnerud", "iris", "tabletop"])
+def test_several_outputs_match_one_libsvm_each(name):
+    if name == "linnerud":
+        x, y, fresh = _split(*map(_scaled, load_linnerud(return_X_y=True)), 15)
+    elif name == "iris":  # two measures of a flower from the two others
+        x = _scaled(load_iris(return_X_y=True)[0])
+        x, y, fresh = _split(x[:, :2], x[:, 2:], 100)
+    else:
+        p, u, q = transitions(400)
+        x, y, fresh = _split(_scaled(np.concatenate([p, u], 1)), _scaled(q[:, :6]), 300)
+    value = SVR(2.0, epsilon=0.1).fit(x, y).predict(fresh)
+    for k, target in enumerate(y.T):
+        oracle = sklearn.svm.SVR(C=2.0, epsilon=0.1, tol=1e-7).fit(x, target).predict(fresh)
+        assert np.abs(value[:, k] - oracle).max() <= 1e-3 * np.ptp(oracle)
 
 
 @pytest.mark.parametrize("kernel", ["linear", "poly"])
@@ -127,10 +159,11 @@ def test_a_callable_kernel_is_its_named_twin():
     np.testing.assert_allclose(called, named, rtol=0, atol=1e-9)
 
 
-def test_balanced_class_weights_match_libsvm():
+@pytest.mark.parametrize("weight", ["balanced", {0: 0.5, 1: 3.0}, {1: 4.0}])
+def test_class_weights_match_libsvm(weight):
     x, y, fresh = _classification("digits")
-    theirs = sklearn.svm.SVC(C=0.1, class_weight="balanced", tol=1e-8).fit(x, y)
-    ours = SVC(0.1, class_weight="balanced").fit(x, y)
+    theirs = sklearn.svm.SVC(C=0.1, class_weight=weight, tol=1e-8).fit(x, y)
+    ours = SVC(0.1, class_weight=weight).fit(x, y)
     difference = ours.decision_function(fresh) - theirs.decision_function(fresh)
     assert np.abs(difference).max() <= 1e-4
     plain = SVC(0.1).fit(x, y).decision_function(fresh)

@@ -1,0 +1,91 @@
+"""The benchmark's own logic; what it measures is never a test."""
+
+import importlib.metadata
+import json
+import sys
+from pathlib import Path
+
+import click.testing
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import benchmark
+from benchmarks.measure import (
+    QUICK,
+    Comparison,
+    DisagreementError,
+    Line,
+    Timing,
+    difference,
+    in_turns,
+    torch_threads,
+)
+
+
+def a_line(_) -> Line:
+    times = Timing(1.0, 0.5, 2.0, 5), Timing(30.0, 20.0, 40.0, 5)
+    parts = tuple(Comparison(f"{r}", *times, ratio=r, difference=0.0) for r in (30.0, 20.0))
+    return Line("a", "ours / theirs", "x faster", 10.0, "CPU", 1, parts)
+
+
+def run(monkeypatch, lines, *arguments):
+    monkeypatch.setattr(benchmark, "LINES", lines)
+    monkeypatch.setattr(benchmark.main.params[-1], "type", click.Choice(list(lines)))
+    return click.testing.CliRunner().invoke(benchmark.main, arguments)
+
+
+def test_json_holds_the_worst_ratio_of_each_line_and_all_details(monkeypatch) -> None:
+    found = json.loads(run(monkeypatch, {"a": a_line}, "--json").stdout)
+    assert found["ratios"] == {"a": 20.0}
+    assert found["lines"]["a"]["parts"][0]["ours"]["median"] == 1.0
+    assert found["machine"]["cores"] >= 1
+    assert found["versions"]["torch"] == importlib.metadata.version("torch")
+
+
+def test_the_table_has_a_row_per_case_and_only_chooses(monkeypatch) -> None:
+    lines = {"a": a_line, "b": lambda _: pytest.fail("not asked for")}
+    result = run(monkeypatch, lines, "--only", "a", "--quick")
+    assert result.exit_code == 0
+    assert result.stdout.count("x faster") == 2
+
+
+def test_what_is_missing_or_differs_is_one_line(monkeypatch) -> None:
+    def missing(_):
+        raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
+
+    def wrong(_):
+        difference(torch.zeros(3), torch.arange(3.0), 1e-3)
+
+    assert "sklearn is missing" in run(monkeypatch, {"a": missing}).stderr
+    assert "results differ" in run(monkeypatch, {"a": wrong}).stderr
+
+
+def test_alternatives_are_timed_in_turns_after_a_call_that_is_not() -> None:
+    seen = []
+    ticks = iter(range(100))
+    times = in_turns(
+        [lambda: seen.append("a"), lambda: seen.append("b")],
+        QUICK.repeats,
+        clock=lambda: float(next(ticks)),
+        calls=[1, 2],
+    )
+    assert "".join(seen) == "ab" + "abb" * 5
+    assert [t.median for t in times] == [1.0, 0.5]
+    assert times[0].repeats == 5
+
+
+def test_results_are_compared_by_their_range() -> None:
+    truth = torch.tensor([0.0, 100.0])
+    assert difference(truth + 0.01, truth, 1e-3) == pytest.approx(1e-4, rel=1e-3)
+    for wrong in (truth + 1, truth * float("nan"), truth[:1]):
+        with pytest.raises(DisagreementError):
+            difference(wrong, truth, 1e-3)
+
+
+def test_threads_are_as_before_afterwards() -> None:
+    before = torch.get_num_threads()
+    with torch_threads(2):
+        assert torch.get_num_threads() == 2
+    assert torch.get_num_threads() == before
