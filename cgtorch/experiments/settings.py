@@ -30,7 +30,7 @@ class RunSettings:
     max_transitions: int = _option(20, "Transitions after which a skill has failed.")
     practice: int = _option(150, "Random placements practised in each stage beside the five tests.")
     transitions: int = _option(2000, "Random transitions collected for the transition model.")
-    labels: int = _option(3000, "Grasp labels collected for the success classifier.")
+    labels: int = _option(5500, "Grasp labels collected for the success classifier.")
     position_noise: float = _option(0.005, "Noise of odometry and detection, m.")
     heading_noise: float = _option(math.pi / 360, "Noise of the heading after a motion, rad.")
     actions: tuple[str, ...] = _option((), "Further actions: names or package.module:Class.")

@@ -15,7 +15,7 @@ from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learnin
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.svc import SVC, ClassWeight
 
-C_GRID = (100.0, 300.0, 1000.0)
+C_GRID = (100.0, 300.0)
 GAMMA_GRID = (0.5, 1.0, 2.0)
 GRID_ROWS = 1000
 _FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
