@@ -5,6 +5,8 @@ from cgtorch.models.compact import CompactReport as CompactReport
 from cgtorch.models.compact import compact as compact
 from cgtorch.models.compact import compact_success_classifier as compact_success_classifier
 from cgtorch.models.compact import compact_transition_model as compact_transition_model
+from cgtorch.models.coreset import label_coreset as label_coreset
+from cgtorch.models.coreset import transition_coreset as transition_coreset
 from cgtorch.models.grid_search import Choice as Choice
 from cgtorch.models.grid_search import GridResult as GridResult
 from cgtorch.models.grid_search import grid_search as grid_search
@@ -17,6 +19,8 @@ from cgtorch.models.storage import save_model as save_model
 from cgtorch.models.success import SuccessClassifier as SuccessClassifier
 from cgtorch.models.success import SuccessReport as SuccessReport
 from cgtorch.models.success import fit_success_classifier as fit_success_classifier
+from cgtorch.models.success_quality import SuccessQuality as SuccessQuality
+from cgtorch.models.success_quality import success_quality as success_quality
 from cgtorch.models.svc import SVC as SVC
 from cgtorch.models.svr import SVR as SVR
 from cgtorch.models.transition import TransitionModel as TransitionModel
@@ -26,3 +30,5 @@ from cgtorch.models.transition_quality import TransitionQuality as TransitionQua
 from cgtorch.models.transition_quality import transition_quality as transition_quality
 from cgtorch.models.update import update_success_classifier as update_success_classifier
 from cgtorch.models.update import update_transition_model as update_transition_model
+from cgtorch.models.verdict import Verdict as Verdict
+from cgtorch.models.verdict import judge as judge

@@ -48,7 +48,8 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
-        return self.predict_with_novelty(percept, motion)[0]
+        parts, yaws, value, _ = self._asked(percept, motion)
+        return self.following(parts, motion, yaws, value)
 
     def novelty(self, percept: Tensor, motion: Tensor) -> Tensor:
         """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
@@ -61,13 +62,18 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
+        parts, yaws, value, distance = self._asked(percept, motion)
+        following = self.following(parts, motion, yaws, value)
+        beyond = self._beyond(parts, motion, yaws).to(distance)
+        return following, (1 - torch.exp2(-distance / self.reach - beyond)).to(percept.dtype)
+
+    def _asked(self, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Parts (..., 7), yaws (..., 2), what the machine says (...) and the distance (...)."""
         geometry.check_percept(percept, motion)
         parts = geometry.to_parts(percept)
         yaws = geometry.mirror_yaws(parts, self.sides.to(parts))
         value, distance = self.machine.values_and_distance(self._standardised(parts, yaws))
-        following = self.following(parts, motion, yaws, value[..., 0].to(parts))
-        beyond = self._beyond(parts, motion, yaws).to(distance)
-        return following, (1 - torch.exp2(-distance / self.reach - beyond)).to(percept.dtype)
+        return parts, yaws, value[..., 0].to(parts), distance
 
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., 4) that the machine sees; no motion changes them."""

@@ -151,7 +151,7 @@ def fit_transition_model(
     """
     p, u, q = transition_rows(percept, motion, next_percept, max_memory)
     generator = inputs.generator_of(seed)
-    model = _geometry_of(p, u, q)
+    model = _geometry_of(p, u, q).to(dtype).double()  # which learning on will see like this
     target, tells = which_yaw(model, p, u, q)
     if int(tells.sum()) < 2 * folds:
         tells = torch.ones_like(tells)  # nothing can be learnt, which the comparison will show

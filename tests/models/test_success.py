@@ -35,9 +35,12 @@ def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
 
 
 def test_gradients_equal_finite_differences():
-    model, _ = fit_success_classifier(*labelled(150, 3), dtype=torch.float64, **GRID)
+    x, y = labelled(150, 3)
+    model, _ = fit_success_classifier(x, y, dtype=torch.float64, **GRID)
+    small, _ = compact_success_classifier(model, 16, torch.tensor(x))
     x = torch.tensor(labelled(4, 4)[0], requires_grad=True)
     assert torch.autograd.gradcheck(model, (x,))
+    assert torch.autograd.gradcheck(small, (x,))
 
 
 def test_any_number_of_coordinates(fitted):
