@@ -90,6 +90,9 @@ def load_dataset(path: Path) -> Dataset:
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
     """Write data, Γ and C into a folder."""
     save_dataset(folder / "data.safetensors", knowledge.dataset, notes)
+    said = [] if knowledge.verdicts is None else [v.reason for v in knowledge.verdicts]
+    learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
+    save_dataset(folder / "aside.safetensors", knowledge.aside, {**notes, **learned})
     save_model(folder / "gamma.safetensors", knowledge.gamma, knowledge.gamma_report)
     save_model(folder / "classifier.safetensors", knowledge.classifier, knowledge.classifier_report)
 
@@ -114,7 +117,9 @@ def load_knowledge(folder: Path) -> Knowledge:
     except (TypeError, KeyError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
     data = load_dataset(folder / "data.safetensors")
-    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, gamma_report, report)
+    aside = load_dataset(folder / "aside.safetensors")
+    swift = swift_gamma(gamma, data)
+    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside)
 
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:

@@ -40,9 +40,12 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.knowledge import fit_models
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import Budget
+from cgtorch.models import success_quality, transition_quality
 from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
+FRESH_TRANSITIONS = 2000  # which tell the models' errors
+FRESH_LABELS = 800
 
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
@@ -107,7 +110,12 @@ def _begin(run: Run, watch: Watch, working: Working) -> Progress:
     began = time.perf_counter()
     with working("fitting the transition model and the success classifier"):
         knowledge = fit_models(dataset, settings.seed)
-    watch(ModelsFitted("start", knowledge, time.perf_counter() - began))
+    seconds = time.perf_counter() - began
+    with working("trying the transition model on fresh transitions"):
+        quality = transition_quality(run.world_of, knowledge.gamma, FRESH_TRANSITIONS, generator)
+    with working("trying the success classifier on fresh labels"):
+        judged = success_quality(run.world_of, knowledge.classifier, FRESH_LABELS, generator)
+    watch(ModelsFitted("start", knowledge, seconds, quality, judged))
     nothing = stage_scenarios("near", 0)
     progress = Progress(None, nothing, nothing, knowledge)
     with whole_folder(start) as folder:

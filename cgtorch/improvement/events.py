@@ -9,6 +9,7 @@ from torch import Tensor
 from cgtorch.evolution import Generation
 from cgtorch.graphs import Skill
 from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.models import SuccessQuality, TransitionQuality
 from cgtorch.world import Scenarios
 
 
@@ -28,11 +29,16 @@ class StageStarted:
 
 @dataclass(frozen=True)
 class ModelsFitted:
-    """Γ and C were trained, in `seconds`."""
+    """Γ and C were trained, in `seconds`.
+
+    After the first fit it is told, too, how good Γ is on fresh transitions and C on fresh labels.
+    """
 
     stage: str
     knowledge: Knowledge
     seconds: float
+    gamma_quality: TransitionQuality | None = None
+    classifier_quality: SuccessQuality | None = None
 
 
 @dataclass(frozen=True)

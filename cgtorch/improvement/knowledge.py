@@ -13,9 +13,13 @@ from cgtorch.models import (
     SuccessReport,
     TransitionModel,
     TransitionReport,
+    Verdict,
     compact_transition_model,
     fit_success_classifier,
     fit_transition_model,
+    judge,
+    label_coreset,
+    transition_coreset,
     update_success_classifier,
     update_transition_model,
 )
@@ -23,8 +27,12 @@ from cgtorch.simulation import ModelEnvironment
 from cgtorch.world import motion_possible
 from cgtorch.world.geometry import box_rectangle
 
-SWIFT_CENTRES = 256
+SWIFT_CENTRES = 128
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
+ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
+FOLDS = 3  # for the probabilities, which hardly change; each costs more than the update itself
+MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
+"""Rows that are learnt from at most; of more, a coreset stays."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class Knowledge:
         classifier: the success classifier.
         gamma_report: how well Γ does in cross-validation.
         classifier_report: how well C does in cross-validation.
+        aside: experience that neither is ever trained on; what they learn is judged by it.
+        verdicts: what was decided about Γ and C when they last learned on, None before.
     """
 
     dataset: Dataset
@@ -47,16 +57,36 @@ class Knowledge:
     classifier: SuccessClassifier
     gamma_report: TransitionReport
     classifier_report: SuccessReport
+    aside: Dataset
+    verdicts: tuple[Verdict, Verdict] | None = None
 
 
 def fit_models(dataset: Dataset, seed: int) -> Knowledge:
-    """Γ and C from data, hyper-parameters chosen by cross-validation."""
+    """Γ and C from nine tenths of the data, hyper-parameters chosen by cross-validation."""
+    data, aside = parted(dataset)
     gamma, gamma_report = fit_transition_model(
-        dataset.percept, dataset.motion, dataset.next_percept, seed=seed
+        data.percept, data.motion, data.next_percept, seed=seed
     )
-    classifier, report = fit_success_classifier(dataset.grasp_percept, dataset.graspable, seed=seed)
-    swift = swift_gamma(gamma, dataset)
-    return Knowledge(dataset, gamma, swift, classifier, gamma_report, report)
+    classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, seed=seed)
+    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, gamma_report, report, aside)
+
+
+def parted(dataset: Dataset) -> tuple[Dataset, Dataset]:
+    """The data without every tenth row, and these rows."""
+    moves = torch.arange(len(dataset.percept)) % ASIDE == ASIDE - 1
+    grasps = torch.arange(len(dataset.graspable)) % ASIDE == ASIDE - 1
+    return taken(dataset, ~moves, ~grasps), taken(dataset, moves, grasps)
+
+
+def taken(dataset: Dataset, moves: Tensor, grasps: Tensor) -> Dataset:
+    """The transitions `moves` and the grasps `grasps`, indices or masks."""
+    return Dataset(
+        dataset.percept[moves],
+        dataset.motion[moves],
+        dataset.next_percept[moves],
+        dataset.grasp_percept[grasps],
+        dataset.graspable[grasps],
+    )
 
 
 def imagine(
@@ -117,22 +147,81 @@ MOST_NEW = 100  # transitions, and grasps that C got right, learned from one exp
 def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
     """Γ and C trained on more experience, from where they stand; hyper-parameters stay.
 
-    Of the grasps, those that C got wrong teach most and come first. The reports stay those of the
-    last cross-validation.
+    Of the grasps, those that C got wrong teach most and come first. A tenth of what is new is put
+    aside. Either model is replaced, and its new data kept, only if its successor is no worse on
+    what had been put aside before (`judge`); otherwise it stays as it was. Of more than
+    `MOST_TRANSITIONS` or `MOST_LABELS` rows a coreset stays. The reports stay those of the last
+    cross-validation.
     """
     with torch.no_grad():
         believed = knowledge.classifier(experience.grasp_percept) > 0.5
     surprise = believed != experience.graspable
-    data = knowledge.dataset.extended(sampled(experience, surprise, MOST_NEW, generator))
-    gamma = update_transition_model(
-        knowledge.gamma, data.percept, data.motion, data.next_percept, seed=generator
+    new, aside = parted(sampled(experience, surprise, MOST_NEW, generator))
+    gamma, moves, first = _learn_transitions(knowledge, new, generator)
+    classifier, grasps, second = _learn_labels(knowledge, new, generator)
+    data = taken(knowledge.dataset, moves, grasps)
+    yes = torch.tensor([first.accepted]), torch.tensor([second.accepted])
+    data, aside = (
+        old.extended(
+            taken(more, yes[0].expand(len(more.percept)), yes[1].expand(len(more.graspable)))
+        )
+        for old, more in ((data, new), (knowledge.aside, aside))
     )
-    classifier = update_success_classifier(
-        knowledge.classifier, data.grasp_percept, data.graspable, seed=generator
-    )
+    swift = swift_gamma(gamma, data) if first.accepted else knowledge.swift
     return replace(
-        knowledge, dataset=data, gamma=gamma, swift=swift_gamma(gamma, data), classifier=classifier
+        knowledge,
+        dataset=data,
+        gamma=gamma,
+        swift=swift,
+        classifier=classifier,
+        aside=aside,
+        verdicts=(first, second),
     )
+
+
+def _learn_transitions(
+    knowledge: Knowledge, new: Dataset, generator: Generator
+) -> tuple[TransitionModel, Tensor, Verdict]:
+    """The Γ to go on with, the old transitions (m,) that stay, and the verdict."""
+    old, aside = knowledge.dataset, knowledge.aside
+    rows = old.percept, old.motion, old.next_percept
+    moves, start = transition_coreset(knowledge.gamma, *rows, MOST_TRANSITIONS)
+    more = new.percept, new.motion, new.next_percept
+    both = (torch.cat([a[moves], b]) for a, b in zip(rows, more, strict=True))
+    gamma = update_transition_model(start, *both, seed=generator)
+    with torch.no_grad():
+        before, after = (
+            (model(aside.percept, aside.motion) - aside.next_percept).abs().mean(1)
+            for model in (knowledge.gamma, gamma)
+        )
+    verdict = judge(before, after)
+    if verdict.accepted:
+        return gamma, moves, verdict
+    return knowledge.gamma, torch.arange(len(old.percept)), verdict
+
+
+def _learn_labels(
+    knowledge: Knowledge, new: Dataset, generator: Generator
+) -> tuple[SuccessClassifier, Tensor, Verdict]:
+    """The C to go on with, the old labels (m,) that stay, and the verdict, by Brier's score."""
+    old, aside = knowledge.dataset, knowledge.aside
+    grasps, start = label_coreset(knowledge.classifier, old.grasp_percept, MOST_LABELS)
+    classifier = update_success_classifier(
+        start,
+        torch.cat([old.grasp_percept[grasps], new.grasp_percept]),
+        torch.cat([old.graspable[grasps], new.graspable]),
+        folds=FOLDS,
+        seed=generator,
+    )
+    with torch.no_grad():
+        before, after = (
+            (model(aside.grasp_percept) - aside.graspable.float()).square()
+            for model in (knowledge.classifier, classifier)
+        )
+    verdict = judge(before, after)
+    if verdict.accepted:
+        return classifier, grasps, verdict
+    return knowledge.classifier, torch.arange(len(old.graspable)), verdict
 
 
 def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator) -> Dataset:
@@ -140,13 +229,7 @@ def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator)
     moves = torch.randperm(len(dataset.percept), generator=generator)[:most]
     order = torch.randperm(len(dataset.graspable), generator=generator)
     grasps = torch.cat([order[surprise[order]][:most], order[~surprise[order]][:most]])
-    return Dataset(
-        dataset.percept[moves],
-        dataset.motion[moves],
-        dataset.next_percept[moves],
-        dataset.grasp_percept[grasps],
-        dataset.graspable[grasps],
-    )
+    return taken(dataset, moves, grasps)
 
 
 def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:

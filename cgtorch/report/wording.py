@@ -1,6 +1,7 @@
 """What events are called on the screen: one line each, without colour."""
 
 from cgtorch.improvement.events import ModelsFitted, SkillAccepted, StageStarted, WorldTested
+from cgtorch.models import TransitionQuality, TransitionReport, Verdict
 from cgtorch.report.estimate import as_time, stage_number
 
 
@@ -15,18 +16,58 @@ def stage_started(event: StageStarted) -> str:
 
 def models_fitted(event: ModelsFitted) -> str:
     """The line for models that were trained."""
-    gamma, classifier = event.knowledge.gamma_report, event.knowledge.classifier_report
-    data = event.knowledge.dataset
+    knowledge = event.knowledge
+    data = knowledge.dataset
     rows = f"{len(data.percept)} transitions and {len(data.graspable)} labels"
-    if len(data.percept) > gamma.rows:
-        return f"{event.stage}: Γ and C have learned on, now from {rows}, {event.seconds:.1f} s"
-    error = dict(zip(gamma.coordinates, gamma.error, strict=True))
+    if knowledge.verdicts is not None:
+        said = "; ".join(map(_learned, ("Γ", "C"), knowledge.verdicts))
+        return f"{event.stage}: {said}; now from {rows}, {event.seconds:.1f} s"
+    quality = event.gamma_quality
+    about = _cross_validated(knowledge.gamma_report) if quality is None else _on_fresh(quality)
+    return f"{event.stage}: {about}, {_on_labels(event)}; {rows}, {event.seconds:.1f} s"
+
+
+def _on_labels(event: ModelsFitted) -> str:
+    """How good C is, on fresh labels beside the most that is possible if that is known."""
+    quality = event.classifier_quality
+    if quality is None:
+        return f"C is right on {100 * event.knowledge.classifier_report.balanced_accuracy:.1f} %"
+    draws = (("near the object", quality.near), ("overall", quality.overall))
+    said = (
+        f"{100 * one.balanced:.1f} % {where} (possible {100 * one.possible_balanced:.1f})"
+        for where, one in draws
+    )
+    return f"C's balanced accuracy on fresh labels is {' and '.join(said)}"
+
+
+def _learned(name: str, verdict: Verdict) -> str:
+    """What was decided about a model that learned on."""
+    if verdict.accepted:
+        return f"{name} has learned on"
+    return (
+        f"{name} stays as it was, since its error on earlier data would be "
+        f"{verdict.after:.4f} instead of {verdict.before:.4f}"
+    )
+
+
+def _on_fresh(quality: TransitionQuality) -> str:
+    """Γ's errors on fresh transitions, each beside what no model can better."""
+    return (
+        f"on {quality.rows} fresh transitions Γ errs by {100 * quality.object_error:.2f} cm on the "
+        f"object (floor {100 * quality.object_floor:.2f}; without the noise of the motion "
+        f"{100 * quality.object_offset:.2f}) and {100 * quality.table_error:.2f} cm on the table "
+        f"(floor {100 * quality.table_floor:.2f} ± {100 * quality.table_floor_error:.2f})"
+    )
+
+
+def _cross_validated(report: TransitionReport) -> str:
+    """Γ's errors in cross-validation."""
+    error = dict(zip(report.coordinates, report.error, strict=True))
     object_error = (error["object x"] + error["object y"]) / 2
     table_error = sum(error[f"table {side}"] for side in ("x min", "x max", "y min", "y max")) / 4
     return (
-        f"{event.stage}: Γ errs by {100 * object_error:.1f} cm on the object and "
-        f"{100 * table_error:.1f} cm on the table, C is right on "
-        f"{100 * classifier.balanced_accuracy:.1f} %; {rows}, {event.seconds:.1f} s"
+        f"Γ errs by {100 * object_error:.1f} cm on the object and "
+        f"{100 * table_error:.1f} cm on the table"
     )
 
 

@@ -69,7 +69,13 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     assert "Traceback" not in ended.err
     assert ended.out == ""
     left = {name for name in listing(tmp_path / "run") if "tfevents" not in name}
-    files = {"data.safetensors", "gamma.safetensors", "classifier.safetensors", "scenarios.json"}
+    files = {
+        "data.safetensors",
+        "aside.safetensors",
+        "gamma.safetensors",
+        "classifier.safetensors",
+        "scenarios.json",
+    }
     assert left == {
         "run.json",
         "robot",

@@ -161,9 +161,10 @@ def test_what_was_told_while_it_was_made(trained: Trained) -> None:
 
 def test_data_grow_and_the_old_come_first(trained: Trained) -> None:
     run = open_run(trained.folder)
-    data = [load_progress(run, run.folder / s).knowledge.dataset for s in ("start", "S0", "S1")]
-    assert len(data[0].percept) == SMALL.transitions
-    for before, after in pairwise(data):
+    known = [load_progress(run, run.folder / s).knowledge for s in ("start", "S0", "S1")]
+    data, aside = [k.dataset for k in known], [k.aside for k in known]
+    assert len(data[0].percept) + len(aside[0].percept) == SMALL.transitions
+    for before, after in (*pairwise(data), *pairwise(aside)):
         for name, rows in vars(before).items():
             assert torch.equal(vars(after)[name][: len(rows)], rows)
     assert len(data[2].percept) > len(data[0].percept)

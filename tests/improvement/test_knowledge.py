@@ -8,15 +8,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
 from support import FOOTPRINT, seeded, world
+from torch import Tensor
 
-from cgtorch.data import Dataset
+from cgtorch.data import Dataset, collect
 from cgtorch.environment import start_lanes
-from cgtorch.improvement.knowledge import MOST_NEW, Knowledge, imagine, learn, sampled
+from cgtorch.improvement.knowledge import (
+    ASIDE,
+    MOST_NEW,
+    Knowledge,
+    fit_models,
+    imagine,
+    learn,
+    parted,
+    sampled,
+    taken,
+)
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
 from cgtorch.improvement.team import try_all, with_noise
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.world import random_scenarios
+from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
+
+
+def reachable(at: Tensor, table: Tensor) -> Tensor:
+    """What is in front of the base and near it can be grasped."""
+    return (at[:, 0] > 0.2) & (at[:, 0] < 1.2) & (at[:, 1].abs() < 0.4)
+
+
+def world_of(scenarios: Scenarios) -> TabletopWorld:
+    return TabletopWorld(scenarios, reachable, FOOTPRINT)
+
 
 PERCEPTS = world(0, 4).start(torch.arange(4))[1]
 
@@ -70,12 +91,111 @@ def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> No
     scenarios = random_scenarios("near", 30, seeded(1))
     experience = try_skill(nearly(0.3), setup.world_of(scenarios)).experience
     after = learn(knowledge, experience, seeded(2))
-    for name, rows in vars(knowledge.dataset).items():
-        assert torch.equal(vars(after.dataset)[name][: len(rows)], rows)
-    new = len(after.dataset.percept) - len(knowledge.dataset.percept)
-    assert new == min(MOST_NEW, len(experience.percept)) > 0
+    assert after.verdicts is not None
+    gained = [
+        (len(after.dataset.percept) - len(knowledge.dataset.percept), MOST_NEW),
+        (len(after.aside.percept) - len(knowledge.aside.percept), MOST_NEW // ASIDE),
+    ]
+    for old, new in ((knowledge.dataset, after.dataset), (knowledge.aside, after.aside)):
+        for name, rows in vars(old).items():
+            assert torch.equal(vars(new)[name][: len(rows)], rows)
+    if after.verdicts[0].accepted:
+        assert sum(rows for rows, _ in gained) == min(MOST_NEW, len(experience.percept)) > 0
+        assert gained[1][0] <= gained[1][1]
     assert after.gamma_report is knowledge.gamma_report
-    assert after.classifier is not knowledge.classifier
+    assert (after.classifier is not knowledge.classifier) == after.verdicts[1].accepted
+
+
+def test_a_tenth_is_never_fitted_on() -> None:
+    data = collect(world_of, 60, 90, seeded(0))
+    fitted, aside = parted(data)
+    assert len(aside.percept) == 6
+    assert len(aside.graspable) == len(data.graspable) // ASIDE
+    together = torch.cat([fitted.percept, aside.percept])
+    assert torch.equal(together.sort(0).values, data.percept.sort(0).values)
+    assert not (torch.cdist(fitted.percept, aside.percept) == 0).any()
+
+
+def _tables(knowledge: Knowledge, data: Dataset) -> float:
+    """Γ's mean error on the table."""
+    with torch.no_grad():
+        answer = knowledge.gamma(data.percept, data.motion)
+    return float((answer - data.next_percept).abs()[:, :4].mean())
+
+
+def _brier(knowledge: Knowledge, data: Dataset) -> float:
+    with torch.no_grad():
+        chance = knowledge.classifier(data.grasp_percept)
+    return float((chance - data.graspable.float()).square().mean())
+
+
+def _is_known(data: Dataset) -> tuple[Tensor, Tensor]:
+    """Transitions with objects far from the table's centre, and grasps to the left."""
+    centre = torch.stack([data.percept[:, 0:2].mean(1), data.percept[:, 2:4].mean(1)], 1)
+    return (data.percept[:, 4:6] - centre).norm(dim=1) > 0.48, data.grasp_percept[:, 5] > 0
+
+
+def _known(data: Dataset) -> Dataset:
+    return taken(data, *_is_known(data))
+
+
+def _new(data: Dataset) -> Dataset:
+    moves, grasps = _is_known(data)
+    return taken(data, ~moves, ~grasps)
+
+
+@pytest.fixture(scope="module")
+def half() -> Knowledge:
+    """What is known after half of the world has been seen."""
+    return fit_models(_known(collect(world_of, 700, 600, seeded(6))), 0)
+
+
+def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
+    half: Knowledge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As many as are known: the regression passes over what is wrong in a small share of the rows.
+    monkeypatch.setattr("cgtorch.improvement.knowledge.MOST_NEW", 700)
+    honest = _known(collect(world_of, 1200, 500, seeded(5)))
+    mirrored = honest.motion * torch.tensor([1, 1, -1])  # a gyroscope mounted upside down
+    poisoned = replace(honest, motion=mirrored, graspable=~honest.graspable)
+    after = learn(half, poisoned, seeded(1))
+    assert after.verdicts is not None
+    assert [v.accepted for v in after.verdicts] == [False, False]
+    assert all(v.after > v.before and "refused" in v.reason for v in after.verdicts)
+    assert after.gamma is half.gamma
+    assert after.swift is half.swift
+    assert after.classifier is half.classifier
+    for old, new in ((half.dataset, after.dataset), (half.aside, after.aside)):
+        assert all(torch.equal(rows, vars(new)[name]) for name, rows in vars(old).items())
+
+
+def test_good_data_are_taken_and_better_where_they_are_new(half: Knowledge) -> None:
+    new = _new(collect(world_of, 400, 600, seeded(10)))
+    fresh = collect(world_of, 900, 900, seeded(7))
+    after = learn(half, new, seeded(8))
+    assert after.verdicts is not None
+    assert all(v.accepted for v in after.verdicts)
+    assert _tables(after, _new(fresh)) < 0.9 * _tables(half, _new(fresh))
+    assert _brier(after, _new(fresh)) < 0.9 * _brier(half, _new(fresh))
+    assert _tables(after, _known(fresh)) < 1.05 * _tables(half, _known(fresh))
+    assert _brier(after, _known(fresh)) < 1.2 * _brier(half, _known(fresh))
+
+
+def test_too_many_rows_become_a_coreset(
+    knowledge: Knowledge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cgtorch.improvement.knowledge.MOST_TRANSITIONS", 80)
+    monkeypatch.setattr("cgtorch.improvement.knowledge.MOST_LABELS", 90)
+    experience = collect(world_of, 60, 60, seeded(5))
+    after = learn(knowledge, experience, seeded(1))
+    assert after.verdicts is not None
+    rows = [len(after.dataset.percept), len(after.dataset.graspable)]
+    most = [80 + 54, 90 + 54]
+    for had, limit, verdict in zip(rows, most, after.verdicts, strict=True):
+        assert verdict.accepted
+        assert had <= limit
+    aside = knowledge.aside
+    assert _tables(after, aside) < 1.2 * _tables(knowledge, aside)
 
 
 def test_nothing_experienced_changes_nothing_much(knowledge: Knowledge) -> None:

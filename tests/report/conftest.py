@@ -21,7 +21,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.improvement.specialists import Budget, evolve_candidate
 from cgtorch.improvement.trial import try_skill
-from cgtorch.models import fit_success_classifier, fit_transition_model
+from cgtorch.models import fit_success_classifier, fit_transition_model, success_quality
 from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
 from cgtorch.world.scenarios import stage_scenarios
 
@@ -44,7 +44,7 @@ def _knowledge() -> Knowledge:
         data.percept, data.motion, data.next_percept, epsilon=(0.1,), **grid
     )
     classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, **grid)
-    return Knowledge(data, gamma, gamma, classifier, gamma_report, report)
+    return Knowledge(data, gamma, gamma, classifier, gamma_report, report, data)
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +58,9 @@ def events() -> list[Event]:
     targets = torch.arange(11) >= 6
     world, keep = _world_of(scenarios), ~targets
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
-    told.append(ModelsFitted("S1", _knowledge(), 1.5))
+    knowledge = _knowledge()
+    judged = success_quality(_world_of, knowledge.classifier, 60, seeded(1))
+    told.append(ModelsFitted("S1", knowledge, 1.5, classifier_quality=judged))
     members: list[Skill] = []
     seeds: Population | None = None
     kept = torch.zeros(11, dtype=torch.bool)

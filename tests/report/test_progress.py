@@ -6,9 +6,17 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted, StageStarted
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+)
+from cgtorch.models import TransitionQuality, Verdict
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
+from cgtorch.report.wording import models_fitted
 
 
 def console(terminal: bool, width: int = 100) -> Console:
@@ -28,6 +36,22 @@ def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
     return [line.rstrip() for line in screen.file.getvalue().splitlines()]
 
 
+def test_models_are_told_with_what_no_model_can_better(events: list[Event]) -> None:
+    fitted = next(e for e in events if isinstance(e, ModelsFitted))
+    quality = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
+    line = models_fitted(replace(fitted, gamma_quality=quality))
+    assert line.startswith(
+        "S1: on 2000 fresh transitions Γ errs by 1.06 cm on the object (floor 1.07; without the "
+        "noise of the motion 0.40) and 2.11 cm on the table (floor 1.97 ± 0.05), C's balanced "
+    )
+    said = Verdict(True, 20, 0.02, 0.01, 0.001), Verdict(False, 20, 0.03, 0.04, 0.001)
+    learned = replace(fitted.knowledge, verdicts=said)
+    assert models_fitted(replace(fitted, knowledge=learned)).startswith(
+        "S1: Γ has learned on; C stays as it was, since its error on earlier data would be 0.0400 "
+        "instead of 0.0300; now from 120 transitions"
+    )
+
+
 def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> None:
     with ProgressDisplay(console(False)) as display:
         for event in events:
@@ -38,8 +62,9 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     assert len(lines) == sum(not isinstance(e, GenerationDone) for e in events) + 1
     assert lines[0] == "S1: stage 2 of 3, 6 scenarios to keep (W), 5 to solve"
     assert re.fullmatch(
-        r"S1: Γ errs by \d+\.\d cm on the object and \d+\.\d cm on the table, C is right on "
-        r"\d+\.\d %; "
+        r"S1: Γ errs by \d+\.\d cm on the object and \d+\.\d cm on the table, C's balanced "
+        r"accuracy on fresh labels is \d+\.\d % near the object \(possible \d+\.\d\) and "
+        r"\d+\.\d % overall \(possible \d+\.\d\); "
         r"120 transitions and \d+ labels, 1\.5 s",
         lines[1],
     )
