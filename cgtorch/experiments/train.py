@@ -44,7 +44,7 @@ from cgtorch.models import success_quality, transition_quality
 from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
-FRESH_TRANSITIONS = 2000  # which tell the models' errors
+FRESH_TRANSITIONS = 1500  # which tell the models' errors
 FRESH_LABELS = 800
 
 
