@@ -16,6 +16,10 @@ gamma/error_<coordinate>            scalar      cross-validated mean absolute er
 gamma/object_error                  scalar      mean of those of object x and y (m)
 classifier/balanced_accuracy        scalar      of C, cross-validated
 classifier/calibration_error        scalar      gap between C's probability and frequency
+classifier/<draw>_accuracy          scalar      of C on fresh labels: near, overall, beside
+classifier/<draw>_possible          scalar      the most that any classifier could have there
+classifier/near_calibration_error   scalar      gap between probability and frequency there
+classifier/reliability              image       C's probabilities against frequencies
 models/fit_seconds                  scalar      how long fitting Γ and C took
 models/rows                         scalar      transitions that Γ is fitted on
 world/solved_W, world/solved_M      scalar      what a candidate solves in the world
@@ -25,6 +29,10 @@ graph/best                          image       the best graph after an evolutio
 table/successes                     image       what an accepted skill reaches
 settings                            text        hyper-parameters; also in the HPARAMS tab
 ==================================  ==========  ===================================================
+
+What is told of the first Γ and C only is written once. Learning curves have the number of rows as
+their step, so they are in a folder of their own, `by_rows`: `gamma/learning_curve/train`,
+`gamma/learning_curve/test`, `classifier/learning_curve/train`, `classifier/learning_curve/test`.
 """
 
 import io
@@ -45,13 +53,16 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
+from cgtorch.models import LearningCurve
 from cgtorch.report.graph_picture import draw_skill
+from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BINS = 24
+BY_ROWS = "by_rows"
 DPI = 80
 METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
 
@@ -97,7 +108,7 @@ class TensorBoardWatch:
             raise RunError(
                 f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
             ) from e
-        self.step = first_step
+        self.step, self._folder = first_step, Path(folder)
         self._actions, self._footprint = actions, footprint
         self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
         self._last_picture = float("-inf")
@@ -177,18 +188,48 @@ class TensorBoardWatch:
         self._last_picture = time.monotonic()
 
     def _models(self, event: ModelsFitted) -> None:
+        rows = len(event.knowledge.dataset.percept)
+        self._scalars({"models/fit_seconds": event.seconds, "models/rows": rows})
+        if event.knowledge.verdicts is None:  # learning on changes nothing of what follows
+            self._first_models(event)
+
+    def _first_models(self, event: ModelsFitted) -> None:
         gamma, classifier = event.knowledge.gamma_report, event.knowledge.classifier_report
         error = dict(zip(gamma.coordinates, gamma.error, strict=True))
-        self._scalars(
-            {
-                **{f"gamma/error_{name.replace(' ', '_')}": v for name, v in error.items()},
-                "gamma/object_error": (error["object x"] + error["object y"]) / 2,
-                "classifier/balanced_accuracy": classifier.balanced_accuracy,
-                "classifier/calibration_error": classifier.calibration_error,
-                "models/fit_seconds": event.seconds,
-                "models/rows": gamma.rows,
-            }
-        )
+        values = {
+            **{f"gamma/error_{name.replace(' ', '_')}": v for name, v in error.items()},
+            "gamma/object_error": (error["object x"] + error["object y"]) / 2,
+            "classifier/balanced_accuracy": classifier.balanced_accuracy,
+            "classifier/calibration_error": classifier.calibration_error,
+        }
+        quality = event.classifier_quality
+        if quality is not None:
+            for name in ("near", "overall", "beside"):
+                values[f"classifier/{name}_accuracy"] = getattr(quality, name).balanced
+                values[f"classifier/{name}_possible"] = getattr(quality, name).possible_balanced
+            values["classifier/near_calibration_error"] = quality.near.calibration_error
+            self._picture("classifier/reliability", draw_reliability(quality.reliability))
+        self._scalars(values)
+        self._curves({"gamma": gamma.learning_curve, "classifier": classifier.learning_curve})
+        self._writer.flush()
+
+    def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
+        """Write learning curves where the step is the number of rows.
+
+        TensorBoard hides what a file holds beyond the step at which a run goes on, so these are
+        not in a file whose step is the generation.
+        """
+        from torch.utils.tensorboard import SummaryWriter
+
+        with SummaryWriter(str(self._folder / BY_ROWS)) as writer:
+            for name, curve in curves.items():
+                if curve is None:
+                    continue
+                points = zip(curve.sizes, curve.train_scores, curve.test_scores, strict=True)
+                for size, train, test in points:
+                    for kind, scores in (("train", train), ("test", test)):
+                        mean = sum(scores) / len(scores)
+                        writer.add_scalar(f"{name}/learning_curve/{kind}", mean, size)
 
     def _world(self, event: WorldTested) -> None:
         values = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}

@@ -2,6 +2,7 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from cgtorch.actions import paper_actions
 from cgtorch.errors import RunError
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.improvement.events import Event, GenerationDone, ModelsFitted, SkillAccepted
+from cgtorch.models import Verdict
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
 
@@ -33,7 +35,7 @@ def written(events: list[Event], tmp_path_factory: pytest.TempPathFactory) -> Ev
         for event in events:
             watch(event)
     assert watch.step == 47
-    assert len(list(folder.iterdir())) == 1
+    assert len([p for p in folder.iterdir() if p.is_file()]) == 1
     return read(folder)
 
 
@@ -47,6 +49,9 @@ def documented() -> dict[str, set[str]]:
             kinds.setdefault(kind, set()).update(t.strip() for t in head.split(","))
     kinds["histogram"] = {f"strategy/{name}" for name in STRATEGY}
     kinds["scalar"].remove("gamma/error_<coordinate>")
+    for what in ("accuracy", "possible"):
+        kinds["scalar"].remove(f"classifier/<draw>_{what}")
+        kinds["scalar"] |= {f"classifier/{draw}_{what}" for draw in ("near", "overall", "beside")}
     for what in ("table", "object"):
         ends = ("x_min", "x_max", "y_min", "y_max") if what == "table" else ("x", "y", "z")
         kinds["scalar"] |= {f"gamma/error_{what}_{end}" for end in ends}
@@ -58,7 +63,8 @@ def test_files_hold_exactly_the_documented_tags(written: EventAccumulator) -> No
     assert len(wanted["scalar"]) > 20
     assert set(tags["scalars"]) == wanted["scalar"]
     assert set(tags["histograms"]) == wanted["histogram"]
-    assert set(tags["images"]) == wanted["image"] == {"graph/best", "table/successes"}
+    assert set(tags["images"]) == wanted["image"]
+    assert wanted["image"] == {"graph/best", "table/successes", "classifier/reliability"}
     assert set(tags["tensors"]) == {"settings/text_summary"}
 
 
@@ -87,12 +93,15 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
 def test_models_and_world(written: EventAccumulator, events: list[Event]) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     gamma, classifier = fitted.knowledge.gamma_report, fitted.knowledge.classifier_report
+    assert fitted.classifier_quality is not None
     wanted = {
         "gamma/error_table_x_min": gamma.error[0],
         "gamma/error_object_z": gamma.error[6],
         "gamma/object_error": (gamma.error[4] + gamma.error[5]) / 2,
         "classifier/balanced_accuracy": classifier.balanced_accuracy,
         "classifier/calibration_error": classifier.calibration_error,
+        "classifier/near_accuracy": fitted.classifier_quality.near.balanced,
+        "classifier/beside_possible": fitted.classifier_quality.beside.possible_balanced,
         "models/fit_seconds": 1.5,
         "models/rows": 120,
     }
@@ -105,6 +114,36 @@ def test_models_and_world(written: EventAccumulator, events: list[Event]) -> Non
     assert isinstance(accepted, SkillAccepted)
     (targets,) = written.Scalars("stage/targets")
     assert targets.value == int((accepted.succeeded & accepted.targets).sum())
+
+
+def test_learning_curves_have_rows_as_their_step(events: list[Event], tmp_path: Path) -> None:
+    fitted = next(e for e in events if isinstance(e, ModelsFitted))
+    with TensorBoardWatch(tmp_path, {}) as watch:
+        watch(fitted)
+    found, curve = (
+        read(tmp_path / module.BY_ROWS),
+        fitted.knowledge.classifier_report.learning_curve,
+    )
+    for kind, scores in (("train", curve.train_scores), ("test", curve.test_scores)):
+        drawn = found.Scalars(f"classifier/learning_curve/{kind}")
+        assert [s.step for s in drawn] == list(curve.sizes)
+        means = [sum(row) / len(row) for row in scores]
+        assert [s.value for s in drawn] == pytest.approx(means, rel=1e-5)
+
+
+def test_learning_on_repeats_nothing_of_the_first_fit(events: list[Event], tmp_path: Path) -> None:
+    fitted = next(e for e in events if isinstance(e, ModelsFitted))
+    same = Verdict(True, 10, 0.1, 0.1, 0.01)
+    later = replace(fitted, knowledge=replace(fitted.knowledge, verdicts=(same, same)))
+    with TensorBoardWatch(tmp_path, {}) as watch:
+        for event in (fitted, later, later):
+            watch(event)
+    found = read(tmp_path)
+    for tag in found.Tags()["scalars"]:
+        times = 3 if tag.startswith("models/") else 1
+        if tag.startswith(("models/", "gamma/", "classifier/")):
+            assert len(found.Scalars(tag)) == times, tag
+    assert len(found.Images("classifier/reliability")) == 1
 
 
 def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Event]) -> None:
@@ -124,7 +163,8 @@ def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Even
 def test_pictures_are_png_of_the_size_they_claim(written: EventAccumulator) -> None:
     assert [p.step for p in written.Images("graph/best")] == [44, 46, 46]
     assert [p.step for p in written.Images("table/successes")] == [46]
-    for tag in ("graph/best", "table/successes"):
+    assert [p.step for p in written.Images("classifier/reliability")] == [0]
+    for tag in ("graph/best", "table/successes", "classifier/reliability"):
         for picture in written.Images(tag):
             data = picture.encoded_image_string
             assert data[:8] == b"\x89PNG\r\n\x1a\n"
