@@ -30,7 +30,6 @@ from cgtorch.world.geometry import box_rectangle
 SWIFT_CENTRES = 128
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
-FOLDS = 3  # for the probabilities, which hardly change; each costs more than the update itself
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 """Rows that are learnt from at most; of more, a coreset stays."""
 
@@ -210,7 +209,6 @@ def _learn_labels(
         start,
         torch.cat([old.grasp_percept[grasps], new.grasp_percept]),
         torch.cat([old.graspable[grasps], new.graspable]),
-        folds=FOLDS,
         seed=generator,
     )
     with torch.no_grad():

@@ -1,7 +1,8 @@
 """Learning on: more data for a fitted Γ or C, from where the last fit ended.
 
-Hyper-parameters and standardisation stay; the active set starts from the old coefficients, so the
-answer is the exact solution on all rows, old and new, and only the way there is shorter.
+Hyper-parameters, standardisation and C's probability curve stay; the active set starts from the
+old coefficients, so the answer is the exact solution on all rows, old and new, and only the way
+there is shorter.
 """
 
 from copy import deepcopy
@@ -11,7 +12,6 @@ import torch
 from torch import Tensor
 
 from cgtorch.models import inputs
-from cgtorch.models.folds import stratified_folds
 from cgtorch.models.success import SuccessClassifier
 from cgtorch.models.svc import SVC, ClassWeight
 from cgtorch.models.svr import SVR
@@ -69,20 +69,21 @@ def update_success_classifier(
     percept: Any,
     label: Any,
     *,
-    folds: int = 5,
     class_weight: ClassWeight = None,
     seed: int | torch.Generator = 0,
     max_memory: int = inputs.MAX_MEMORY,
 ) -> SuccessClassifier:
-    """A new C fitted on more labels, its probabilities too; the old one stays as it is.
+    """A new C fitted on more labels; the old one stays as it is.
+
+    The curve from decision values to probabilities stays, too: it belongs to the hyper-parameters,
+    and fitting it anew on held-out folds would cost five times the update itself.
 
     Args:
         model: A fitted classifier, not a compact one.
         percept: All percepts (n, D), those of the last fit first and in the same order.
         label: Their labels (n,).
-        folds: Number of stratified folds for the probabilities.
         class_weight: As in the first fit.
-        seed: Seed or generator of folds and solver.
+        seed: Seed or generator of the solver.
         max_memory: Bytes that kernel matrices may take.
 
     Raises:
@@ -95,16 +96,14 @@ def update_success_classifier(
     fresh = deepcopy(model).double().to(rows.device)
     features: Tensor = fresh.features(rows)
     old = fresh.machine
-    generator = inputs.generator_of(seed)
     machine = SVC(
         float(old.cost),
         gamma=float(old.gamma_value),
         class_weight=class_weight,
-        probability=True,
-        folds=stratified_folds(signs, folds, generator),
-        seed=generator,
+        seed=seed,
         max_memory=max_memory,
     )
     machine.load_state_dict(old.state_dict())
     fresh.machine = machine.fit(features, signs, warm=True)
+    fresh.machine.platt = old.platt
     return fresh.to(kind)
