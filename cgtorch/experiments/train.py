@@ -45,7 +45,7 @@ from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
 FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
 FRESH_TRANSITIONS = 1500  # which tell the models' errors
-FRESH_LABELS = 800
+FRESH_LABELS = 500  # at most, as many as were learnt from
 
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
@@ -114,7 +114,8 @@ def _begin(run: Run, watch: Watch, working: Working) -> Progress:
     with working("trying the transition model on fresh transitions"):
         quality = transition_quality(run.world_of, knowledge.gamma, FRESH_TRANSITIONS, generator)
     with working("trying the success classifier on fresh labels"):
-        judged = success_quality(run.world_of, knowledge.classifier, FRESH_LABELS, generator)
+        count = min(FRESH_LABELS, settings.labels)
+        judged = success_quality(run.world_of, knowledge.classifier, count, generator)
     watch(ModelsFitted("start", knowledge, seconds, quality, judged))
     nothing = stage_scenarios("near", 0)
     progress = Progress(None, nothing, nothing, knowledge)

@@ -11,7 +11,7 @@ from cgtorch.data.poses import WorldOf, in_table, poses_around, poses_at_object
 from cgtorch.models.grid_search import balanced_accuracy
 from cgtorch.models.success import Reliability, calibration
 from cgtorch.models.success_floor import chance_of_success
-from cgtorch.world import Scenarios
+from cgtorch.world import Scenarios, concatenate_scenarios
 
 STEP = (0.05, 0.05, 0.15)  # m, m, rad: standard deviations of a small displacement
 _SCENES = 8  # behind each percept
@@ -68,22 +68,25 @@ def success_quality(
     Args:
         world_of: makes the world of given scenarios.
         classifier: percepts (n, 7) to probabilities (n,).
-        count: labels near the object, as many displaced ones and as many overall; 1,200 take
+        count: labels near the object, as many displaced ones and as many overall; 500 take
             about 3 s with the PR2.
         generator: of all random choices.
     """
     poses = poses_at_object(world_of, count, generator)
-    near = label(world_of, poses)
-    moved = displaced(poses, generator)
-    beside = label(world_of, moved)
-    crossed = beside[1] != near[1]
-    crossed &= ~in_table(moved, world_of(moved[:0]).footprint)
-    around = label(world_of, poses_around(world_of, count, generator))
-    draws = (near, around, (beside[0][crossed], beside[1][crossed]))
-    first, second, third = (_judged(world_of, classifier, *draw, generator) for draw in draws)
+    moved, around = displaced(poses, generator), poses_around(world_of, count, generator)
+    # One batch of labels costs far less than three.
+    percept, graspable = label(world_of, concatenate_scenarios([poses, moved, around]))
     with torch.no_grad():
-        curve = calibration(classifier(near[0]), near[1].to(near[0]))[1]
-    return SuccessQuality(first, second, third, curve)
+        chance = classifier(percept)
+    truth = graspable.to(percept)
+    best = _best_chance(world_of, percept, chance, truth, generator)
+    near, beside, overall = torch.arange(3 * count).view(3, count)
+    crossed = graspable[near] != graspable[beside]
+    beside = beside[crossed & ~in_table(moved, world_of(moved[:0]).footprint)]
+    return SuccessQuality(
+        *(_judged(chance[rows], truth[rows], best[rows]) for rows in (near, overall, beside)),
+        reliability=calibration(chance[near], truth[near])[1],
+    )
 
 
 def displaced(scenarios: Scenarios, generator: Generator) -> Scenarios:
@@ -93,33 +96,31 @@ def displaced(scenarios: Scenarios, generator: Generator) -> Scenarios:
     return Scenarios(scenarios.pose + step, scenarios.table, scenarios.object, seed)
 
 
-def _judged(
-    world_of: WorldOf,
-    classifier: Callable[[Tensor], Tensor],
-    percept: Tensor,
-    graspable: Tensor,
-    generator: Generator,
-) -> Accuracy:
-    """C on percepts (n, 7) and labels (n,).
+def _best_chance(
+    world_of: WorldOf, percept: Tensor, chance: Tensor, truth: Tensor, generator: Generator
+) -> Tensor:
+    """Chance of success (n,) given all that a percept (n, 7) tells.
 
     Scenes are only sampled where C is unsure; elsewhere the label is taken to be certain, which
     can but raise what is called possible.
     """
-    with torch.no_grad():
-        chance = classifier(percept)
-    truth = graspable.to(percept)
     best = truth.clone()
     unsure = ((chance > _SURE) & (chance < 1 - _SURE)).nonzero()[:, 0]
     if len(unsure):
         best[unsure] = chance_of_success(world_of, percept[unsure], _SCENES, generator)
+    return best
+
+
+def _judged(chance: Tensor, truth: Tensor, best: Tensor) -> Accuracy:
+    """C's probabilities (n,) beside the labels (n,) and the best chances (n,)."""
     answer = (best > 0.5).to(best)
     hits, rejects = best * answer, (1 - best) * (1 - answer)
     found = hits.sum() / best.sum().clamp_min(1e-9)
     refused = rejects.sum() / (1 - best).sum().clamp_min(1e-9)
     return Accuracy(
-        rows=len(percept),
+        rows=len(truth),
         positive=float(truth.mean()),
-        accuracy=float(((chance > 0.5) == graspable).float().mean()),
+        accuracy=float(((chance > 0.5) == (truth > 0.5)).float().mean()),
         possible=float((hits + rejects).mean()),
         balanced=float(balanced_accuracy(chance - 0.5, truth - 0.5)),
         possible_balanced=float((found + refused) / 2),

@@ -78,6 +78,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     }
     assert left == {
         "run.json",
+        "by_rows",
         "robot",
         "robot/robot.urdf",
         "robot/robot.json",
