@@ -83,10 +83,10 @@ def success_quality(
     near, beside, overall = torch.arange(3 * count).view(3, count)
     crossed = graspable[near] != graspable[beside]
     beside = beside[crossed & ~in_table(moved, world_of(moved[:0]).footprint)]
-    return SuccessQuality(
-        *(_judged(chance[rows], truth[rows], best[rows]) for rows in (near, overall, beside)),
-        reliability=calibration(chance[near], truth[near])[1],
+    first, second, third = (
+        _judged(chance[rows], truth[rows], best[rows]) for rows in (near, overall, beside)
     )
+    return SuccessQuality(first, second, third, calibration(chance[near], truth[near])[1])
 
 
 def displaced(scenarios: Scenarios, generator: Generator) -> Scenarios:
