@@ -23,8 +23,8 @@ _CALM = 0.3  # the ridge falls when at most this share of the free set changed
 _HARDLY = 0.8
 _MAX_STEPS = 200
 _ACCURATE = 1e-3  # of the ridge: how well the free coefficients solve their equations
+_EXACT = 1e-6  # of the ridge: the same at the end, as it shows in coefficients near their bounds
 _ROUNDING = 1e-11
-_SHARP = 1e-4  # ridge below which products with the kernel are in float64
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,9 @@ def active_set(
     live = torch.arange(len(beta), device=beta.device)
     part, state, precise = problems, found.take(live), [False] * len(beta)
     for _ in range(_MAX_STEPS):
-        before = state.rung
         state = _step(gram, part, state, last, precise)
-        crossed = (state.rung < _SHARP) & (before >= _SHARP)
-        if bool((state.done | crossed).any()):
-            state = _confirm(gram, part, state, crossed)
         if bool(state.done.any()):
+            state = _confirm(gram, part, state)
             found.put(live, state)
             rest = (~state.done).nonzero().flatten()
             if len(rest) == 0:
@@ -108,7 +105,7 @@ def active_set(
 
 def _begin(gram: Gram, problems: Problems, beta: Tensor, bias: Tensor, rung: Tensor) -> Active:
     """The state at a start."""
-    product = gram.times(beta, precise=True)
+    product = gram.times(beta)
     residual = problems.z - product - bias[:, None]
     value, clipped = slope(problems, rung / problems.cap, residual)
     no = torch.zeros_like(rung, dtype=torch.bool)
@@ -135,10 +132,7 @@ def _step(
     h = state.rung / problems.cap
     old = _with_pivot(problems, h, state.residual, state.clipped, state.status)
     free = old.abs() == 1
-    sharp = bool((state.rung < _SHARP).any())
-    d, shift, move = direction(
-        gram, problems, h, state.beta, state.residual, old, free, precise, sharp=sharp
-    )
+    d, shift, move = direction(gram, problems, h, state.beta, state.residual, old, free, precise)
     to = _move(problems, h, state, d, shift, move)
     new = statuses(to.value, to.clipped)
     new = new * (old * new != -1)  # from one free side to the other only by way of zero
@@ -210,24 +204,24 @@ def _move(
 def _checked(
     problems: Problems, state: Active, settled: Tensor, rung: Tensor, precise: list[bool]
 ) -> Active:
-    """`state` with `done` only where it is accurate; settled ones that are not become precise."""
+    """`state` with `done` only where it is exact; settled ones that are not accurate are `precise`.
+
+    Between the two, one more step with the same statuses refines the solution.
+    """
     rows = settled.nonzero().flatten()
     if len(rows):
         part, at = problems.take(rows), state.take(rows)
-        good = _accurate(part, rung[rows] / part.cap, at.beta, at.residual, at.status, rung[rows])
-        state.done[rows] &= good
-        for row in rows[~good].tolist():
+        wrong = _wrong(part, rung[rows] / part.cap, at.beta, at.residual, at.status) / rung[rows]
+        state.done[rows] &= wrong <= (_ROUNDING / rung[rows]).clamp_min(_EXACT)
+        for row in rows[wrong > (_ROUNDING / rung[rows]).clamp_min(_ACCURATE)].tolist():
             precise[row] = True
     return state
 
 
-def _accurate(
-    problems: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor, rung: Tensor
-) -> Tensor:
-    """Whether the free coefficients solve their equations well enough (P,)."""
+def _wrong(problems: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor) -> Tensor:
+    """The largest error (P,) of the equations that the free coefficients have to solve."""
     wrong = residual - problems.epsilon[:, None] * status.sign() - h[:, None] * beta
-    worst = (wrong * (status.abs() == 1)).abs().amax(1)
-    return worst <= (_ACCURATE * rung).clamp_min(_ROUNDING)
+    return (wrong * (status.abs() == 1)).abs().amax(1)
 
 
 def _ladder(
@@ -266,22 +260,24 @@ def _reclassified(problems: Problems, state: Active, rung: Tensor, whole: Tensor
     return state
 
 
-def _confirm(gram: Gram, problems: Problems, state: Active, crossed: Tensor) -> Active:
-    """`state` with exact products where it is done or has `crossed` (P,) to a small ridge.
+def _confirm(gram: Gram, problems: Problems, state: Active) -> Active:
+    """`state` with exact products where it is done.
 
     Who is not as accurate with these as it seemed is not done and takes a whole step with the
     statuses it has, which with a small ridge would not survive the error in the residuals.
     """
-    rows = (state.done | crossed).nonzero().flatten()
+    rows = state.done.nonzero().flatten()
     part, at = problems.take(rows), state.take(rows)
     h = at.rung / part.cap
-    product = gram.times(at.beta, precise=True)
+    product = gram.times(at.beta)
     residual = part.z - product - at.bias[:, None]
     value, clipped = slope(part, h, residual)
-    fine = _accurate(part, h, at.beta, residual, at.status, at.rung)
-    fine = fine & (statuses(value, clipped) == at.status).all(1)
+    wrong = _wrong(part, h, at.beta, residual, at.status)
+    fine = (wrong <= (_EXACT * at.rung).clamp_min(_ROUNDING)) & (
+        statuses(value, clipped) == at.status
+    ).all(1)
     state.product[rows], state.residual[rows], state.clipped[rows] = product, residual, clipped
-    again = rows[at.done & ~fine]
+    again = rows[~fine]
     state.done[again], state.jump[again], state.former[again] = False, True, state.rung[again]
     return state
 

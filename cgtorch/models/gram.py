@@ -1,4 +1,4 @@
-"""A kernel matrix in the two precisions that a solver wants, and its blocks."""
+"""A kernel matrix, its blocks, and products with it."""
 
 import math
 from dataclasses import dataclass
@@ -18,41 +18,44 @@ class Gram:
 
     Attributes:
         matrix: Kernel matrix (n, n), float64.
-        single: The same in float32, for directions, which need no more.
         exponents: Two factors (n, e) in float32 whose product is the kernel's logarithm to base 2,
             where computing a block from them is faster than gathering it; else None.
     """
 
     matrix: Tensor
-    single: Tensor
     exponents: tuple[Tensor, Tensor] | None = None
 
     def __len__(self) -> int:
         return len(self.matrix)
 
     def block(self, index: Tensor, *, precise: bool) -> Tensor:
-        """Kernel values among the rows of `index` (f,), in float64 if `precise`, a new tensor."""
+        """Kernel values among the rows of `index` (f,), float64 if `precise`, else float32.
+
+        Values too small for float32's normalised numbers after a product or two are raised or set
+        to zero, because processors work ten times more slowly with others.
+        """
         if self.exponents is not None and not precise:
             left, right = (factor.index_select(0, index) for factor in self.exponents)
             return (left @ right.T).clamp_min_(math.log2(_FAINT)).exp2_()
-        source = self.matrix if precise else self.single
-        return source.index_select(0, index).index_select(1, index)
+        block = self.matrix.index_select(0, index).index_select(1, index)
+        if precise:
+            return block
+        faint = _FAINT * float(block.diagonal().max().clamp_min(0))
+        return torch.nn.functional.hardshrink(block, faint).float()
 
-    def times(self, d: Tensor, *, precise: bool) -> Tensor:
-        """D K (P, n), float64, for directions d (P, n), computed in float32 unless `precise`."""
-        matrix = self.matrix if precise else self.single
+    def times(self, d: Tensor) -> Tensor:
+        """D K (P, n) of coefficients d (P, n) of which often few columns are not zero."""
         columns = d.any(0).nonzero().flatten()
-        if 4 * len(columns) > len(matrix):
-            return (d.to(matrix.dtype) @ matrix).double()
-        return (d[:, columns].to(matrix.dtype) @ matrix[columns]).double()
+        if 4 * len(columns) > len(self):
+            return d @ self.matrix
+        return d[:, columns] @ self.matrix[columns]
 
     def part(self, index: Tensor) -> "Gram":
         """The same for the rows of `index` only."""
         factors = self.exponents
         if factors is not None:
             factors = factors[0][index], factors[1][index]
-        matrix, single = self.block(index, precise=True), self.single[index][:, index]
-        return Gram(matrix, single, factors)
+        return Gram(self.block(index, precise=True), factors)
 
 
 def gram(
@@ -64,23 +67,10 @@ def gram(
         SettingsError: The kernel is unknown.
         DataError: It gave another shape or values that are not finite.
     """
-    plain = gathered(kernel_matrix(make_kernel(kernel, gamma, degree, coef0), x))
+    matrix = kernel_matrix(make_kernel(kernel, gamma, degree, coef0), x)
     if kernel != "rbf" or x.shape[1] > _FEW_FEATURES:
-        return plain
+        return Gram(matrix)
     scaled = (x - x.mean(0)) * (2 * gamma * math.log2(math.e)) ** 0.5
     half, one = -0.5 * (scaled * scaled).sum(1, keepdim=True), torch.ones_like(x[:, :1])
     left, right = torch.cat([scaled, half, one], 1), torch.cat([scaled, one, half], 1)
-    return Gram(plain.matrix, plain.single, (left.float(), right.float()))
-
-
-def gathered(matrix: Tensor) -> Gram:
-    """The Gram of a kernel matrix (n, n), float64, that came from elsewhere.
-
-    Values too small for float32's normalised numbers, after a product or two, are zero in
-    `single`, because processors work ten times more slowly with others.
-    """
-    return Gram(matrix, torch.nn.functional.hardshrink(matrix, _faint(matrix)).float())
-
-
-def _faint(matrix: Tensor) -> float:
-    return _FAINT * float(matrix.diagonal().max().clamp_min(0))
+    return Gram(matrix, (left.float(), right.float()))

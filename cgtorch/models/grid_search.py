@@ -16,11 +16,9 @@ from torch import Tensor
 
 from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
-from cgtorch.models.cells import Counter, Task, solve_width
-from cgtorch.models.cells import Progress as Progress
+from cgtorch.models.cells import Counter, Progress, Task, solve_width
 from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
-from cgtorch.models.scores import SCORES as SCORES
-from cgtorch.models.scores import balanced_accuracy as balanced_accuracy
+from cgtorch.models.scores import SCORES
 from cgtorch.models.svc import SVC, row_weights
 from cgtorch.models.svr import SVR
 

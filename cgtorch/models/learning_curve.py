@@ -15,9 +15,10 @@ from torch import Generator, Tensor
 from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
 from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
-from cgtorch.models.grid_search import SCORES
-from cgtorch.models.kernels import kernel_matrix, make_kernel, resolve_gamma
+from cgtorch.models.gram import gram
+from cgtorch.models.kernels import resolve_gamma
 from cgtorch.models.problems import Problems, classification, regression
+from cgtorch.models.scores import SCORES
 from cgtorch.models.solver import FINAL_RIDGE, solve
 from cgtorch.models.svc import SVC, row_weights
 from cgtorch.models.svr import SVR, per_output
@@ -160,9 +161,8 @@ def learning_values(
     else:
         problems = _regressions(model, targets, flat)
     gamma = resolve_gamma(model.gamma, rows)
-    kernel = make_kernel(model.kernel, gamma, model.degree, model.coef0)
-    matrix = kernel_matrix(kernel, rows)
-    found = solve(matrix, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
+    kernel = gram(model.kernel, rows, gamma, model.degree, model.coef0)
+    found = solve(kernel, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
     return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))
 

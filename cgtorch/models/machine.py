@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from cgtorch.errors import DataError, ModelError, SettingsError
 from cgtorch.models import inputs
 from cgtorch.models.fused import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
-from cgtorch.models.kernels import Kernel, kernel_matrix, make_kernel, resolve_gamma
+from cgtorch.models.gram import Gram, gram
+from cgtorch.models.kernels import Kernel, make_kernel, resolve_gamma
 from cgtorch.models.problems import Problems
 from cgtorch.models.solver import classify
 
@@ -169,8 +170,8 @@ class KernelMachine(nn.Module):
         self._check_fitted()
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
-    def _gram(self, rows: Tensor) -> tuple[Tensor, float]:
-        """The kernel matrix (n, n) of training rows (n, d), and the gamma that it has.
+    def _gram(self, rows: Tensor) -> tuple[Gram, float]:
+        """The kernel values among training rows (n, d), and the gamma that they have.
 
         Raises:
             DataError: It takes more than `max_memory`, or the kernel returned what is no matrix.
@@ -178,8 +179,7 @@ class KernelMachine(nn.Module):
         """
         inputs.check_memory(len(rows), self.max_memory)
         gamma = resolve_gamma(self.gamma, rows)
-        kernel = make_kernel(self.kernel, gamma, self.degree, self.coef0)
-        return kernel_matrix(kernel, rows), gamma
+        return gram(self.kernel, rows, gamma, self.degree, self.coef0), gamma
 
     def _start(
         self, rows: int, problems: Problems, mean: Tensor, unit: Tensor

@@ -19,8 +19,6 @@ def direction(
     status: Tensor,
     free: Tensor,
     precise: list[bool],
-    *,
-    sharp: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Newton direction of the coefficients (P, n) and biases (P,), and its product with K (P, n).
 
@@ -36,18 +34,17 @@ def direction(
         status: Statuses (P, n).
         free: Which coefficients are free by them (P, n), at least one in each problem.
         precise: Which problems need systems in float64; updated.
-        sharp: Whether products with the kernel have to be in float64.
     """
     d = (on_bounds(problems, status) - beta).masked_fill_(free, 0.0)
     right = residual - h[:, None] * beta
     if bool(problems.epsilon.any()):
         right -= problems.epsilon[:, None] * status.sign()
-    outer = gram.times(d, precise=sharp)
+    outer = gram.times(d)
     total = (beta + d).sum(1)
     u, v = solve_free(gram, free, h, right - outer, precise)
     shift = (u.sum(1) + total) / v.sum(1)
     inner = u - shift[:, None] * v
-    return d + inner, shift, outer + gram.times(inner, precise=sharp)
+    return d + inner, shift, outer + gram.times(inner)
 
 
 def solve_free(

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from cgtorch.models import smo
 from cgtorch.models.active_set import Active, active_set
-from cgtorch.models.gram import Gram, gathered
+from cgtorch.models.gram import Gram
 from cgtorch.models.problems import Problems
 
 Start = tuple[Tensor, Tensor, Tensor]
@@ -138,7 +138,7 @@ def solve(
     Returns:
         Feasible solutions with their duality gaps.
     """
-    gram = gathered(kernel) if isinstance(kernel, Tensor) else kernel
+    gram = Gram(kernel) if isinstance(kernel, Tensor) else kernel
     found = roughly(gram, problems, start or quarter_start(gram, problems, generator), last)
     beta, bias = _inside(problems, found.beta), found.bias.clone()
     direct = found.done & _small_gap(problems, found, last)
@@ -153,7 +153,7 @@ def solve(
             beta[problem],
             tolerance,
         )
-    product = gram.times(beta, precise=True)
+    product = gram.times(beta)
     bias = _middle_bias(problems, beta, bias, product)
     status = found.status.clone()
     if len(failed):

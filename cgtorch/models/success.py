@@ -9,10 +9,12 @@ from torch import Tensor, nn
 
 from cgtorch.errors import DataError
 from cgtorch.models import inputs
+from cgtorch.models.cells import Progress
 from cgtorch.models.grasp_features import grasp_features
-from cgtorch.models.grid_search import Choice, Progress, balanced_accuracy, grid_search
+from cgtorch.models.grid_search import Choice, grid_search
 from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_values
 from cgtorch.models.platt import fit_platt, probability
+from cgtorch.models.scores import balanced_accuracy
 from cgtorch.models.svc import SVC, ClassWeight
 
 C_GRID = (100.0, 300.0)

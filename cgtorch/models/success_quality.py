@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.data import label
 from cgtorch.data.poses import WorldOf, in_table, poses_around, poses_at_object
-from cgtorch.models.grid_search import balanced_accuracy
+from cgtorch.models.scores import balanced_accuracy
 from cgtorch.models.success import Reliability, calibration
 from cgtorch.models.success_floor import chance_of_success
 from cgtorch.world import Scenarios, concatenate_scenarios

@@ -8,6 +8,7 @@ from torch import Tensor
 from cgtorch.errors import DataError, ModelError, SettingsError
 from cgtorch.models import inputs
 from cgtorch.models.folds import given_folds, stratified_folds, training_masks
+from cgtorch.models.gram import Gram
 from cgtorch.models.kernels import Kernel
 from cgtorch.models.machine import KernelMachine
 from cgtorch.models.platt import fit_platt, probability
@@ -128,7 +129,7 @@ class SVC(KernelMachine):
 
     def _platt(
         self,
-        matrix: Tensor,
+        matrix: Gram,
         signs: Tensor,
         classes: Tensor,
         problem: Problems,
@@ -144,8 +145,8 @@ class SVC(KernelMachine):
         count = len(masks)
         weight = row_weights(signs, classes, self.class_weight, masks)
         held = classification(signs, problem.cap.expand(count).contiguous(), weight)
-        beta = found.beta.expand(count, -1) * masks
-        start = beta, found.bias.expand(count), found.status.expand(count, -1) * masks
+        near = found.take(torch.zeros(count, dtype=torch.long, device=signs.device))
+        start = near.beta, near.bias, near.status
         parts = solve(matrix, held, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
         values = parts.product + parts.bias[:, None]
         decision = values[folds.to(signs.device), torch.arange(len(signs), device=signs.device)]

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from cgtorch.errors import DataError
 from cgtorch.models import geometry, inputs
-from cgtorch.models.grid_search import Choice, Progress, grid_search
+from cgtorch.models.cells import Progress
+from cgtorch.models.grid_search import Choice, grid_search
 from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_curve
 from cgtorch.models.machine import KernelMachine
 from cgtorch.models.svr import SVR
