@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import click
+from benchmarks.grid import svc_grid_search, svr_grid_search
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from rich.console import Console
@@ -27,6 +28,8 @@ from cgtorch.errors import CgtorchError
 LINES: dict[str, Callable[[Effort], Line]] = {
     "inference_vs_sklearn": inference_vs_sklearn,
     "inference_ceiling": inference_ceiling,
+    "svc_grid_search": svc_grid_search,
+    "svr_grid_search": svr_grid_search,
 }
 
 PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")

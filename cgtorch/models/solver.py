@@ -23,8 +23,8 @@ from cgtorch.models.problems import Problems
 Start = tuple[Tensor, Tensor, Tensor]
 """Coefficients (P, n), which may lie outside the boxes, biases (P,) and statuses (P, n)."""
 
-FINAL_RIDGE = 1e-7
-"""Last ridge of a final fit, in units of 1 / C: a relative duality gap of about 1e-6."""
+FINAL_RIDGE = 1e-8
+"""Last ridge of a final fit, in units of 1 / C: a relative duality gap of about 1e-7."""
 
 START_RIDGE = 0.03
 """Last ridge of a solution that only starts others."""

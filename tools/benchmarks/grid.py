@@ -1,0 +1,140 @@
+"""Grid search by cross-validation against scikit-learn's GridSearchCV, all cores for both."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.measure import (
+    WALL,
+    Comparison,
+    DisagreementError,
+    Effort,
+    Line,
+    cores,
+    in_turns,
+    torch_threads,
+)
+from cgtorch.data import collect
+from cgtorch.experiments.run import tabletop_of
+from cgtorch.kinematics import load_robot
+from cgtorch.models import SVC, SVR, grid_search
+from cgtorch.world import LAB_NOISE
+
+Array = NDArray[np.float64]
+
+COSTS = [2.0**k for k in (-1, 1, 3, 5, 7, 9)]
+WIDTHS = [2.0**k for k in (-9, -7, -5, -3, -1, 1)]
+FOLDS = 5
+TUBE = 0.02
+CLOSE = 0.02  # how much two scores of a cell may differ where libsvm stops at its tolerance 1e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """A grid search: rows (n, d), targets (n, k) or labels (n,), and whether it is a regression."""
+
+    label: str
+    x: Array
+    y: Array
+    regression: bool
+
+
+def svc_grid_search(effort: Effort) -> Line:
+    """C's labels: five folds, six costs, six widths."""
+    sizes = (300, 500, 1000, 2000) if effort.size == 1 else (300, 1000)
+    return _line("svc_grid_search", [_labels(n) for n in sizes], 4.0)
+
+
+def svr_grid_search(effort: Effort) -> Line:
+    """Γ's transitions as the paper learns them: seven outputs, five folds, six costs and widths.
+
+    Half an hour in full, most of it scikit-learn's.
+    """
+    sizes = (300, 500, 2000) if effort.size == 1 else (300,)
+    return _line("svr_grid_search", [_transitions(n) for n in sizes], 10.0)
+
+
+def _line(name: str, cases: list[Case], target: float) -> Line:
+    with torch_threads(cores()):
+        parts = tuple(_against_sklearn(case) for case in cases)
+    return Line(
+        name=name,
+        compared=f"grid_search / GridSearchCV, {FOLDS} folds x 6 x 6, tolerance 1e-3 there",
+        unit="x faster",
+        target=target,
+        clock="wall",
+        threads=cores(),
+        parts=parts,
+    )
+
+
+def _labels(rows: int) -> Case:
+    data = collect(
+        tabletop_of(load_robot(), LAB_NOISE), 16, rows + 16, torch.Generator().manual_seed(0)
+    )
+    x = data.grasp_percept.double().numpy()[:rows]
+    return Case(f"{rows} rows", _scaled(x), data.graspable.numpy()[:rows], regression=False)
+
+
+def _transitions(rows: int) -> Case:
+    data = collect(tabletop_of(load_robot(), LAB_NOISE), rows, 64, torch.Generator().manual_seed(0))
+    p, u, q = (t.double().numpy() for t in (data.percept, data.motion, data.next_percept))
+    x = np.concatenate([p, u[:, :2], np.sin(u[:, 2:]), np.cos(u[:, 2:])], 1)
+    return Case(f"{rows} rows, 7 outputs", _scaled(x), _scaled(q), regression=True)
+
+
+def _scaled(x: Array) -> Array:
+    spread = x.std(0)
+    return np.asarray((x - x.mean(0)) / np.where(spread > 0, spread, 1))
+
+
+def _against_sklearn(case: Case) -> Comparison:
+    """One case; a search is long enough to be timed once, the short ones five times."""
+    repeats = 5 if len(case.x) * (7 if case.regression else 1) <= 2000 else 1
+    ours, theirs = _ours(case), _theirs(case)
+    worst = float(np.abs(ours() - theirs()).max())
+    if worst > CLOSE:
+        raise DisagreementError(f"{case.label}: two scores of a cell differ by {worst:.3g}")
+    mine, other = in_turns([ours, theirs], repeats, WALL)
+    return Comparison(
+        label=case.label,
+        ours=mine,
+        other=other,
+        ratio=other.median / mine.median,
+        difference=worst,
+        sizes={"rows": len(case.x), "problems": FOLDS * 36 * (7 if case.regression else 1)},
+    )
+
+
+def _folds(case: Case) -> NDArray[np.int64]:
+    return np.random.default_rng(0).permutation(len(case.x)) % FOLDS
+
+
+def _ours(case: Case) -> Callable[[], Array]:
+    model = SVR(epsilon=TUBE) if case.regression else SVC()
+
+    def search() -> Array:
+        found = grid_search(model, case.x, case.y, C=COSTS, gamma=WIDTHS, folds=_folds(case))
+        return np.asarray(found.mean[:, 0].numpy())
+
+    return search
+
+
+def _theirs(case: Case) -> Callable[[], Array]:
+    from sklearn import svm
+    from sklearn.model_selection import GridSearchCV, PredefinedSplit
+
+    model = svm.SVR(epsilon=TUBE) if case.regression else svm.SVC()
+    grid, split = {"gamma": WIDTHS, "C": COSTS}, PredefinedSplit(_folds(case))
+
+    def search() -> Array:
+        scores = []
+        for target in case.y.T if case.regression else [case.y]:
+            found = GridSearchCV(model, grid, cv=split, n_jobs=cores(), refit=False)
+            scores.append(found.fit(case.x, target).cv_results_["mean_test_score"])
+        return np.stack(scores, -1).reshape(len(COSTS), len(WIDTHS), -1).transpose(1, 0, 2)
+
+    return search
