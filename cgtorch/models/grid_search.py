@@ -21,6 +21,7 @@ from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, tra
 from cgtorch.models.scores import SCORES
 from cgtorch.models.svc import SVC, row_weights
 from cgtorch.models.svr import SVR
+from cgtorch.models.threads import one_thread_each
 
 
 @dataclass(frozen=True)
@@ -158,8 +159,9 @@ def _all_widths(
     """Values (G, E, N, K, n), gaps and directness (G, E, N, K) at every gamma.
 
     The largest gammas, which have most support vectors, go first, so that no worker ends late.
+    The operations are short: torch's own threads would double the time.
     """
-    with ThreadPoolExecutor(workers) as pool:
+    with one_thread_each(), ThreadPoolExecutor(workers) as pool:
         work = {
             width: pool.submit(solve_width, task, width, seed, counter)
             for width, seed in sorted(zip(widths, seeds, strict=True), reverse=True)
