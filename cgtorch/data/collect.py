@@ -5,9 +5,7 @@ from torch import Generator, Tensor
 
 from cgtorch.data.dataset import Dataset
 from cgtorch.data.labels import grasp_labels
-from cgtorch.data.poses import ARENA as ARENA
-from cgtorch.data.poses import WorldOf as WorldOf
-from cgtorch.data.poses import poses_around as poses_around
+from cgtorch.data.poses import ARENA, WorldOf, poses_around
 from cgtorch.environment import Lanes, start_lanes
 
 MAX_MOVE = 2.0  # m

@@ -6,7 +6,7 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
+from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
 from cgtorch.world.geometry import rectangle_in_frame, rotate, sweep_blocked
 
 ARENA = 2.2  # m from the table's centre within which the robot is driven
@@ -65,5 +65,4 @@ def _resample(count: int, draw: Callable[[int], Scenarios], world_of: WorldOf) -
         free = ~in_table(scenarios, world_of(scenarios[:0]).footprint)
         parts.append(scenarios[free.nonzero()[:, 0]])
         have += int(free.sum())
-    fields = zip(*(vars(part).values() for part in parts), strict=True)
-    return Scenarios(*(torch.cat(f) for f in fields))[:count]
+    return concatenate_scenarios(parts)[:count]

@@ -13,7 +13,7 @@ from cgtorch.actions import ActionSet
 from cgtorch.data import Dataset
 from cgtorch.errors import RunError
 from cgtorch.evolution import STRATEGY, Population
-from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.files import read_bytes, read_json, write_bytes, write_json
 from cgtorch.graphs import Graphs, valid
 from cgtorch.improvement.knowledge import Knowledge, swift_gamma
 from cgtorch.models import (
@@ -23,8 +23,7 @@ from cgtorch.models import (
     SuccessReport,
     TransitionModel,
     TransitionReport,
-    load_model,
-    load_report,
+    load_model_and_report,
     save_model,
 )
 from cgtorch.world import Scenarios
@@ -45,11 +44,10 @@ def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
     Raises:
         RunError: the file is missing, damaged, too large, or holds other tensors.
     """
+    data = read_bytes(path, MAX_BYTES)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RunError(f"{str(path)!r} is larger than {MAX_BYTES} bytes; is it the right file?")
-        found = safetensors.torch.load(path.read_bytes())
-    except (OSError, SafetensorError, ValueError) as e:
+        found = safetensors.torch.load(data)
+    except (SafetensorError, ValueError) as e:
         raise RunError(f"cannot read {str(path)!r} ({e}); restore the file") from e
     if set(found) != names:
         odd = sorted(names ^ set(found))[0]
@@ -104,16 +102,15 @@ def load_knowledge(folder: Path) -> Knowledge:
         RunError: a file holds another kind of model, or a report that is none.
         ModelError: a model file is damaged.
     """
-    paths = folder / "gamma.safetensors", folder / "classifier.safetensors"
-    gamma, classifier = (load_model(path) for path in paths)
+    gamma, first_report = load_model_and_report(folder / "gamma.safetensors")
+    classifier, second_report = load_model_and_report(folder / "classifier.safetensors")
     if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
         raise RunError(f"{str(folder)!r} holds other models than Γ and C; restore the files")
-    reports = [load_report(path) for path in paths]
     try:
-        about = reports[0]["choice"], reports[1]["choice"]
-        first = tuple(None if c is None else Choice(**c) for c in about[0])
-        gamma_report = TransitionReport(**{**_fields(reports[0]), "choice": first})
-        report = SuccessReport(**{**_fields(reports[1]), "choice": Choice(**about[1])})
+        choices = tuple(None if c is None else Choice(**c) for c in first_report["choice"])
+        gamma_report = TransitionReport(**{**_fields(first_report), "choice": choices})
+        choice = Choice(**second_report["choice"])
+        report = SuccessReport(**{**_fields(second_report), "choice": choice})
     except (TypeError, KeyError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
     data = load_dataset(folder / "data.safetensors")

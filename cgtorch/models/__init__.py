@@ -14,6 +14,7 @@ from cgtorch.models.learning_curve import LearningCurve as LearningCurve
 from cgtorch.models.learning_curve import doubling_sizes as doubling_sizes
 from cgtorch.models.learning_curve import learning_curve as learning_curve
 from cgtorch.models.storage import load_model as load_model
+from cgtorch.models.storage import load_model_and_report as load_model_and_report
 from cgtorch.models.storage import load_report as load_report
 from cgtorch.models.storage import save_model as save_model
 from cgtorch.models.success import SuccessClassifier as SuccessClassifier

@@ -70,7 +70,7 @@ class Active:
 
 
 def active_set(
-    gram: Gram, problems: Problems, beta: Tensor, bias: Tensor, first: Tensor, *, last: float
+    gram: Gram, problems: Problems, beta: Tensor, bias: Tensor, first: Tensor, *, last: Tensor
 ) -> Active:
     """Run the active set down a ladder of ridges.
 
@@ -80,16 +80,16 @@ def active_set(
         beta: Coefficients (P, n) to start from; they may lie outside the boxes.
         bias: Biases (P,) to start from.
         first: First ridges (P,), in units of 1 / C.
-        last: Last ridge, in units of 1 / C; the gap is at most about n last C / 4.
+        last: Last ridges (P,), in units of 1 / C; the gap is at most about n last C / 4.
 
     Returns:
         The solutions, exact only where `done`.
     """
-    found = _begin(gram, problems, beta, bias, first.clamp_min(last))
+    found = _begin(gram, problems, beta, bias, torch.maximum(first, last))
     live = torch.arange(len(beta), device=beta.device)
     part, state, precise = problems, found.take(live), [False] * len(beta)
     for _ in range(_MAX_STEPS):
-        state = _step(gram, part, state, last, precise)
+        state = _step(gram, part, state, last[live], precise)
         if bool(state.done.any()):
             state = _confirm(gram, part, state)
             found.put(live, state)
@@ -126,7 +126,7 @@ def _begin(gram: Gram, problems: Problems, beta: Tensor, bias: Tensor, rung: Ten
 
 
 def _step(
-    gram: Gram, problems: Problems, state: Active, last: float, precise: list[bool]
+    gram: Gram, problems: Problems, state: Active, last: Tensor, precise: list[bool]
 ) -> Active:
     """One Newton step of every problem; `done` are those that seem to be solved."""
     h = state.rung / problems.cap
@@ -225,7 +225,7 @@ def _wrong(problems: Problems, h: Tensor, beta: Tensor, residual: Tensor, status
 
 
 def _ladder(
-    state: Active, calm: Tensor, back: Tensor, settled: Tensor, final: Tensor, last: float
+    state: Active, calm: Tensor, back: Tensor, settled: Tensor, final: Tensor, last: Tensor
 ) -> dict[str, Tensor]:
     """The next rung of each problem and how it is reached."""
     step = torch.where(state.jump, (state.ratio**1.5).clamp_min(_LADDER), state.ratio)
@@ -235,7 +235,7 @@ def _ladder(
         ratio > _HARDLY
     )  # where even small falls are predicted badly, a fall needs no prediction
     ratio = torch.where(tried & calm, _LADDER, ratio)
-    lower = (state.rung * ratio).clamp_min(last)
+    lower = torch.maximum(state.rung * ratio, last)
     return {
         "rung": torch.where(calm, lower, torch.where(back, state.former, state.rung)),
         "former": torch.where(calm, state.rung, state.former),

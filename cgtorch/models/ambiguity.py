@@ -6,19 +6,15 @@ can be sampled, by importance sampling (Kahn & Marshall 1953): tables are drawn 
 them and kept as often as the box seen makes them likely; the object and the motion weigh them.
 """
 
-from collections.abc import Callable
-
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data.collect import poses_around
+from cgtorch.data.poses import WorldOf, poses_around
 from cgtorch.models.geometry import to_parts
-from cgtorch.world import Scenarios, TabletopWorld, motion_possible, random_scenarios
+from cgtorch.world import motion_possible, random_scenarios
 from cgtorch.world.geometry import bounding_box, moved, rectangle_in_frame, rotate
 from cgtorch.world.scenarios import INSET_MAX, INSET_MIN
 from cgtorch.world.tabletop import percept_of
-
-WorldOf = Callable[[Scenarios], TabletopWorld]
 
 _POOL = 64  # scenarios whose noise is drawn from
 _SMALLEST_BLUR = 1e-3  # m; below it the drawn tables would lie too far apart

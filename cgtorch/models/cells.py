@@ -7,7 +7,6 @@ touches no bound of its box holds for every larger C unchanged.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Lock
 
 import torch
 from torch import Tensor
@@ -15,7 +14,14 @@ from torch import Tensor
 from cgtorch.models.gram import Gram, gram
 from cgtorch.models.kernels import Kernel
 from cgtorch.models.problems import Problems, classification, regression
-from cgtorch.models.solver import Solutions, Start, quarter_start, roughly, solve
+from cgtorch.models.solver import (
+    Solutions,
+    Start,
+    descend,
+    duality_gap,
+    quarter_start,
+    solve,
+)
 
 Progress = Callable[[int, int], None]
 """Called with the number of cells done and of all cells."""
@@ -25,18 +31,17 @@ _BATCH = 64  # problems solved together, few enough to stay in the processor's c
 
 
 class Counter:
-    """Counts solved problems of all workers and tells the caller of finished cells."""
+    """Counts solved problems and tells the caller of finished cells."""
 
     def __init__(self, progress: Progress | None, cells: int, problems: int) -> None:
         self._progress, self._cells, self._each = progress, cells, problems // cells
-        self._done, self._lock = 0, Lock()
+        self._done = 0
 
     def add(self, problems: int) -> None:
         """Count problems as solved."""
-        with self._lock:
-            before, self._done = self._done // self._each, self._done + problems
-            if self._progress is not None and self._done // self._each > before:
-                self._progress(self._done // self._each, self._cells)
+        before, self._done = self._done // self._each, self._done + problems
+        if self._progress is not None and self._done // self._each > before:
+            self._progress(self._done // self._each, self._cells)
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,8 @@ class Task:
     Attributes:
         kernel: Kernel as `SVC` and `SVR` take it, with `degree` and `coef0`.
         rows: Training rows (n, d).
-        targets: Signs or targets (K, n).
+        targets: Signs, or targets in units of their own (K, n).
+        unit: These units (K,), 1 for signs.
         weight: Weights of the rows (1 + F, n), first of all rows and then of each fold's.
         folds: Fold number of each row (n,).
         costs: Costs, ascending (N,).
@@ -59,6 +65,7 @@ class Task:
     coef0: float
     rows: Tensor
     targets: Tensor
+    unit: Tensor
     weight: Tensor
     folds: Tensor
     costs: Tensor
@@ -67,10 +74,11 @@ class Task:
 
     def problems(self, index: Tensor, tube: Tensor) -> Problems:
         """The problems of `index` (P, 3): numbers of cost, output and block of `weight`."""
-        cap, targets, weight = self.costs[index[:, 0]], self.targets, self.weight[index[:, 2]]
+        cap, weight = self.costs[index[:, 0]], self.weight[index[:, 2]]
         if self.classifier:
-            return classification(targets[0], cap, weight)
-        return regression(targets[index[:, 1]], cap, tube.expand(len(cap)).contiguous(), weight)
+            return classification(self.targets[0], cap, weight)
+        unit = self.unit[index[:, 1]]
+        return regression(self.targets[index[:, 1]], cap / unit, tube / unit, weight)
 
 
 @dataclass(frozen=True)
@@ -78,7 +86,8 @@ class Cells:
     """Answers at one gamma.
 
     Attributes:
-        held_out: Decision value of each row from the fold that held it out (E, N, K, n).
+        held_out: Decision value of each row from the fold that held it out (E, N, K, n), in the
+            task's units.
         gap: Largest relative duality gap of a cell's folds (E, N, K).
         direct: False where a fold of the cell had to be finished by SMO (E, N, K).
     """
@@ -88,9 +97,8 @@ class Cells:
     direct: Tensor
 
 
-def solve_width(task: Task, width: float, seed: int, counter: Counter) -> Cells:
+def solve_width(task: Task, width: float, generator: torch.Generator, counter: Counter) -> Cells:
     """All cells at one gamma."""
-    generator = torch.Generator().manual_seed(seed)
     kernel = gram(task.kernel, task.rows, width, task.degree, task.coef0)
     tubes = [_solve_tube(task, kernel, tube, generator, counter) for tube in task.tubes]
     columns = zip(*(vars(cells).values() for cells in tubes), strict=True)
@@ -103,7 +111,8 @@ def _solve_tube(
     """All cells at one gamma and epsilon.
 
     The folds start from the same problem on all rows, solved roughly. Above the highest cost that
-    this makes worth trying, the solution of a fold either holds or starts the next cost.
+    this makes worth trying, the solution of a fold either holds or starts the next cost; where it
+    may have to hold for them, it is as exact as they ask for.
     """
     costs, blocks = len(task.costs), len(task.weight) - 1
     cells = _no_cells(task)
@@ -116,10 +125,13 @@ def _solve_tube(
         more = torch.zeros(len(index), dtype=torch.bool, device=index.device)
         for rows in torch.arange(len(index), device=index.device).split(_BATCH):
             part, begin = index[rows], _each(start, lambda tensor: tensor[rows])  # noqa: B023
-            found = solve(kernel, task.problems(part, tube), generator, begin, last=GRID_RIDGE)
             highest = part[:, 0] >= top[part[:, 1]]
+            share = torch.where(highest, task.costs[part[:, 0]] / task.costs[-1], 1.0)
+            problems = task.problems(part, tube)
+            found = solve(kernel, problems, generator, begin, last=GRID_RIDGE * share)
             until = torch.where(highest & _loose(found.status), costs, part[:, 0] + 1)
-            counter.add(_record(task, cells, part, found, until))
+            _record(task, tube, cells, part, found, until)
+            counter.add(int((until - part[:, 0]).sum()))
             more[rows] = highest & (until < costs)
             start[0][rows], start[1][rows], start[2][rows] = found.beta, found.bias, found.status
         index, start = index[more], _each(start, lambda tensor: tensor[more])  # noqa: B023
@@ -142,17 +154,25 @@ def _no_cells(task: Task) -> Cells:
     )
 
 
-def _record(task: Task, cells: Cells, index: Tensor, found: Solutions, until: Tensor) -> int:
-    """Write solutions to their cells and to those of larger costs below `until` (P,); how many."""
+def _record(
+    task: Task, tube: Tensor, cells: Cells, index: Tensor, found: Solutions, until: Tensor
+) -> None:
+    """Write solutions to their cells and to those of larger costs below `until` (P,)."""
     value = found.product + found.bias[:, None]
-    relative = found.gap / found.objective.abs().clamp_min(1e-12)
-    for row, (cost, output, block) in enumerate(index.tolist()):
-        inside = task.folds == block - 1
-        for c in range(cost, int(until[row])):
-            cells.held_out[c, output, inside] = value[row, inside]
-            cells.gap[c, output] = torch.maximum(cells.gap[c, output], relative[row])
-            cells.direct[c, output] &= found.direct[row]
-    return int((until - index[:, 0]).sum())
+    for cost in range(len(task.costs)):
+        rows = ((index[:, 0] <= cost) & (cost < until)).nonzero().flatten()
+        if len(rows) == 0:
+            continue
+        here = index[rows].clone()
+        here[:, 0] = cost
+        at = found.take(rows)
+        gap = duality_gap(task.problems(here, tube), at.beta, at.bias, at.product)
+        relative = gap / at.objective.abs().clamp_min(1e-12)
+        for row, (_, output, block), error in zip(rows, here.tolist(), relative, strict=True):
+            inside = task.folds == block - 1
+            cells.held_out[cost, output, inside] = value[row, inside]
+            cells.gap[cost, output] = torch.maximum(cells.gap[cost, output], error)
+            cells.direct[cost, output] &= found.direct[row]
 
 
 def _whole(
@@ -167,7 +187,7 @@ def _whole(
     index = torch.cartesian_prod(*axes).to(task.folds.device)
     start = quarter_start(kernel, task.problems(index, tube), generator)
     index, start = _needed(index, start)
-    rough = roughly(kernel, task.problems(index, tube), start)
+    rough = descend(kernel, task.problems(index, tube), start)
     return _needed(index, (rough.beta, rough.bias, rough.status))
 
 

@@ -7,7 +7,6 @@ every larger C unchanged.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,7 @@ from cgtorch.models.cells import Counter, Progress, Task, solve_width
 from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
 from cgtorch.models.scores import SCORES
 from cgtorch.models.svc import SVC, row_weights
-from cgtorch.models.svr import SVR
+from cgtorch.models.svr import SVR, units
 from cgtorch.models.threads import one_thread_each
 
 
@@ -81,7 +80,6 @@ def grid_search(
     folds: Any = 5,
     seed: int | torch.Generator = 0,
     scoring: str | None = None,
-    workers: int = 1,
     progress: Progress | None = None,
 ) -> GridResult:
     """Score every (gamma, epsilon, C) by cross-validation.
@@ -96,8 +94,7 @@ def grid_search(
         folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
         seed: Seed or generator of the folds and of the solver.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
-        workers: Threads that share the gammas out; the result does not depend on their number.
-        progress: Called as cells are done with (done, all), one call at a time.
+        progress: Called as cells are done with (done, all).
 
     Returns:
         The scores and the choice.
@@ -110,10 +107,8 @@ def grid_search(
     scoring = scoring or ("accuracy" if classifier else "r2")
     if scoring not in SCORES:
         raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
-    if workers < 1:
-        raise SettingsError(f"workers is {workers}; it must be at least 1")
     rows = inputs.as_rows(x)
-    inputs.check_memory(len(rows), model.max_memory // workers)
+    inputs.check_memory(len(rows), model.max_memory)
     generator = inputs.generator_of(seed)
     costs, widths = _axis(C, "C").sort().values.to(rows), _axis(gamma, "gamma").to(rows)
     if isinstance(model, SVC):
@@ -128,22 +123,20 @@ def grid_search(
     weight = torch.cat([every, masks]).to(rows)
     if isinstance(model, SVC):
         weight = row_weights(targets[0], classes, model.class_weight, weight > 0)
-    task = Task(
-        model.kernel,
-        model.degree,
-        model.coef0,
-        rows,
-        targets,
-        weight,
-        numbers.to(rows.device),
-        costs,
-        tubes,
-        classifier,
-    )
-    seeds = torch.randint(2**62, (len(widths),), generator=generator).tolist()
+    kernel = model.kernel, model.degree, model.coef0
+    mean, unit = (0 * targets[:, 0], 0 * targets[:, 0] + 1) if classifier else units(targets)
+    scaled = (targets - mean[:, None]) / unit[:, None]
+    place = numbers.to(rows.device)
+    task = Task(*kernel, rows, scaled, unit, weight, place, costs, tubes, classifier)
     cells = len(widths) * len(tubes) * len(costs)
     counter = Counter(progress, cells, cells * len(targets) * len(masks))
-    held_out, gap, direct = _all_widths(task, widths.tolist(), seeds, workers, counter)
+    with one_thread_each():  # the operations are short: torch's own threads would double the time
+        found = [solve_width(task, float(width), generator, counter) for width in widths]
+    held_out, gap, direct = (
+        torch.stack([getattr(part, name) for part in found])
+        for name in ("held_out", "gap", "direct")
+    )
+    held_out = held_out * unit[:, None] + mean[:, None]
     scores = torch.stack(
         [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks], dim=-1
     )
@@ -151,27 +144,6 @@ def grid_search(
     return GridResult(
         costs, widths, tubes, scoring, scores, held_out, gap, direct, numbers, best, common
     )
-
-
-def _all_widths(
-    task: Task, widths: list[float], seeds: list[int], workers: int, counter: Counter
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Values (G, E, N, K, n), gaps and directness (G, E, N, K) at every gamma.
-
-    The largest gammas, which have most support vectors, go first, so that no worker ends late.
-    The operations are short: torch's own threads would double the time.
-    """
-    with one_thread_each(), ThreadPoolExecutor(workers) as pool:
-        work = {
-            width: pool.submit(solve_width, task, width, seed, counter)
-            for width, seed in sorted(zip(widths, seeds, strict=True), reverse=True)
-        }
-        cells = [work[width].result() for width in widths]
-    held_out, gap, direct = (
-        torch.stack([getattr(part, name) for part in cells])
-        for name in ("held_out", "gap", "direct")
-    )
-    return held_out, gap, direct
 
 
 def _folds(folds: Any, targets: Tensor, classifier: bool, generator: torch.Generator) -> Tensor:

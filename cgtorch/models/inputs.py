@@ -91,8 +91,8 @@ def as_given(result: Tensor, example: Any) -> Any:
 def check_memory(rows: int, limit: int) -> None:
     """Refuse a fit whose kernel matrices would not fit in `limit` bytes.
 
-    The solver keeps the kernel in float64 and float32 and, for the free rows, a copy of each
-    and its factor: at most 36 bytes for each pair of rows.
+    The solver keeps the kernel in float64 and, for the free rows, their rows of it, a block and its
+    factor, in float32 and, where that is not enough, in float64: at most 36 bytes for each pair.
 
     Raises:
         DataError: They would not.

@@ -21,7 +21,7 @@ from cgtorch.models.problems import Problems, classification, regression
 from cgtorch.models.scores import SCORES
 from cgtorch.models.solver import FINAL_RIDGE, solve
 from cgtorch.models.svc import SVC, row_weights
-from cgtorch.models.svr import SVR, per_output
+from cgtorch.models.svr import SVR, per_output, units
 
 
 @dataclass(frozen=True)
@@ -158,12 +158,15 @@ def learning_values(
         cap = torch.full((len(flat),), inputs.positive(model.C, "C")).to(rows)
         weight = row_weights(targets[0], classes, model.class_weight, flat)
         problems = classification(targets[0], cap, weight)
+        mean, unit = 0 * targets[:, 0], 0 * targets[:, 0] + 1
     else:
-        problems = _regressions(model, targets, flat)
+        mean, unit = units(targets)
+        problems = _regressions(model, (targets - mean[:, None]) / unit[:, None], unit, flat)
     gamma = resolve_gamma(model.gamma, rows)
     kernel = gram(model.kernel, rows, gamma, model.degree, model.coef0)
     found = solve(kernel, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
+    values = values * unit[:, None] + mean[:, None]
     return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))
 
 
@@ -180,12 +183,13 @@ def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
     return masks & (place <= torch.tensor(sizes)[:, None, None])
 
 
-def _regressions(model: SVR, targets: Tensor, used: Tensor) -> Problems:
-    """Problems (Q k) of targets (k, n) for each mask of the rows used (Q, n), output by output."""
+def _regressions(model: SVR, targets: Tensor, unit: Tensor, used: Tensor) -> Problems:
+    """Problems (Q k) of targets (k, n) for each mask of the rows used (Q, n), output by output.
+
+    The targets are in units (k,) of their own, the model's C and epsilon are not.
+    """
     outputs, repeats = len(targets), len(used)
-    cap = per_output(model.C, "C", outputs, targets).repeat(repeats)
-    tube = torch.zeros_like(cap)
-    if model.epsilon != 0:
-        tube = per_output(model.epsilon, "epsilon", outputs, targets).repeat(repeats)
+    cap = per_output(model.C, "C", outputs, targets) / unit
+    tube = per_output(model.epsilon, "epsilon", outputs, targets, inputs.not_negative) / unit
     weight = used.to(targets).repeat_interleave(outputs, 0)
-    return regression(targets.repeat(repeats, 1), cap, tube, weight)
+    return regression(targets.repeat(repeats, 1), cap.repeat(repeats), tube.repeat(repeats), weight)

@@ -103,17 +103,23 @@ def quarter_start(gram: Gram, problems: Problems, generator: torch.Generator) ->
     order = torch.randperm(len(live), generator=generator)[: len(live) // 4]
     rows = live[order.to(live.device)]
     part, fewer = gram.part(rows), problems.rows(rows, 4.0)
-    quarter = roughly(part, fewer, quarter_start(part, fewer, generator))
+    quarter = descend(part, fewer, quarter_start(part, fewer, generator))
     beta[:, rows] = quarter.beta
     status = torch.zeros_like(beta)
     status[:, rows] = quarter.status
     return beta, quarter.bias, status
 
 
-def roughly(gram: Gram, problems: Problems, start: Start, last: float = START_RIDGE) -> Active:
-    """The active set from a start down to the ridge `last`, near enough to start related ones."""
+def descend(
+    gram: Gram, problems: Problems, start: Start, last: float | Tensor = START_RIDGE
+) -> Active:
+    """The active set from a start down to ridges `last`, one or one per problem.
+
+    Down to the default they are near enough to start related problems.
+    """
     beta, bias, status = start
-    return active_set(gram, problems, beta, bias, first_rung(status), last=last)
+    lasts = torch.as_tensor(last).to(bias).expand(len(bias))
+    return active_set(gram, problems, beta, bias, first_rung(status), last=lasts)
 
 
 def solve(
@@ -122,7 +128,7 @@ def solve(
     generator: torch.Generator,
     start: Start | None = None,
     *,
-    last: float = 1e-3,
+    last: float | Tensor = 1e-3,
     tolerance: float = 1e-3,
 ) -> Solutions:
     """Solve every problem, by the active set where it converges and by SMO elsewhere.
@@ -132,14 +138,14 @@ def solve(
         problems: P problems over its rows.
         generator: Source of the random quarter.
         start: Related solutions, or None.
-        last: Last ridge of the ladder, in units of 1 / C.
+        last: Last ridge of the ladder, in units of 1 / C, one or one per problem.
         tolerance: Optimality violation at which SMO stops (Fan, Chen & Lin 2005).
 
     Returns:
         Feasible solutions with their duality gaps.
     """
     gram = Gram(kernel) if isinstance(kernel, Tensor) else kernel
-    found = roughly(gram, problems, start or quarter_start(gram, problems, generator), last)
+    found = descend(gram, problems, start or quarter_start(gram, problems, generator), last)
     beta, bias = _inside(problems, found.beta), found.bias.clone()
     direct = found.done & _small_gap(problems, found, last)
     failed = (~direct).nonzero().flatten()
@@ -179,7 +185,7 @@ def _inside(problems: Problems, beta: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
 
 
-def _small_gap(problems: Problems, found: Active, last: float) -> Tensor:
+def _small_gap(problems: Problems, found: Active, last: float | Tensor) -> Tensor:
     """Whether the gap (P,) is what the last ridge and rounding explain, as a final check."""
     box = torch.maximum(problems.upper, -problems.lower)
     allowed = 0.5 * last / problems.cap * box.square().sum(1)

@@ -34,16 +34,16 @@ def per_output(
 
 
 def units(targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean (k,) and a power of two near the largest distance from it (k,) of targets (k, n).
+    """Mean (k,) and a power of two near the standard deviation (k,) of targets (k, n).
 
     The dual problem of (z - mean) / unit with C / unit and epsilon / unit has the coefficients
     beta / unit, so that what counts as small in the solver does not depend on the targets' unit.
     """
     mean = targets.mean(1)
-    largest = (targets - mean[:, None]).abs().amax(1)
+    spread = targets.std(1, correction=0)
     # Where all targets are equal, there is only rounding left.
-    unit = torch.exp2(largest.clamp_min(1e-300).log2().round())
-    return mean, torch.where(largest > 1e-12 * mean.abs(), unit, 1.0)
+    unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
+    return mean, torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
 
 
 class SVR(KernelMachine):

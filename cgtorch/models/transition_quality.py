@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data.collect import ARENA, poses_around, random_motions
+from cgtorch.data.collect import random_motions
+from cgtorch.data.poses import ARENA, WorldOf, poses_around
 from cgtorch.environment import start_lanes
-from cgtorch.models.ambiguity import WorldOf, possible_next, weighted_median
+from cgtorch.models.ambiguity import possible_next, weighted_median
 from cgtorch.models.transition import TransitionModel
 from cgtorch.world.geometry import moved
 from cgtorch.world.tabletop import percept_of

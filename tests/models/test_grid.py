@@ -67,14 +67,24 @@ def test_given_folds_are_used_and_seeds_repeat():
     assert not torch.equal(again[0], again[2])
 
 
-def test_the_number_of_workers_changes_nothing():
+def test_a_cost_that_needs_no_bound_is_as_exact_as_the_largest():
+    """Its solution is taken for every larger cost, so its gap counts with theirs."""
     x, y = labelled(300)
-    one, two = (
-        grid_search(SVC(), x, y, C=COSTS, gamma=WIDTHS, workers=workers) for workers in (1, 2)
-    )
-    assert torch.equal(one.held_out, two.held_out)
-    with pytest.raises(SettingsError, match="workers is 0"):
-        grid_search(SVC(), x, y, C=COSTS, gamma=WIDTHS, workers=0)
+    found = grid_search(SVC(), _scaled(x), y, C=[8.0, 2048.0], gamma=[2.0])
+    alone = grid_search(SVC(), _scaled(x), y, C=[2048.0], gamma=[2.0], folds=found.folds)
+    np.testing.assert_allclose(found.held_out[0, 0, 1, 0], alone.held_out[0, 0, 0, 0], atol=1e-3)
+    assert float(found.gap[0, 0, 1, 0]) <= 2 * float(alone.gap[0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-8, 0.0), (1e6, 1e7)])
+def test_unit_and_offset_of_the_targets_change_nothing(scale, offset):
+    p, u, q = transitions(150)
+    x, y = _scaled(np.concatenate([p, u], 1)), _scaled(q[:, [0, 4]])
+    grid = {"C": np.array([1.0, 16.0]), "epsilon": np.array([0.05]), "gamma": [0.05, 0.5]}
+    plain = grid_search(SVR(), x, y, folds=4, **grid)
+    grid |= {"C": grid["C"] * scale, "epsilon": grid["epsilon"] * scale}
+    other = grid_search(SVR(), x, y * scale + offset, folds=plain.folds, **grid)
+    np.testing.assert_allclose(other.mean, plain.mean, atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -128,7 +128,7 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
             if percept[4] > 1.2 + abs(parameters[1]):
                 return "lost"
             return "enough" if robot.memory[0] + robot.message[3] > 3 else "again"
-    raise NotImplementedError(action)
+    raise TypeError(f"the plain interpreter knows no {type(action).__name__}")
 
 
 def network(inputs: list[float], weights: list[float], outputs: int) -> list[float]:
