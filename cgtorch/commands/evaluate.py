@@ -12,6 +12,7 @@ EXAMPLES = """\b
 Examples:
   cgtorch-evaluate runs/reference
   cgtorch-evaluate runs/seed-0/S2 --scenarios right --count 100 --seed 3
+  cgtorch-evaluate runs/reference --scenarios general --count 1000
   cgtorch-evaluate skill.json --count 1000 --json
 """
 
@@ -22,7 +23,8 @@ Examples:
     "--scenarios",
     default="perimeter",
     show_default=True,
-    help="Where objects stand: near, left, right, far or perimeter.",
+    help="near, left, right, far or perimeter of the paper's table; general: any table, from any "
+    "side; general-clutter: half of them with a box in the way.",
 )
 @click.option("--count", type=click.IntRange(1, 1_000_000), default=40, show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)

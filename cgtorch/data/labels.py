@@ -11,7 +11,7 @@ from cgtorch.data.poses import ARENA, WorldOf, poses_around, poses_at_object
 from cgtorch.environment import start_lanes
 from cgtorch.errors import DataError
 from cgtorch.world import Scenarios
-from cgtorch.world.tabletop import percept_of
+from cgtorch.world.percepts import percept_of
 
 ANYWHERE = 0.06  # share of the labels that are drawn anywhere, far from the table too
 BESIDE = 0.7  # share that is drawn beside the boundary

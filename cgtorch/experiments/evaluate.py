@@ -3,12 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
+from statistics import NormalDist
 
 from torch import Generator, Tensor
 
+from cgtorch.actions import BranchingNN, ContinuousNN
+from cgtorch.errors import SettingsError
 from cgtorch.graphs import Skill
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
+from cgtorch.world import Scenarios, TabletopWorld, draw_of
 
 
 @dataclass(frozen=True)
@@ -43,10 +46,16 @@ class Score:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % confidence interval of the rate (Wilson 1927)."""
-        n, z = max(1, self.tried), 1.959964
-        centre = (self.rate + z * z / (2 * n)) / (1 + z * z / n)
-        half = z * sqrt(self.rate * (1 - self.rate) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-        return max(0.0, centre - half), min(1.0, centre + half)
+        return wilson(self.successes, self.tried, 0.95)
+
+
+def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
+    """The confidence interval of a share (Wilson 1927); of nothing tried, near all of [0, 1]."""
+    n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
+    rate = successes / n
+    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def evaluate_skill(
@@ -61,13 +70,37 @@ def evaluate_skill(
     Args:
         skill: what to try.
         world_of: makes the world.
-        placement: near, left, right, far or perimeter.
+        placement: near, left, right, far, perimeter, general or general-clutter.
         count: how many scenarios.
         seed: of the scenarios and their noise.
 
     Raises:
-        SettingsError: unknown placement or negative count.
+        SettingsError: unknown placement, negative count, or a skill for other percepts.
     """
-    scenarios = random_scenarios(placement, count, Generator().manual_seed(seed))
-    trial = try_skill(skill, world_of(scenarios))
+    scenarios = draw_of(placement)(count, Generator().manual_seed(seed))
+    world = world_of(scenarios)
+    check_percepts(skill, world.percept_size, placement)
+    trial = try_skill(skill, world)
     return Score(scenarios, trial.succeeded, trial.transitions)
+
+
+def check_percepts(skill: Skill, size: int, where: str) -> None:
+    """Refuse a skill whose networks, or those of a skill in it, read percepts of another length.
+
+    Args:
+        skill: what is to be tried.
+        size: length of the percepts there.
+        where: how the message calls that place.
+
+    Raises:
+        SettingsError: naming both lengths.
+    """
+    for index in skill.graph.action[0].unique().tolist():
+        action = skill.actions.actions[index] if index >= 0 else None
+        if isinstance(action, ContinuousNN | BranchingNN) and action.inputs != size:
+            raise SettingsError(
+                f"skill {skill.name!r} reads percepts of {action.inputs} numbers, those of {where} "
+                f"have {size}; use scenarios like those it was evolved on"
+            )
+    for inner in skill.sub_skills.values():
+        check_percepts(inner, size, where)

@@ -211,17 +211,13 @@ def _is_score(value: Any) -> bool:
     )
 
 
+SIZES = {"pose": 3, "table": 6, "object": 2}
+
+
 def scenarios_to_list(scenarios: Scenarios) -> list[dict[str, Any]]:
-    """One plain object per scenario."""
-    return [
-        {
-            "pose": scenarios.pose[i].tolist(),
-            "table": scenarios.table[i].tolist(),
-            "object": scenarios.object[i].tolist(),
-            "seed": int(scenarios.seed[i]),
-        }
-        for i in range(len(scenarios))
-    ]
+    """One plain object per scenario, with "obstacles" only if any of them may have some."""
+    parts = {name: value.tolist() for name, value in vars(scenarios).items() if value[:1].numel()}
+    return [{name: rows[i] for name, rows in parts.items()} for i in range(len(scenarios))]
 
 
 def scenarios_from_list(data: Any, where: str) -> Scenarios:
@@ -234,25 +230,39 @@ def scenarios_from_list(data: Any, where: str) -> Scenarios:
         raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
     for i, row in enumerate(data):
         _check_scenario(row, f"scenario {i} of {where}")
-    sizes = {"pose": 3, "table": 6, "object": 2}
-    parts = {k: torch.tensor([row[k] for row in data]).view(-1, n) for k, n in sizes.items()}
-    return Scenarios(**parts, seed=torch.tensor([row["seed"] for row in data], dtype=torch.long))
+    if len(counts := {len(row.get("obstacles", ())) for row in data}) > 1:
+        raise RunError(f"{where} is of scenarios with {sorted(counts)} obstacles; give all as many")
+    parts = {name: _numbers([row[name] for row in data], size) for name, size in SIZES.items()}
+    seed = torch.tensor([row["seed"] for row in data], dtype=torch.long)
+    boxes = _numbers([row.get("obstacles", []) for row in data], max(counts, default=0), 5)
+    return Scenarios(**parts, seed=seed, obstacles=boxes)
+
+
+def _numbers(rows: list[Any], *sizes: int) -> Tensor:
+    return torch.tensor(rows, dtype=torch.float32).view(len(rows), *sizes)
 
 
 def _check_scenario(row: Any, where: str) -> None:
-    sizes = {"pose": 3, "table": 6, "object": 2}
-    if not isinstance(row, dict) or set(row) != {*sizes, "seed"}:
+    if not isinstance(row, dict) or set(row) - {"obstacles"} != {*SIZES, "seed"}:
         raise RunError(f"{where} is {row!r:.60}; give pose, table, object and seed")
-    for key, size in sizes.items():
-        values = row[key]
-        if (
-            not isinstance(values, list)
-            or len(values) != size
-            or not all(type(v) in (int, float) and abs(v) < 1e6 for v in values)
-        ):
-            raise RunError(f"{key} of {where} is {values!r:.60}; give {size} finite numbers")
+    for name, size in SIZES.items():
+        _check_numbers(row[name], size, f"{name} of {where}")
+    boxes = row.get("obstacles", [])
+    if not isinstance(boxes, list):
+        raise RunError(f"obstacles of {where} is {boxes!r:.60}; give a list")
+    for box in boxes:
+        _check_numbers(box, 5, f"an obstacle of {where}")
     if type(row["seed"]) is not int or not 0 <= row["seed"] < 2**63:
         raise RunError(f"seed of {where} is {row['seed']!r:.40}; give a whole number")
+
+
+def _check_numbers(values: Any, size: int, what: str) -> None:
+    if (
+        not isinstance(values, list)
+        or len(values) != size
+        or not all(type(v) in (int, float) and abs(v) < 1e6 for v in values)
+    ):
+        raise RunError(f"{what} is {values!r:.60}; give {size} finite numbers")
 
 
 def save_scenarios(path: Path, parts: dict[str, Scenarios]) -> None:

@@ -13,8 +13,8 @@ from cgtorch.data.poses import WorldOf, poses_around
 from cgtorch.models.geometry import to_parts
 from cgtorch.world import motion_possible, random_scenarios
 from cgtorch.world.geometry import bounding_box, moved, rectangle_in_frame, rotate
+from cgtorch.world.percepts import percept_of
 from cgtorch.world.scenarios import INSET_MAX, INSET_MIN
-from cgtorch.world.tabletop import percept_of
 
 _POOL = 64  # scenarios whose noise is drawn from
 _SMALLEST_BLUR = 1e-3  # m; below it the drawn tables would lie too far apart

@@ -11,7 +11,7 @@ from cgtorch.environment import start_lanes
 from cgtorch.models.ambiguity import possible_next, weighted_median
 from cgtorch.models.transition import TransitionModel
 from cgtorch.world.geometry import moved
-from cgtorch.world.tabletop import percept_of
+from cgtorch.world.percepts import percept_of
 
 
 @dataclass(frozen=True)

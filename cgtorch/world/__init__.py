@@ -1,13 +1,21 @@
 """The tabletop world and its scenarios."""
 
+from cgtorch.world.draws import DRAWS as DRAWS
+from cgtorch.world.draws import draw_of as draw_of
+from cgtorch.world.general import cluttered_scenarios as cluttered_scenarios
+from cgtorch.world.general import general_scenarios as general_scenarios
+from cgtorch.world.percepts import obstacles_seen as obstacles_seen
+from cgtorch.world.percepts import percept_of as percept_of
+from cgtorch.world.percepts import things_seen as things_seen
 from cgtorch.world.scenarios import EDGES as EDGES
 from cgtorch.world.scenarios import PLACEMENTS as PLACEMENTS
 from cgtorch.world.scenarios import Scenarios as Scenarios
 from cgtorch.world.scenarios import concatenate_scenarios as concatenate_scenarios
 from cgtorch.world.scenarios import random_scenarios as random_scenarios
 from cgtorch.world.scenarios import stage_scenarios as stage_scenarios
+from cgtorch.world.solvable import pose_that_grasps as pose_that_grasps
+from cgtorch.world.solvable import standing_free as standing_free
 from cgtorch.world.tabletop import LAB_NOISE as LAB_NOISE
 from cgtorch.world.tabletop import Noise as Noise
 from cgtorch.world.tabletop import TabletopWorld as TabletopWorld
 from cgtorch.world.tabletop import motion_possible as motion_possible
-from cgtorch.world.tabletop import percept_of as percept_of

@@ -1,6 +1,6 @@
-"""Scenarios of section VI: a robot in front of a table with an object near one of its edges."""
+"""Scenarios, and those of section VI: a robot before a table with an object near an edge."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 
 import torch
 from torch import Generator, Tensor
@@ -28,12 +28,20 @@ class Scenarios:
         object: (B, 2) x, y (m); it stands on the table.
         seed: (B,) long, of the noise that the robot meets. Noise is part of the scenario: the
             same skill on the same scenario does the same.
+        obstacles: (B, K, 5) centre x, centre y (m), yaw (rad), size x, size y of boxes on the
+            floor, low enough to reach over; one of size 0 is none. K = 0 if not given.
     """
 
     pose: Tensor
     table: Tensor
     object: Tensor
     seed: Tensor
+    obstacles: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 5))
+
+    def __post_init__(self) -> None:
+        """As many scenarios without obstacles as there are poses."""
+        if self.obstacles.shape[1] == 0:
+            object.__setattr__(self, "obstacles", self.pose.new_zeros(len(self.pose), 0, 5))
 
     def __len__(self) -> int:
         """The number of scenarios."""
@@ -45,8 +53,15 @@ class Scenarios:
 
 
 def concatenate_scenarios(parts: list[Scenarios]) -> Scenarios:
-    """All scenarios of several batches."""
+    """All scenarios of several batches; those with fewer obstacles get some of size 0."""
+    most = max((s.obstacles.shape[1] for s in parts), default=0)
+    parts = [replace(s, obstacles=_padded(s.obstacles, most)) for s in parts]
     return Scenarios(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(Scenarios)))
+
+
+def _padded(obstacles: Tensor, count: int) -> Tensor:
+    """Obstacles (B, K, 5) as (B, count, 5)."""
+    return torch.nn.functional.pad(obstacles, (0, 0, 0, count - obstacles.shape[1]))
 
 
 def _table(n: int) -> Tensor:
@@ -69,7 +84,8 @@ def _edge_index(placement: str) -> int:
     return EDGES.index(placement)
 
 
-def _check_count(count: int) -> None:
+def check_count(count: int) -> None:
+    """SettingsError if there cannot be `count` scenarios."""
     if count < 0:
         raise SettingsError(f"count is {count}; give 0 or more scenarios")
 
@@ -82,7 +98,7 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
     Raises:
         SettingsError: the edge is none of `EDGES`, or the count is negative.
     """
-    _check_count(count)
+    check_count(count)
     along = torch.linspace(-1, 1, count)
     inset = torch.full((count,), (INSET_MIN + INSET_MAX) / 2)
     placed = _on_edge(torch.full((count,), _edge_index(edge)), along, inset)
@@ -96,7 +112,7 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
     Raises:
         SettingsError: the placement is none of `PLACEMENTS`, or the count is negative.
     """
-    _check_count(count)
+    check_count(count)
     if placement not in PLACEMENTS:
         raise SettingsError(f"unknown placement {placement!r}; use one of {', '.join(PLACEMENTS)}")
     draw = torch.rand(count, 6, generator=generator)

@@ -8,13 +8,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes
-from cgtorch.world.geometry import (
-    bounding_box,
-    moved,
-    rectangle_in_frame,
-    sweep_blocked,
-    to_frame,
-)
+from cgtorch.world.geometry import moved, rectangle_in_frame, sweep_blocked, to_frame
+from cgtorch.world.percepts import BOX, TABLETOP, obstacles_seen, percept_of, present
 from cgtorch.world.scenarios import Scenarios
 
 MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
@@ -41,47 +36,48 @@ LAB_NOISE = Noise(0.005, torch.pi / 360)
 """A good lab robot: 5 mm and 0.5°."""
 
 
-def motion_possible(motion: Tensor, table: Tensor, footprint: Tensor) -> Tensor:
-    """(n,) bool, whether the base can make motions (n, 3) beside tables (n, 5) in its frame.
+def motion_possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
+    """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
 
-    False where the swept footprint would come within `CLEARANCE` of the table, beyond
+    False where the swept footprint would come within `CLEARANCE` of one of them, beyond
     `MAX_TRANSLATION`, and for motions that are not finite.
-    """
-    short = motion[:, :2].norm(dim=1) <= MAX_TRANSLATION
-    finite = torch.isfinite(motion).all(1)
-    return short & finite & ~sweep_blocked(motion, table, footprint, CLEARANCE)
-
-
-def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
-    """The percept (..., 7) without noise: table box and object in the base frame (m).
 
     Args:
-        pose: (..., 3) base pose.
-        table: (..., 6) table in the world.
-        placed: (..., 2) object in the world.
+        motion: (n, 3) dx, dy (m), dθ (rad).
+        things: (n, 5) a table, or (n, R, 5) the table and obstacles; one of size 0 is none.
+        footprint: (4,) of the base (m).
     """
-    box = bounding_box(rectangle_in_frame(pose, table[..., :5]))
-    return torch.cat([box, to_frame(pose, placed), table[..., 5:6]], -1)
+    short = motion[:, :2].norm(dim=1) <= MAX_TRANSLATION
+    free = short & torch.isfinite(motion).all(1)
+    for thing in things[:, None].unbind(1) if things.dim() == 2 else things.unbind(1):
+        free = free & ~(present(thing) & sweep_blocked(motion, thing, footprint, CLEARANCE))
+    return free
 
 
-def draw_noise(seed: Tensor, looks: int) -> Tensor:
-    """(B, looks, 10) standard normal numbers that depend on each scenario's own seed only."""
+def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
+    """(B, looks, size) standard normal numbers that depend on each scenario's own seed only.
+
+    Sizes are drawn in turn, so what comes first does not depend on what comes after.
+    """
     generator = Generator()
-    rows = [
-        torch.randn(looks, 10, generator=generator.manual_seed(value)) for value in seed.tolist()
-    ]
-    return torch.stack(rows) if rows else torch.zeros(0, looks, 10)
+    out = [torch.zeros(len(seed), looks, size) for size in sizes]
+    for row, value in enumerate(seed.tolist()):
+        generator.manual_seed(value)
+        for noise in out:
+            noise[row] = torch.randn(looks, noise.shape[2], generator=generator)
+    return out
 
 
 class TabletopWorld:
     """An `Environment` of B scenarios in the true world.
 
-    A lane's state (n, 12) is base pose (3), table (6), object (2) and how often the robot has
-    perceived. The noise of a lane depends on its scenario's seed and on that count alone, so it
-    depends neither on what else runs beside it nor on how the skill is nested in another one.
+    A percept (7 + 4K,) is what `percept_of` and `obstacles_seen` say, with noise on all that is
+    there. A lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot
+    has perceived, and K obstacles. The noise of a lane depends on its scenario's seed and on that
+    count alone, so it depends neither on what else runs beside it nor on how the skill is nested
+    in another one.
     """
 
-    percept_size = 7
     control_size = 3
 
     def __init__(
@@ -103,25 +99,34 @@ class TabletopWorld:
         """
         self.scenarios, self.graspable, self.looks = scenarios, graspable, looks
         self.footprint = torch.tensor(footprint)
-        drawn = draw_noise(scenarios.seed, looks)
+        self.num_obstacles = scenarios.obstacles.shape[1]
+        drawn, more = draw_noise(scenarios.seed, looks, 3 + TABLETOP, BOX * self.num_obstacles)
         scale = torch.tensor([noise.position, noise.position, noise.heading])
-        self.drift, self.blur = drawn[..., :3] * scale, drawn[..., 3:] * noise.position
+        self.drift = drawn[..., :3] * scale
+        self.blur = torch.cat([drawn[..., 3:], more], 2) * noise.position
 
     @property
     def num_scenarios(self) -> int:
         """B."""
         return len(self.scenarios)
 
+    @property
+    def percept_size(self) -> int:
+        """7, and 4 for each obstacle that a scenario of this batch may have."""
+        return TABLETOP + BOX * self.num_obstacles
+
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
         s = self.scenarios[scenario]
-        state = torch.cat([s.pose, s.table, s.object, s.pose.new_zeros(len(scenario), 1)], 1)
+        looks = s.pose.new_zeros(len(scenario), 1)
+        state = torch.cat([s.pose, s.table, s.object, looks, s.obstacles.flatten(1)], 1)
         return self._perceive(state, scenario)
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """Drive straight by dx, dy and turn by dθ, or stay where the way is blocked."""
         pose, table = lanes.state[:, :3], lanes.state[:, 3:9]
-        here = rectangle_in_frame(pose, table[:, :5])
+        things = torch.cat([table[:, None, :5], self._obstacles(lanes.state)], 1)
+        here = rectangle_in_frame(pose[:, None], things)
         free = motion_possible(control, here, self.footprint)
         drift = self.drift[lanes.scenario, self._look(lanes.state)]
         state = torch.cat([moved(pose, control + drift), lanes.state[:, 3:]], 1)
@@ -131,7 +136,7 @@ class TabletopWorld:
         return replace(lanes, state=state, percept=percept), free
 
     def observe(self, lanes: Lanes) -> Lanes:
-        """Detect table and object again, with fresh noise."""
+        """Detect table, object and obstacles again, with fresh noise."""
         state, percept = self._perceive(lanes.state, lanes.scenario)
         return replace(lanes, state=state, percept=percept)
 
@@ -145,8 +150,17 @@ class TabletopWorld:
     def _look(self, state: Tensor) -> Tensor:
         return state[:, 11].long() % self.looks
 
+    def _obstacles(self, state: Tensor) -> Tensor:
+        """(n, K, 5)."""
+        return state[:, 12:].unflatten(1, (self.num_obstacles, 5))
+
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
-        """The states after one more look, and what is seen (n, 7)."""
-        exact = percept_of(state[:, :3], state[:, 3:9], state[:, 9:11])
-        percept = exact + self.blur[scenario, self._look(state)]
-        return torch.cat([state[:, :11], state[:, 11:] + 1], 1), percept
+        """The states after one more look, and what is seen (n, 7 + 4K)."""
+        pose, obstacles = state[:, :3], self._obstacles(state)
+        exact = percept_of(pose, state[:, 3:9], state[:, 9:11])
+        blur = self.blur[scenario, self._look(state)]
+        percept = exact + blur[:, :TABLETOP]
+        if self.num_obstacles:
+            noise = blur[:, TABLETOP:] * present(obstacles).repeat_interleave(BOX, 1)
+            percept = torch.cat([percept, obstacles_seen(pose, obstacles) + noise], 1)
+        return torch.cat([state[:, :11], state[:, 11:12] + 1, state[:, 12:]], 1), percept

@@ -81,3 +81,14 @@ def test_the_current_folder(
     monkeypatch.chdir(trained.folder / here)
     ended = shell(EVALUATE, ".", "--count", 2, "--json")
     assert json.loads(ended.out)["skill"] == name
+
+
+def test_tables_of_any_size(shell: Shell, trained: Trained) -> None:
+    words = (trained.folder, "--count", 5, "--scenarios")
+    ended = shell(EVALUATE, *words, "general")
+    assert (ended.code, ended.err) == (0, "")
+    assert " / 5 succeeded" in ended.out
+    ended = shell(EVALUATE, *words, "general-clutter")
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err.count("\n") == 1
+    assert "'S1' reads percepts of 7 numbers, those of general-clutter have 11; use" in ended.err

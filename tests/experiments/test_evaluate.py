@@ -4,9 +4,10 @@ import pytest
 import torch
 from support import graspable, random_skill, seeded
 
-from cgtorch.actions import paper_actions
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
 from cgtorch.errors import SettingsError
 from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.graphs import SubSkill
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
 
@@ -69,3 +70,42 @@ def test_scenarios_come_from_the_seed() -> None:
 def test_bad_requests(placement: str, count: int) -> None:
     with pytest.raises(SettingsError):
         evaluate_skill(random_skill(4, "some", paper_actions()), world_of, placement, count, 0)
+
+
+def wider_actions() -> ActionSet:
+    """The paper's actions with networks that read eleven numbers."""
+    paper = paper_actions()
+    return ActionSet(
+        paper.names, (*paper.actions[:3], ContinuousNN(inputs=11), BranchingNN(inputs=11))
+    )
+
+
+def test_a_skill_of_the_papers_table_can_be_tried_on_any_table() -> None:
+    skill = random_skill(4, "some", paper_actions())
+    score = evaluate_skill(skill, world_of, "general", 30, 1)
+    assert score.tried == 30
+    assert torch.equal(try_skill(skill, world_of(score.scenarios)).succeeded, score.succeeded)
+
+
+def test_a_skill_must_read_what_there_is_to_see() -> None:
+    narrow, wide = (random_skill(4, "some", a) for a in (paper_actions(), wider_actions()))
+    assert evaluate_skill(wide, world_of, "general-clutter", 10, 1).tried == 10
+    for skill, kind, says in (
+        (
+            narrow,
+            "general-clutter",
+            "'some' reads percepts of 7 numbers, .* general-clutter have 11",
+        ),
+        (wide, "general", "'some' reads percepts of 11 numbers, .* general have 7"),
+        (wide, "near", "of near have 7; use"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            evaluate_skill(skill, world_of, kind, 10, 1)
+
+
+def test_a_skill_within_a_skill_must_fit_too() -> None:
+    inner = random_skill(4, "inner", paper_actions())
+    actions = wider_actions().extended(["inner"], [SubSkill(inner)])
+    outer = random_skill(5, "outer", actions)
+    with pytest.raises(SettingsError, match="'inner' reads percepts of 7 numbers"):
+        evaluate_skill(outer, world_of, "general-clutter", 10, 1)

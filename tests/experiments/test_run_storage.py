@@ -1,11 +1,13 @@
 """What a run keeps comes back to the last bit."""
 
+import json
 from pathlib import Path
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from support import seeded
 from trained import Trained
 
 from cgtorch.errors import CgtorchError, RunError
@@ -22,7 +24,7 @@ from cgtorch.experiments.storage import (
 from cgtorch.experiments.train import load_progress, save_progress
 from cgtorch.graphs import skill_to_dict
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import Scenarios
+from cgtorch.world import Scenarios, cluttered_scenarios, random_scenarios
 
 
 @pytest.mark.parametrize("stage", ["start", "S0", "S1"])
@@ -92,6 +94,23 @@ def test_scenarios_of_any_numbers(rows: list[tuple[list[float], int]]) -> None:
         assert value.dtype == getattr(again, name).dtype
 
 
+@pytest.mark.parametrize("count", [0, 5])
+def test_obstacles_are_kept_and_what_has_none_is_written_as_before(count: int) -> None:
+    cluttered = cluttered_scenarios(count, seeded(0))
+    again = scenarios_from_list(json.loads(json.dumps(scenarios_to_list(cluttered))), "here")
+    for name, value in vars(cluttered).items():
+        assert count == 0 or torch.equal(value, getattr(again, name))
+    for row in scenarios_to_list(random_scenarios("near", count, seeded(0))):
+        assert list(row) == ["pose", "table", "object", "seed"]
+
+
+def test_numbers_may_be_whole() -> None:
+    (one,) = scenarios_from_list([GOOD], "here").pose.tolist()
+    assert one == [0.0, 1.5, 2.0]
+    whole = scenarios_from_list([{**GOOD, "pose": [0, 1, 2]}], "here")
+    assert whole.pose.dtype == torch.float32
+
+
 GOOD = {"pose": [0, 1.5, 2], "table": [0, 0, 0, 1, 1, 1], "object": [0, 0], "seed": 1}
 
 
@@ -108,6 +127,10 @@ GOOD = {"pose": [0, 1.5, 2], "table": [0, 0, 0, 1, 1, 1], "object": [0, 0], "see
         [{k: v for k, v in GOOD.items() if k != "seed"}],
         [{**GOOD, "pose": [0, 1]}],
         [{**GOOD, "pose": 3}],
+        [{**GOOD, "obstacles": 3}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1]]}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1, None]]}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1, 1]]}, GOOD],
         [{**GOOD, "pose": [0, 1, "2"]}],
         [{**GOOD, "pose": [0, 1, None]}],
         [{**GOOD, "pose": [0, 1, True]}],

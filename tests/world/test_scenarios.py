@@ -8,6 +8,7 @@ from cgtorch.errors import SettingsError
 from cgtorch.world import (
     EDGES,
     PLACEMENTS,
+    cluttered_scenarios,
     concatenate_scenarios,
     random_scenarios,
     stage_scenarios,
@@ -100,6 +101,18 @@ def test_batches_can_be_joined_and_taken_apart() -> None:
     assert len(whole) == 20
     for name, value in vars(whole[5:10]).items():
         assert torch.equal(value, getattr(parts[1], name))
+
+
+def test_those_without_obstacles_get_some_of_size_zero_beside_others() -> None:
+    with_some = cluttered_scenarios(4, seeded(0))
+    whole = concatenate_scenarios([stage_scenarios("near", 2), with_some, with_some[:0]])
+    assert whole.obstacles.shape == (6, 1, 5)
+    assert not whole.obstacles[:2].any()
+    assert torch.equal(whole.obstacles[2:], with_some.obstacles)
+    assert (
+        concatenate_scenarios([with_some[:0], stage_scenarios("near", 0)]).obstacles.shape[1] == 1
+    )
+    assert stage_scenarios("near", 2).obstacles.shape == (2, 0, 5)
 
 
 @pytest.mark.parametrize("placement", ["top", "", "Near", "near "])

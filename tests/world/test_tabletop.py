@@ -14,9 +14,12 @@ from cgtorch.world import (
     Noise,
     Scenarios,
     TabletopWorld,
+    cluttered_scenarios,
+    concatenate_scenarios,
     motion_possible,
     percept_of,
     random_scenarios,
+    stage_scenarios,
 )
 from cgtorch.world.tabletop import CLEARANCE, MAX_TRANSLATION
 
@@ -211,3 +214,75 @@ def test_success_asks_for_the_truth_not_for_what_is_seen() -> None:
     assert 0 < success.mean() < 1
     torch.testing.assert_close(table[:, 3:], torch.tensor([0.8, 1.2, 0.74]).expand(30, 3))
     torch.testing.assert_close(table[:, 2], -scenes.pose[:, 2])
+
+
+def in_the_way(x: float) -> Scenarios:
+    """A box 0.4 m across behind the robot, its near side at x, and another place without one."""
+    scene = stage_scenarios("near", 1)
+    box, nothing = [x - 0.2, 0.0, 0.0, 0.4, 0.4], [0.0] * 5
+    return replace(scene, obstacles=torch.tensor([[nothing, box]]))
+
+
+def test_the_base_stops_before_an_obstacle_as_before_the_table() -> None:
+    gap = 1.0 + FOOTPRINT[0]
+    environment = TabletopWorld(in_the_way(-2.4), graspable, FOOTPRINT, QUIET)
+    for x, wanted in ((gap - CLEARANCE - 1e-3, True), (gap - CLEARANCE + 1e-3, False)):
+        _, done = environment.step(lanes_of(environment), torch.tensor([[-x, 0.0, 0.0]]))
+        assert done.item() is wanted
+    # Turning beside it is blocked where a corner of the base would touch it.
+    near = TabletopWorld(in_the_way(-1.4 - 0.4), graspable, FOOTPRINT, QUIET)
+    for turn, wanted in ((math.pi / 4, False), (0.0, True)):
+        _, done = near.step(lanes_of(near), torch.tensor([[0.0, 0.0, turn]]))
+        assert done.item() is wanted
+
+
+def test_an_obstacle_is_seen_where_it_is_and_nothing_is_seen_without_noise() -> None:
+    environment = TabletopWorld(in_the_way(-2.4), graspable, FOOTPRINT)
+    assert environment.percept_size == 15
+    lanes = lanes_of(environment)
+    assert lanes.percept.shape == (1, 15)
+    for _ in range(3):
+        there = lanes.percept[0, 11:]
+        assert there.tolist() == pytest.approx([-1.4, -1.0, -0.2, 0.2], abs=0.03)
+        assert not torch.equal(there, torch.tensor([-1.4, -1.0, -0.2, 0.2]))
+        assert not lanes.percept[0, 7:11].any()
+        lanes = environment.observe(lanes)
+
+
+def test_obstacles_have_noise_of_the_same_size() -> None:
+    scenes = cluttered_scenarios(4000, seeded(0))
+    noisy, exact = (
+        lanes_of(TabletopWorld(scenes, graspable, FOOTPRINT, noise))
+        for noise in (Noise(0.01, 0.02), QUIET)
+    )
+    there = scenes.obstacles[:, 0, 3] > 0
+    blur = (noisy.percept - exact.percept)[there]
+    assert blur.mean(0).abs().max() < 0.001
+    assert blur.std(0).tolist() == pytest.approx([0.01] * 11, rel=0.1)
+    assert (torch.corrcoef(blur.T) - torch.eye(11)).abs().max() < 0.1
+    assert not noisy.percept[~there, 7:].any()
+
+
+def test_room_for_obstacles_changes_nothing_about_a_scenario() -> None:
+    """Beside cluttered scenes, the paper's meet the noise they meet alone."""
+    alone = random_scenarios("perimeter", 5, seeded(0))
+    mixed = concatenate_scenarios([cluttered_scenarios(3, seeded(1)), alone])
+    assert mixed.obstacles.shape == (8, 1, 5)
+    one, two = (TabletopWorld(s, graspable, FOOTPRINT) for s in (alone, mixed))
+    first = lanes_of(one)
+    second = start_lanes(two, torch.arange(3, 8), 3, 0)
+    control = torch.tensor([[-0.3, 0.1, 0.2]]).expand(5, 3)
+    for _ in range(3):
+        assert torch.equal(second.percept[:, :7], first.percept)
+        assert not second.percept[:, 7:].any()
+        assert torch.equal(second.state[:, :12], first.state)
+        (first, done), (second, also) = one.step(first, control), two.step(second, control)
+        assert torch.equal(done, also)
+        first, second = one.observe(first), two.observe(second)
+
+
+def test_arms_reach_over_obstacles() -> None:
+    scenes = cluttered_scenarios(50, seeded(2))
+    without = replace(scenes, obstacles=0 * scenes.obstacles)
+    one, two = (TabletopWorld(s, graspable, FOOTPRINT) for s in (scenes, without))
+    assert torch.equal(one.success(lanes_of(one)), two.success(lanes_of(two)))
