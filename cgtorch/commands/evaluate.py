@@ -2,19 +2,25 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from cgtorch.commands.command import import_from_here, run_command
 
+if TYPE_CHECKING:
+    from cgtorch.experiments.evaluate import Score
+
 EXAMPLES = """\b
 Examples:
   cgtorch-evaluate runs/reference
   cgtorch-evaluate runs/seed-0/S2 --scenarios right --count 100 --seed 3
-  cgtorch-evaluate runs/reference --scenarios general --count 1000
+  cgtorch-evaluate runs/reference --scenarios general --picture scenes.png
   cgtorch-evaluate skill.json --count 1000 --json
 """
+
+
+PICTURED = 24
 
 
 @click.command("cgtorch-evaluate", epilog=EXAMPLES)
@@ -30,6 +36,11 @@ Examples:
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
 @click.option("--actions", multiple=True, help="Further actions that the skill uses.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help=f"Also draw the first {PICTURED} scenes from above into this PNG file.",
+)
 @click.version_option(package_name="cgtorch")
 def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
@@ -55,6 +66,8 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         run, skill = last_skill(path, rest["actions"])
         world_of = run.world_of
     score = evaluate_skill(skill, world_of, scenarios, count, seed)
+    if rest["picture"]:
+        _draw(rest["picture"], score, skill.name)
     low, high = score.interval
     if as_json:
         result = {
@@ -72,6 +85,19 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         f"{skill.name} on {scenarios}: {score.successes} / {score.tried} succeeded, "
         f"{score.rate:.1%} (95 % confidence {low:.1%} to {high:.1%})"
     )
+
+
+def _draw(path: Path, score: "Score", name: str) -> None:
+    """Write the first scenes and whether they were reached as a PNG file."""
+    import io
+
+    from cgtorch.files import write_bytes
+    from cgtorch.report import draw_scenes
+
+    image = io.BytesIO()
+    some = slice(0, PICTURED)
+    draw_scenes(score.scenarios[some], score.succeeded[some], title=name).savefig(image)
+    write_bytes(path, image.getvalue())
 
 
 def main() -> None:

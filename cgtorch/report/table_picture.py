@@ -1,4 +1,4 @@
-"""The table from above: where the objects stood and which of them a skill reached."""
+"""Scenes from above: where the objects stood and which of them a skill reached."""
 
 from typing import TYPE_CHECKING
 
@@ -7,19 +7,21 @@ from torch import Tensor
 
 from cgtorch.errors import DataError
 from cgtorch.world import Scenarios
-from cgtorch.world.geometry import rotate
+from cgtorch.world.geometry import bounding_box, corners, rotate
+from cgtorch.world.percepts import present
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-GOOD, BAD, TARGET, ROBOT, TABLE, RIM = (
-    "#1a7f37", "#c62828", "#1c1f24", "#4a6fa5", "#f1e7d6", "#a58f6b",
+GOOD, BAD, TARGET, ROBOT, TABLE, RIM, OBSTACLE = (
+    "#1a7f37", "#c62828", "#1c1f24", "#4a6fa5", "#f1e7d6", "#a58f6b", "#8b929c",
 )  # fmt: skip
 FOOTPRINT = (-0.334, 0.334, -0.334, 0.334)
 AROUND = 0.25  # m of room around everything
 LONGEST = 6.0  # inches of the longer side
 MOST_ROBOTS = 60  # start poses that are drawn
+PANEL = 2.2  # inches a side, of a scene of its own
 
 
 def draw_table_top(
@@ -60,14 +62,71 @@ def draw_table_top(
     tables = torch.unique(scenarios.table, dim=0)
     for table in tables:
         _draw_table(axes, table, named=len(tables) == 1)
+    for obstacle in scenarios.obstacles.flatten(0, 1):
+        _draw_rectangle(axes, obstacle, OBSTACLE, TARGET, "obstacle")
     _draw_robots(axes, scenarios.pose, footprint)
     _draw_objects(axes, scenarios.object, good, marks)
-    figure.set_size_inches(_frame(axes, scenarios, tables, footprint))
+    figure.set_size_inches(_frame(axes, scenarios, footprint))
     axes.set_title(_caption(title, good, marks), fontsize=11, color=TARGET)
     if count:
         axes.legend(
             loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False, fontsize=9
         )
+    return figure
+
+
+def draw_scenes(
+    scenarios: Scenarios,
+    succeeded: Tensor,
+    *,
+    footprint: tuple[float, float, float, float] = FOOTPRINT,
+    columns: int = 4,
+    title: str = "",
+) -> "Figure":
+    """Each scene in a panel of its own, all in one scale, for tables that differ.
+
+    Marks are those of `draw_table_top`; obstacles are grey. The world's x is up, y to the left.
+
+    Args:
+        scenarios: the B scenarios.
+        succeeded: (B,) bool.
+        footprint: base x min, x max, y min, y max (m).
+        columns: panels side by side.
+        title: stands before the counts.
+
+    Raises:
+        DataError: another number of results than scenarios, or no scenario.
+    """
+    from matplotlib.figure import Figure
+
+    count = len(scenarios)
+    if succeeded.shape != (count,) or not count:
+        raise DataError(
+            f"{count} scenarios with results of shape {tuple(succeeded.shape)}; give at least one "
+            "scenario and a result for each"
+        )
+    good, none = succeeded.bool(), torch.zeros(1, dtype=torch.bool)
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    size = (columns * PANEL, rows * PANEL + 0.5)
+    figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
+    scenes = [scenarios[i : i + 1] for i in range(count)]
+    bounds = torch.stack([torch.stack(_bounds(scene, footprint)) for scene in scenes])
+    half = float((bounds[:, 1] - bounds[:, 0]).amax() + AROUND) / 2
+    for i, scene in enumerate(scenes):
+        axes = figure.add_subplot(rows, columns, i + 1)
+        _draw_table(axes, scene.table[0], named=False)
+        for obstacle in scene.obstacles[0]:
+            _draw_rectangle(axes, obstacle, OBSTACLE, TARGET, "obstacle")
+        _draw_robots(axes, scene.pose, footprint)
+        _draw_objects(axes, scene.object, good[i : i + 1], none)
+        x, y = bounds[i].mean(0).tolist()
+        axes.set_xlim(y + half, y - half)
+        axes.set_ylim(x - half, x + half)
+        axes.set_aspect("equal")
+        axes.set_xticks([])
+        axes.set_yticks([])
+    figure.suptitle(f"{_caption(title, good, none)}; panels {2 * half:.1f} m across", fontsize=11)
     return figure
 
 
@@ -89,15 +148,19 @@ def _on_paper(points: Tensor) -> Tensor:
     return points.flip(-1)
 
 
-def _draw_table(axes: "Axes", table: Tensor, named: bool) -> None:
+def _draw_rectangle(axes: "Axes", rectangle: Tensor, face: str, edge: str, gid: str) -> None:
+    """A rectangle (5,) of the world; one of size 0 is none."""
     from matplotlib.patches import Polygon
 
+    if bool(present(rectangle)):
+        outline = _on_paper(corners(rectangle))
+        axes.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=1.4, zorder=1, gid=gid))
+
+
+def _draw_table(axes: "Axes", table: Tensor, named: bool) -> None:
+    _draw_rectangle(axes, table[:5], TABLE, RIM, "table")
     x, y, yaw, depth, width = table[:5].tolist()
     centre, angle = torch.tensor([x, y]), torch.tensor(yaw)
-    corners = rotate(_corners((-depth / 2, depth / 2, -width / 2, width / 2)), angle) + centre
-    axes.add_patch(
-        Polygon(_on_paper(corners), facecolor=TABLE, edgecolor=RIM, lw=1.4, zorder=1, gid="table")
-    )
     if not named:
         return
     out = 0.07
@@ -174,23 +237,14 @@ def _draw_objects(axes: "Axes", placed: Tensor, good: Tensor, marks: Tensor) -> 
 def _frame(
     axes: "Axes",
     scenarios: Scenarios,
-    tables: Tensor,
     footprint: tuple[float, float, float, float],
 ) -> tuple[float, float]:
     """Limits around everything, the robot's left to the left; the size in inches that suits."""
     from matplotlib.ticker import MultipleLocator
 
-    base = max(abs(v) for v in footprint) * 1.2
-    turned = torch.stack([tables[:, 2].cos().abs(), tables[:, 2].sin().abs()], 1)
-    reach = (
-        torch.stack([(turned * tables[:, 3:5]).sum(1), (turned.flip(1) * tables[:, 3:5]).sum(1)], 1)
-        / 2
-    )
-    low = [scenarios.pose[:, :2] - base, scenarios.object, tables[:, :2] - reach]
-    high = [scenarios.pose[:, :2] + base, scenarios.object, tables[:, :2] + reach]
     size = (4.2, 4.2)
     if len(scenarios):
-        (x0, y0), (x1, y1) = torch.cat(low).amin(0).tolist(), torch.cat(high).amax(0).tolist()
+        (x0, y0), (x1, y1) = (bound.tolist() for bound in _bounds(scenarios, footprint))
         width, height = y1 - y0 + AROUND, x1 - x0 + AROUND
         axes.set_xlim(y1 + AROUND / 2, y0 - AROUND / 2)
         axes.set_ylim(x0 - AROUND / 2, x1 + AROUND / 2)
@@ -206,3 +260,15 @@ def _frame(
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     return size
+
+
+def _bounds(
+    scenarios: Scenarios, footprint: tuple[float, float, float, float]
+) -> tuple[Tensor, Tensor]:
+    """Least and largest x, y (2,) of all that is in at least one scenario."""
+    base = max(abs(v) for v in footprint) * 1.2
+    obstacles = scenarios.obstacles[present(scenarios.obstacles)]
+    boxes = bounding_box(torch.cat([scenarios.table[:, :5], obstacles]))
+    low = [scenarios.pose[:, :2] - base, scenarios.object, boxes[:, [0, 2]]]
+    high = [scenarios.pose[:, :2] + base, scenarios.object, boxes[:, [1, 3]]]
+    return torch.cat(low).amin(0), torch.cat(high).amax(0)

@@ -92,3 +92,15 @@ def test_tables_of_any_size(shell: Shell, trained: Trained) -> None:
     assert (ended.code, ended.out) == (2, "")
     assert ended.err.count("\n") == 1
     assert "'S1' reads percepts of 7 numbers, those of general-clutter have 11; use" in ended.err
+
+
+def test_a_picture_of_the_scenes(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    path = tmp_path / "scenes.png"
+    words = (trained.folder, "--count", 3, "--scenarios", "general", "--picture")
+    ended = shell(EVALUATE, *words, path)
+    assert (ended.code, ended.err) == (0, "")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    ended = shell(EVALUATE, *words, tmp_path / "nowhere" / "scenes.png")
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1
+    assert "nowhere" in ended.err

@@ -7,8 +7,15 @@ import torch
 from support import seeded
 
 from cgtorch.errors import DataError
-from cgtorch.report import draw_table_top
-from cgtorch.world import Scenarios, concatenate_scenarios, random_scenarios, stage_scenarios
+from cgtorch.report import draw_scenes, draw_table_top
+from cgtorch.world import (
+    Scenarios,
+    cluttered_scenarios,
+    concatenate_scenarios,
+    random_scenarios,
+    stage_scenarios,
+)
+from cgtorch.world.geometry import corners
 
 
 def some() -> tuple[Scenarios, torch.Tensor, torch.Tensor]:
@@ -118,3 +125,49 @@ def test_wrong_shapes_are_refused() -> None:
         draw_table_top(scenarios, torch.ones(4))
     with pytest.raises(DataError, match="targets of shape"):
         draw_table_top(scenarios, torch.ones(5), torch.ones(6))
+
+
+def test_scenes_have_a_panel_each_in_one_scale() -> None:
+    scenarios = cluttered_scenarios(7, seeded(0))
+    succeeded = torch.arange(7) < 5
+    figure = draw_scenes(scenarios, succeeded, columns=3, title="S1")
+    assert figure.get_suptitle().startswith("S1: 5 of 7 reached; panels ")
+    assert len(figure.axes) == 7
+    spans = {
+        round(float(np.ptp(limits())), 5)
+        for a in figure.axes
+        for limits in (a.get_xlim, a.get_ylim)
+    }
+    assert len(spans) == 1
+    assert float(figure.get_suptitle().split()[-3]) == pytest.approx(spans.pop(), abs=0.05)
+    there = scenarios.obstacles[:, 0, 3] > 0
+    assert 0 < int(there.sum()) < 7
+    for i, axes in enumerate(figure.axes):
+        shapes = {p.get_gid(): p.get_xy()[:4] for p in axes.patches if p.get_gid()}
+        marks = {c.get_gid(): c for c in axes.collections if c.get_gid()}
+        assert set(shapes) == {"table", "obstacle"} if there[i] else {"table"}
+        assert set(marks) == {"robots", "reached" if i < 5 else "missed"}
+        table = corners(scenarios.table[i, :5]).flip(1).numpy()
+        assert np.allclose(shapes["table"], table, atol=1e-5)
+        if there[i]:
+            box = corners(scenarios.obstacles[i, 0]).flip(1).numpy()
+            assert np.allclose(shapes["obstacle"], box, atol=1e-5)
+        everything = np.concatenate([*shapes.values(), marks["robots"].get_paths()[0].vertices])
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        assert right < everything[:, 0].min() < everything[:, 0].max() < left
+        assert bottom < everything[:, 1].min() < everything[:, 1].max() < top
+
+
+def test_obstacles_are_drawn_beside_one_table_too() -> None:
+    obstacle = torch.tensor([[[1.0, 0.0, 0.3, 0.4, 0.5]], [[0.0] * 5]])
+    scenarios = replace(stage_scenarios("near", 2), obstacles=obstacle)
+    patches = draw_table_top(scenarios, torch.ones(2)).axes[0].patches
+    assert [p.get_gid() for p in patches].count("obstacle") == 1
+
+
+def test_scenes_without_results_are_refused() -> None:
+    scenarios = stage_scenarios("near")
+    with pytest.raises(DataError, match="5 scenarios with results of shape"):
+        draw_scenes(scenarios, torch.ones(4))
+    with pytest.raises(DataError, match="at least one scenario"):
+        draw_scenes(scenarios[:0], torch.ones(0))
