@@ -1,5 +1,6 @@
 """`cgtorch-train`: evolve a skill, stage by stage, from a robot description to a tested skill."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import click
 
 from cgtorch.commands.command import import_from_here, options_of, run_command
 from cgtorch.errors import RunError, SettingsError
+from cgtorch.experiments.goal import AUTO, Goal
 from cgtorch.experiments.settings import RunSettings
 
 EXAMPLES = """\b
@@ -14,12 +16,18 @@ Examples:
   cgtorch-train --stage S2
   cgtorch-train --stage S3 --seed 1 --run-dir runs/one
   cgtorch-train --resume runs/one --stage S3
+  cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage S1 --actions my_package.actions:Wait
 """
 
 
 @click.command("cgtorch-train", epilog=EXAMPLES)
-@click.option("--stage", default="S2", show_default=True, help="Last stage to make: S0 to S3.")
+@click.option(
+    "--stage",
+    default="S2",
+    show_default=True,
+    help="Last stage to make, S0 to S3, or auto: go on until a goal is met.",
+)
 @click.option(
     "--run-dir", type=click.Path(path_type=Path), help="Folder of the run.  [runs/seed-N]"
 )
@@ -29,6 +37,7 @@ Examples:
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
 @click.option("--actions", multiple=True, help="Further action: name or package.module:Class.")
 @click.option("--quiet", is_flag=True, help="Print the final table only.")
+@options_of(Goal)
 @options_of(RunSettings, skip=("actions",))
 @click.version_option(package_name="cgtorch")
 @click.pass_context
@@ -36,32 +45,38 @@ def command(context: click.Context, /, **options: Any) -> None:
     """Evolve a robot skill: collect data, fit Γ and C, evolve, and test it in the world.
 
     A stage needs the ones before it; those the run lacks are made first. S0 reaches objects along
-    the near edge of the table, S1 the left, S2 the right, S3 the far edge.
+    the near edge of the table, S1 the left, S2 the right, S3 the far edge. With --stage auto
+    nobody sets stages: the robot tries its skill all around the table and improves it on what it
+    missed, round by round, until the target holds on fresh placements.
     """
     # Torch takes a second to import, so that help and usage errors come without it.
     from cgtorch.commands.training import begin, carry_on
 
-    names = {"stage", "run_dir", "resume", "urdf", "robot", "device", "quiet"}
+    of_goal = {f.name for f in fields(Goal)}
+    names = {"stage", "run_dir", "resume", "urdf", "robot", "device", "quiet"} | of_goal
     given = {
         name
         for name in options
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
     stage, quiet, device = options["stage"], options["quiet"], options["device"]
+    goal = Goal(**{name: options[name] for name in of_goal})
+    if stage != AUTO and (odd := sorted(given & of_goal)):
+        raise SettingsError(f"--{odd[0]} is for --stage {AUTO}; add that or leave it out")
     import_from_here(options["actions"])
     if options["resume"]:
-        if odd := sorted(given - {"resume", "stage", "quiet", "device", "actions"}):
+        if odd := sorted(given - {"resume", "stage", "quiet", "device", "actions"} - of_goal):
             raise SettingsError(
                 f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
             )
-        carry_on(options["resume"], options["actions"], stage, device, quiet)
+        carry_on(options["resume"], options["actions"], stage, goal, device, quiet)
         return
     values = {k: v for k, v in options.items() if k not in names}
     settings = RunSettings(**{**values, "actions": tuple(values["actions"])})
     folder = options["run_dir"] or Path("runs") / f"seed-{settings.seed}"
     if (folder / "run.json").is_file() and (options["urdf"] or options["robot"]):
         raise RunError(f"run {str(folder)!r} has its robot already; choose another --run-dir")
-    begin(folder, settings, options["urdf"], options["robot"], stage, device, quiet)
+    begin(folder, settings, options["urdf"], options["robot"], stage, goal, device, quiet)
 
 
 def main() -> None:

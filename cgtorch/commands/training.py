@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from cgtorch.errors import SettingsError
+from cgtorch.experiments.auto import reached, train_until
+from cgtorch.experiments.goal import AUTO, Goal
 from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import stages_up_to
@@ -20,24 +23,43 @@ def begin(
     urdf: Path | None,
     robot: Path | None,
     stage: str,
+    goal: Goal,
     device: str,
     quiet: bool,
 ) -> None:
-    """Begin a run, or make further stages of one that was begun with the same settings."""
-    stages_up_to(stage)
+    """Begin a run, or go on with one that was begun with the same settings.
+
+    Args:
+        folder: of the run.
+        settings: of the run.
+        urdf: of another robot than the PR2.
+        robot: its description.
+        stage: the last stage to make, or "auto" to go on until the goal is met.
+        goal: of "auto".
+        device: where populations are evaluated.
+        quiet: print the final table only.
+    """
+    _check(stage)
     where = device_of(device)
     if (folder / "run.json").is_file():
         run = open_run(folder, settings.actions)
         _same(run, settings)
     else:
         run = create_run(folder, settings, urdf, robot)
-    _train(run, stage, where, quiet)
+    _train(run, stage, goal, where, quiet)
 
 
-def carry_on(folder: Path, trusted: Sequence[str], stage: str, device: str, quiet: bool) -> None:
-    """Go on with a run under the settings it has."""
-    stages_up_to(stage)
-    _train(open_run(folder, trusted), stage, device_of(device), quiet)
+def carry_on(
+    folder: Path, trusted: Sequence[str], stage: str, goal: Goal, device: str, quiet: bool
+) -> None:
+    """Go on with a run under the settings it has; the arguments are those of `begin`."""
+    _check(stage)
+    _train(open_run(folder, trusted), stage, goal, device_of(device), quiet)
+
+
+def _check(stage: str) -> None:
+    if stage != AUTO:
+        stages_up_to(stage)
 
 
 def device_of(name: str) -> torch.device:
@@ -66,16 +88,17 @@ def _same(run: Run, settings: RunSettings) -> None:
             )
 
 
-def _train(run: Run, stage: str, device: torch.device, quiet: bool) -> None:
+def _train(run: Run, stage: str, goal: Goal, device: torch.device, quiet: bool) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
     with ProgressDisplay(quiet=quiet) as display:
-        missing = [s for s in stages_up_to(stage) if s not in run.stages]
+        missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
+        settings = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
         board = TensorBoardWatch(
             run.folder,
-            run.settings.to_dict(),
+            settings,
             finished_generations(run),
             actions=run.actions,
             footprint=run.robot.description.footprint,
@@ -86,8 +109,23 @@ def _train(run: Run, stage: str, device: torch.device, quiet: bool) -> None:
             display(event)
 
         try:
-            results = train(run, stage, watch, display.working, device)
+            if stage == AUTO:
+                results = train_until(run, goal, watch, display.working, device)
+            else:
+                results = train(run, stage, watch, display.working, device)
         finally:
             board.close()
-        display.say(f"run {run.folder} is complete up to {stage}")
+        display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     display.console.print(final_table(results))
+
+
+def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) -> str:
+    """What a run has come to, after its folder's name."""
+    if stage != AUTO:
+        return f"is complete up to {stage}"
+    rounds = results[len(results) - len(run.rounds) :]
+    if reached(goal, rounds):
+        return f"has reached its goal of {goal.target:.4g}"
+    if not rounds:
+        return "has made no round; raise --minutes"
+    return f"has not reached its goal of {goal.target:.4g}; go on with --resume"

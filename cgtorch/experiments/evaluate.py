@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
-from statistics import NormalDist
 
 from torch import Generator, Tensor
 
 from cgtorch.actions import BranchingNN, ContinuousNN
 from cgtorch.errors import SettingsError
+from cgtorch.experiments.interval import wilson
 from cgtorch.graphs import Skill
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios, TabletopWorld, draw_of
@@ -47,15 +46,6 @@ class Score:
     def interval(self) -> tuple[float, float]:
         """The 95 % confidence interval of the rate (Wilson 1927)."""
         return wilson(self.successes, self.tried, 0.95)
-
-
-def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
-    """The confidence interval of a share (Wilson 1927); of nothing tried, near all of [0, 1]."""
-    n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
-    rate = successes / n
-    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def evaluate_skill(

@@ -4,6 +4,7 @@ run.json            format, versions, settings
 robot/              the URDF and its description, as they were when the run began
 start/              what was known before the first stage: data, Γ, C
 S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+auto-1/ auto-2/ …   each finished round of --stage auto: the same
 summary.json        the final table
 events.out.…        TensorBoard
 """
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from itertools import takewhile
+from itertools import count, takewhile
 from pathlib import Path
 
 import torch
@@ -23,7 +24,7 @@ import cgtorch
 from cgtorch.actions import ActionSet, check_action, paper_actions, resolve_actions
 from cgtorch.errors import ActionError, RunError
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
-from cgtorch.experiments.stages import STAGES
+from cgtorch.experiments.stages import STAGES, round_name
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
@@ -56,10 +57,16 @@ class Run:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The finished stages, in order, up to the first that is missing."""
-        return tuple(
-            takewhile(lambda stage: (self.folder / stage / "skill.json").is_file(), STAGES)
-        )
+        """The finished stages, in order, up to the first that is missing, then the rounds."""
+        return (*takewhile(self._finished, STAGES), *self.rounds)
+
+    @property
+    def rounds(self) -> tuple[str, ...]:
+        """The finished rounds of `--stage auto`, in order."""
+        return tuple(takewhile(self._finished, map(round_name, count(1))))
+
+    def _finished(self, stage: str) -> bool:
+        return (self.folder / stage / "skill.json").is_file()
 
 
 def tabletop_of(robot: Robot, noise: Noise) -> Callable[[Scenarios], TabletopWorld]:

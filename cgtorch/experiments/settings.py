@@ -9,7 +9,8 @@ from cgtorch.errors import SettingsError
 METHODS = ("compose", "paper")
 
 
-def _option(default: Any, text: str) -> Any:
+def option(default: Any, text: str) -> Any:
+    """A field with its default and the help text of its command line option."""
     return field(default=default, metadata={"help": text})
 
 
@@ -21,19 +22,19 @@ class RunSettings:
         SettingsError: a value that cannot work.
     """
 
-    seed: int = _option(0, "Seed of everything random.")
-    method: str = _option("compose", "How a skill is improved: compose, or paper as published.")
-    population: int = _option(400, "Individuals in a population.")
-    generations: int = _option(150, "Most generations of one evolution.")
-    attempts: int = _option(24, "Most evolutions in one stage.")
-    tournament: int = _option(5, "Individuals in a tournament.")
-    max_transitions: int = _option(20, "Transitions after which a skill has failed.")
-    practice: int = _option(150, "Random placements practised in each stage beside the five tests.")
-    transitions: int = _option(2000, "Random transitions collected for the transition model.")
-    labels: int = _option(5500, "Grasp labels collected for the success classifier.")
-    position_noise: float = _option(0.005, "Noise of odometry and detection, m.")
-    heading_noise: float = _option(math.pi / 360, "Noise of the heading after a motion, rad.")
-    actions: tuple[str, ...] = _option((), "Further actions: names or package.module:Class.")
+    seed: int = option(0, "Seed of everything random.")
+    method: str = option("compose", "How a skill is improved: compose, or paper as published.")
+    population: int = option(400, "Individuals in a population.")
+    generations: int = option(150, "Most generations of one evolution.")
+    attempts: int = option(24, "Most evolutions in one stage.")
+    tournament: int = option(5, "Individuals in a tournament.")
+    max_transitions: int = option(20, "Transitions after which a skill has failed.")
+    practice: int = option(150, "Random placements practised in each stage beside the five tests.")
+    transitions: int = option(2000, "Random transitions collected for the transition model.")
+    labels: int = option(5500, "Grasp labels collected for the success classifier.")
+    position_noise: float = option(0.005, "Noise of odometry and detection, m.")
+    heading_noise: float = option(math.pi / 360, "Noise of the heading after a motion, rad.")
+    actions: tuple[str, ...] = option((), "Further actions: names or package.module:Class.")
 
     def __post_init__(self) -> None:
         """Check every value."""

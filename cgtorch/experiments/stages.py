@@ -1,4 +1,4 @@
-"""The four experiments of section VI, S0 to S3."""
+"""The four experiments of section VI, S0 to S3, and the rounds that go on without them."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
+from cgtorch.experiments.goal import AUTO
 from cgtorch.world import Scenarios, concatenate_scenarios, random_scenarios, stage_scenarios
 
 STAGES = {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
@@ -30,14 +31,22 @@ class Exercise:
 def stages_up_to(stage: str) -> tuple[str, ...]:
     """All stages that lead to one, itself included; SettingsError if it is unknown."""
     if stage not in STAGES:
-        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join(STAGES)}")
+        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*STAGES, AUTO))}")
     names = tuple(STAGES)
     return names[: names.index(stage) + 1]
 
 
+def round_name(number: int) -> str:
+    """The name of a round, from 1, and of the skill it makes."""
+    return f"{AUTO}-{number}"
+
+
 def stage_generator(seed: int, stage: str) -> Generator:
-    """The randomness of one stage; it does not depend on how the stages before it went."""
-    offset = list(STAGES).index(stage) + 1
+    """The randomness of one stage or round; it does not depend on how those before it went."""
+    if stage in STAGES:
+        offset = list(STAGES).index(stage) + 1
+    else:
+        offset = len(STAGES) + int(stage.removeprefix(f"{AUTO}-"))
     return Generator().manual_seed(seed * _SEED_STRIDE + offset)
 
 

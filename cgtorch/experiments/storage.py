@@ -190,6 +190,7 @@ def load_result(path: Path) -> dict[str, Any]:
         **{name: isinstance(data.get(name), str) for name in _WORDS},
         **{name: _is_count(data.get(name)) for name in _COUNTS},
         **{name: _is_score(score) for name, score in scores.items()},
+        "decisive": data.get("decisive") is None or _is_score(data["decisive"]),
         "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
     }
     for name, ok in right.items():

@@ -11,9 +11,10 @@ import torch
 from torch import Generator
 
 from cgtorch.data import collect
-from cgtorch.errors import CgtorchError
+from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
 from cgtorch.experiments.storage import (
@@ -47,6 +48,7 @@ FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
 FRESH_TRANSITIONS = 1500  # which tell the models' errors
 FRESH_LABELS = 500  # at most, as many as were learnt from
 
+METHODS = {"compose": improve, "paper": grow}
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 
@@ -55,12 +57,21 @@ class NotImprovedError(CgtorchError, RuntimeError):
     """Within its budget a stage found no skill that meets eq. 1."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Tally:
-    """What one stage cost."""
+    """What one stage cost, and the skill it accepted last."""
 
     generations: int = 0
     transitions: int = 0
+    accepted: SkillAccepted | None = None
+
+    def count(self, event: Event) -> None:
+        """Take note of what an event says."""
+        if isinstance(event, GenerationDone):
+            self.generations += 1
+            self.transitions += event.generation.transitions
+        elif isinstance(event, SkillAccepted):
+            self.accepted = event
 
 
 def train(
@@ -84,10 +95,15 @@ def train(
 
     Raises:
         NotImprovedError: a stage ended without a skill that meets eq. 1.
-        RunError: a file cannot be written or read.
+        RunError: a file cannot be written or read, or the run has gone on in rounds.
     """
     names = stages_up_to(stage)
-    progress = _begin(run, watch, working)
+    if run.rounds and not set(names) <= set(run.stages):
+        raise RunError(
+            f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "
+            f"stage; go on with --stage {AUTO} or choose another --run-dir"
+        )
+    progress = beginning(run, watch, working)
     for name in names:
         if name in run.stages:
             progress = load_progress(run, run.folder / name)
@@ -98,7 +114,7 @@ def train(
     return results
 
 
-def _begin(run: Run, watch: Watch, working: Working) -> Progress:
+def beginning(run: Run, watch: Watch, working: Working) -> Progress:
     """Data, labels and models before the first stage, made once and kept in the run."""
     start = run.folder / "start"
     if start.is_dir():
@@ -141,35 +157,35 @@ def _stage(
     setup = make_setup(run, device)
     sizes = (len(progress.solved), len(task.scenarios))
     watch(StageStarted(name, names, *sizes, setup.attempts))
-    tally, accepted = Tally(), None
+    tally = Tally()
 
     def listen(event: Event) -> None:
-        nonlocal tally, accepted
-        if isinstance(event, GenerationDone):
-            done = event.generation
-            tally = Tally(tally.generations + 1, tally.transitions + done.transitions)
-        elif isinstance(event, SkillAccepted):
-            accepted = event
+        tally.count(event)
         watch(event)
 
-    method = {"compose": improve, "paper": grow}[run.settings.method]
+    method = METHODS[run.settings.method]
 
     def draw(generator: Generator) -> Scenarios:
         return random_scenarios(STAGES[name], practice, generator)
 
     earlier = len(progress.solved)
     progress = method(setup, progress, name, task.scenarios, task.targets, draw, generator, listen)
-    if accepted is None or progress.skill is None:
-        raise NotImprovedError(
-            f"stage {name} found no skill that keeps W and solves more within "
-            f"{setup.attempts} attempts; raise --attempts, --generations or --population"
-        )
+    if tally.accepted is None:
+        raise not_improved(run, name)
     with working(f"testing {name} on fresh placements"):
-        result = _result(run, name, accepted, earlier, tally)
+        result = _result(run, name, tally.accepted, earlier, tally)
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)
         write_json(folder / "result.json", result)
     return progress
+
+
+def not_improved(run: Run, name: str) -> NotImprovedError:
+    """The error of a stage that found nothing."""
+    return NotImprovedError(
+        f"stage {name} found no skill that keeps W and solves more within "
+        f"{run.settings.attempts} attempts; raise --attempts, --generations or --population"
+    )
 
 
 def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
@@ -211,8 +227,8 @@ def _result(
         "generations": tally.generations,
         "transitions": tally.transitions,
         "seconds": round(accepted.seconds, 1),
-        "fresh": _counts(edge, fresh),
-        "perimeter": _counts("perimeter", around),
+        "fresh": counts(edge, fresh),
+        "perimeter": counts("perimeter", around),
     }
 
 
@@ -221,7 +237,8 @@ def finished_generations(run: Run) -> int:
     return sum(load_result(run.folder / name / "result.json")["generations"] for name in run.stages)
 
 
-def _counts(placement: str, score: Score) -> dict[str, Any]:
+def counts(placement: str, score: Score) -> dict[str, Any]:
+    """A score as a result.json holds it."""
     return {"placement": placement, "tried": score.tried, "succeeded": score.successes}
 
 

@@ -95,5 +95,22 @@ class SkillAccepted:
     seconds: float
 
 
-Event: TypeAlias = StageStarted | ModelsFitted | GenerationDone | WorldTested | SkillAccepted
+@dataclass(frozen=True)
+class FreshTested:
+    """A round's skill was tried on fresh placements: it solved `succeeded` of `tried`.
+
+    `target` is the share that is aimed at, `decisive` whether this is the test that says if it
+    holds.
+    """
+
+    stage: str
+    succeeded: int
+    tried: int
+    target: float
+    decisive: bool
+
+
+Event: TypeAlias = (
+    StageStarted | ModelsFitted | GenerationDone | WorldTested | SkillAccepted | FreshTested
+)
 Watch: TypeAlias = Callable[[Event], None]

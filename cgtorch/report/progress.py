@@ -15,6 +15,7 @@ from rich.text import Text
 
 from cgtorch.improvement.events import (
     Event,
+    FreshTested,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
@@ -84,6 +85,8 @@ class ProgressDisplay:
         elif isinstance(event, SkillAccepted):
             self._estimate.stage_over()
             self.say(wording.skill_accepted(event), style="green")
+        elif isinstance(event, FreshTested):
+            self.say(wording.fresh_tested(event))
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:

@@ -23,6 +23,7 @@ classifier/reliability              image       C's probabilities against freque
 models/fit_seconds                  scalar      how long fitting Γ and C took
 models/rows                         scalar      transitions that Γ is fitted on
 world/solved_W, world/solved_M      scalar      what a candidate solves in the world
+world/fresh_rate                    scalar      share of fresh placements that a round solves
 world/promised, world/kept          scalar      scenarios its group solves in models, and in world
 stage/targets                       scalar      test placements that an accepted skill reaches
 graph/best                          image       the best graph after an evolution, or as accepted
@@ -48,6 +49,7 @@ from cgtorch.evolution.population import STRATEGY
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import (
     Event,
+    FreshTested,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
@@ -134,6 +136,8 @@ class TensorBoardWatch:
             self._world(event)
         elif isinstance(event, SkillAccepted):
             self._accepted(event)
+        elif isinstance(event, FreshTested):
+            self._scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
 
     def close(self) -> None:
         """Draw what is still to be drawn, and finish the file."""

@@ -1,6 +1,12 @@
 """What events are called on the screen: one line each, without colour."""
 
-from cgtorch.improvement.events import ModelsFitted, SkillAccepted, StageStarted, WorldTested
+from cgtorch.improvement.events import (
+    FreshTested,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    WorldTested,
+)
 from cgtorch.models import TransitionQuality, TransitionReport, Verdict
 from cgtorch.report.estimate import as_time, stage_number
 
@@ -95,3 +101,13 @@ def skill_accepted(event: SkillAccepted) -> str:
         as_time(event.seconds),
     ]
     return f"{event.stage}: accepted; {', '.join(parts)}"
+
+
+def fresh_tested(event: FreshTested) -> str:
+    """The line for a skill tried on fresh placements."""
+    share = event.succeeded / max(1, event.tried)
+    kind = "to decide, " if event.decisive else ""
+    return (
+        f"{event.stage}: {kind}{event.succeeded} of {event.tried} fresh placements = {share:.1%}, "
+        f"the goal is {event.target:.4g}"
+    )

@@ -140,3 +140,27 @@ def test_an_action_of_ones_own_takes_part(
     assert own != (trained.folder / "S0" / "skill.json").read_bytes()
     ended = shell(EVALUATE, folder, "--actions", "waiting_actions:Wait", "--count", 10, "--json")
     assert json.loads(ended.out)["tried"] == 10
+
+
+def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    """What was reached is said; that more was wanted is no error."""
+    folder = copied(trained, tmp_path / "run")
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["attempts"] = 1
+    (folder / "run.json").write_text(json.dumps(about))
+    words = ["--resume", folder, "--stage", "auto", "--target", 0.9]
+    ended = shell(TRAIN, *words, "--minutes", 0)
+    assert ended.code == 0, ended
+    assert f"run {folder} has made no round; raise --minutes" in ended.err.replace("\n", " ")
+    assert not (folder / "auto-1").exists()
+    ended = shell(TRAIN, *words, "--rounds", 1)
+    assert ended.code == 0, ended
+    assert "fresh placements = " in ended.err
+    said = ended.err.replace("\n", " ")
+    assert f"run {folder} has not reached its goal of 0.9; go on with --resume" in said
+    ended = shell(EVALUATE, folder, "--count", 5, "--json")
+    assert json.loads(ended.out)["skill"] == "auto-1"
+    assert shell(EVALUATE, folder / "auto-1", "--count", 5, "--json").out == ended.out
+    assert "can have no further stage" in shell.refuses(
+        TRAIN, "--resume", folder, "--stage", "S2", "--quiet"
+    )

@@ -5,7 +5,7 @@ import torch
 from support import seeded
 
 from cgtorch.errors import SettingsError
-from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
+from cgtorch.experiments.stages import STAGES, exercise, round_name, stage_generator, stages_up_to
 from cgtorch.world import random_scenarios, stage_scenarios
 from cgtorch.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 
@@ -19,7 +19,7 @@ def test_stages_in_order() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("bad", ["S4", "s0", "", "S0 ", "near", "../S0"])
+@pytest.mark.parametrize("bad", ["S4", "s0", "", "S0 ", "near", "../S0", "auto", "auto-1"])
 def test_unknown_stages(bad: str) -> None:
     with pytest.raises(SettingsError, match=r"unknown stage .*; use one of S0, S1, S2, S3"):
         stages_up_to(bad)
@@ -62,7 +62,8 @@ def test_a_stage_has_randomness_of_its_own() -> None:
     def drawn(seed: int, stage: str) -> tuple[float, ...]:
         return tuple(torch.rand(4, generator=stage_generator(seed, stage)).tolist())
 
-    everything = {drawn(seed, stage) for seed in range(20) for stage in STAGES}
-    assert len(everything) == 80
+    names = [*STAGES, *map(round_name, range(1, 30))]
+    everything = {drawn(seed, stage) for seed in range(20) for stage in names}
+    assert len(everything) == 20 * len(names)
     assert drawn(3, "S2") == drawn(3, "S2")
     drawn(2**31 - 1, "S3")  # the largest seed that settings allow

@@ -12,6 +12,7 @@ from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.improvement.events import (
     Event,
+    FreshTested,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
@@ -88,6 +89,7 @@ def events() -> list[Event]:
     skill = compose("S1", members, parameters, actions, 20)
     result = try_skill(skill, world).succeeded
     told.append(WorldTested("S1", "S1", int(result[keep].sum()), 6, int(result[~keep].sum()), 5))
+    told.append(FreshTested("S1", 30, 40, 0.9, decisive=False))
     keep = torch.arange(len(scenarios)) < 6
     told.append(SkillAccepted("S1", skill, scenarios, result, keep, targets, 62.0))
     assert sum(isinstance(e, GenerationDone) for e in told) == GENERATIONS + 2

@@ -72,6 +72,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
         r"S1\.1: in the world W \d/6, M \d/5; of its group \d+ solved, \d+ promised by the models",
         lines[2],
     )
+    assert lines[-3] == "S1: 30 of 40 fresh placements = 75.0%, the goal is 0.9"
     accepted = events[-1]
     assert isinstance(accepted, SkillAccepted)
     targets = int(accepted.succeeded[6:].sum())

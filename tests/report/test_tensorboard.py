@@ -110,6 +110,8 @@ def test_models_and_world(written: EventAccumulator, events: list[Event]) -> Non
         assert (scalar.step, scalar.value) == (0, pytest.approx(value, rel=1e-5)), tag
     assert [s.step for s in written.Scalars("world/solved_W")] == [44, 46, 46]
     assert [s.step for s in written.Scalars("world/kept")] == [44, 46]
+    (fresh,) = written.Scalars("world/fresh_rate")
+    assert (fresh.step, fresh.value) == (46, 0.75)
     accepted = events[-1]
     assert isinstance(accepted, SkillAccepted)
     (targets,) = written.Scalars("stage/targets")

@@ -1,0 +1,74 @@
+"""What the autonomous loop aims at, and when that holds.
+
+A skill is tested again and again while it gets better, and among many looks at chance one is lucky
+in the end. So whether the goal holds is decided on placements drawn for nothing else after the
+skill was made, and the more often that was tried, the more confidence is asked for.
+"""
+
+from dataclasses import dataclass, fields
+
+from cgtorch.errors import SettingsError
+from cgtorch.experiments.interval import wilson
+from cgtorch.experiments.settings import option
+
+AUTO = "auto"
+"""What is asked for instead of a stage to have rounds, auto-1, auto-2, …, until a goal is met."""
+
+DOUBT = 0.05
+"""What all two-sided intervals of one run together leave to chance."""
+
+DECISIVE, SCREENING = 40, 10
+"""Failures expected, in the test that decides and the one before, of a skill at the target."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What to reach and what may be spent on it; a run can go on with another goal.
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    target: float = option(0.99, "With --stage auto, share of fresh placements to be solved.")
+    minutes: float = option(10.0, "With --stage auto, begin no round after so many minutes.")
+    rounds: int = option(30, "With --stage auto, the most rounds of a run.")
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        bounds = {"target": (0.5, 0.999), "minutes": (0, 1e6), "rounds": (1, 2**31 - 1)}
+        for f in fields(self):
+            value, (low, high) = getattr(self, f.name), bounds[f.name]
+            whole = type(value) is int or not isinstance(f.default, int)
+            if type(value) not in (int, float) or not whole or not low <= value <= high:
+                kind = "a whole number" if isinstance(f.default, int) else "a number"
+                raise SettingsError(f"{f.name} is {value!r:.40}; give {kind} from {low} to {high}")
+
+    @property
+    def screening(self) -> int:
+        """Placements that a skill is tried on, at most, before it is worth deciding: 1000."""
+        return round(SCREENING / (1 - self.target))
+
+    @property
+    def decisive(self) -> int:
+        """Placements of the test that decides: 4000 for 99 %."""
+        return round(DECISIVE / (1 - self.target))
+
+
+def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
+    """Whether a decisive test says that the goal is reached.
+
+    It does if the share solved is at least the target and, besides, the lower end of Wilson's
+    interval allows at most one and a half times the failures that the target does: for 99 %, it
+    is at least 98.5 %. Of the run's decisions, number j (from 1) has confidence
+    1 - 0.05 / (j (j + 1)). These sum to 0.05 however many there are, so a run whose skills are all
+    below that lower bound ends as if one had reached the goal with a probability of 2.5 % at most
+    (intervals are two-sided, and Wilson's are approximate). A goal that holds says therefore: at
+    least 98.5 % with confidence 97.5 %, and most likely 99 % or more.
+    """
+    low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
+    return tried > 0 and succeeded >= goal.target * tried and 1 - low <= 1.5 * (1 - goal.target)
+
+
+def worth_deciding(goal: Goal, succeeded: int, tried: int) -> bool:
+    """Whether a skill did so well in the test before that the one that decides is worth it."""
+    return tried >= goal.screening and succeeded >= goal.target * tried

@@ -1,0 +1,19 @@
+"""How sure a counted share is."""
+
+from math import sqrt
+from statistics import NormalDist
+
+
+def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
+    """The two-sided confidence interval of a share (Wilson 1927).
+
+    Args:
+        successes: how many succeeded.
+        tried: of how many; with 0 the interval is that of one failure.
+        confidence: in (0, 1), such as 0.95.
+    """
+    n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
+    rate = successes / n
+    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(0.0, centre - half), min(1.0, centre + half)
