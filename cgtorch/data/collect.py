@@ -5,13 +5,19 @@ from torch import Generator, Tensor
 
 from cgtorch.data.dataset import Dataset
 from cgtorch.data.labels import grasp_labels
-from cgtorch.data.poses import ARENA, WorldOf, poses_around
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, poses_around
 from cgtorch.environment import Lanes, start_lanes
 
 MAX_MOVE = 2.0  # m
 
 
-def collect(world_of: WorldOf, transitions: int, labels: int, generator: Generator) -> Dataset:
+def collect(
+    world_of: WorldOf,
+    transitions: int,
+    labels: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
+) -> Dataset:
     """Drive at random for transitions, and try grasps for labels.
 
     Args:
@@ -19,34 +25,39 @@ def collect(world_of: WorldOf, transitions: int, labels: int, generator: Generat
         transitions: how many (p, u, p′).
         labels: how many percepts with the result of a grasp.
         generator: of all random choices.
+        domain: the scenes to collect in.
 
     Raises:
         DataError: hardly any pose allows a grasp, or hardly any does not.
     """
-    percept, motion, after = drive(world_of, transitions, generator)
-    at, graspable = grasp_labels(world_of, labels, generator)
+    percept, motion, after = drive(world_of, transitions, generator, domain)
+    at, graspable = grasp_labels(world_of, labels, generator, domain)
     return Dataset(percept, motion, after, at, graspable)
 
 
 def drive(
-    world_of: WorldOf, count: int, generator: Generator, moves: int = 8
+    world_of: WorldOf,
+    count: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
+    moves: int = 8,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """`count` transitions p (n, 7), u (n, 3), p′ (n, 7) of robots driven at random.
+    """`count` transitions p (n, D), u (n, 3), p′ (n, D) of robots driven at random.
 
-    Each robot starts at a random pose around the table and makes random moves; those that the
-    table blocks or that would leave the arena are not made.
+    Each robot starts at a random pose around the table and makes random moves; those that are
+    blocked or that would leave the arena are not made.
     """
     rows: list[tuple[Tensor, Tensor, Tensor]] = []
     have = 0
     while have < count:
         robots = 2 + (count - have) // 2
-        world = world_of(poses_around(world_of, robots, generator))
+        world = world_of(poses_around(world_of, robots, generator, domain))
         lanes = start_lanes(world, torch.arange(robots), 0, 0)
         for _ in range(moves):
             motion = random_motions(robots, generator)
             before = lanes
             lanes, ok = world.step(lanes, motion)
-            ok &= lanes.state[:, :2].norm(dim=1) <= ARENA
+            ok &= lanes.state[:, :2].norm(dim=1) <= domain.arena
             lanes = _either(ok, lanes, before)
             rows.append((before.percept[ok], motion[ok], lanes.percept[ok]))
             have += int(ok.sum())

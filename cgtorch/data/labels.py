@@ -7,7 +7,7 @@ and probabilities learned from them mean what they say.
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data.poses import ARENA, WorldOf, poses_around, poses_at_object
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, poses_around, poses_at_object
 from cgtorch.environment import start_lanes
 from cgtorch.errors import DataError
 from cgtorch.world import Scenarios
@@ -24,14 +24,16 @@ PROBE = 200  # poses, at least, that show whether there is anything to learn
 
 
 def label(world_of: WorldOf, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
-    """What is seen from each pose (B, 7), and (B,) bool whether a grasp succeeds there."""
+    """What is seen from each pose (B, D), and (B,) bool whether a grasp succeeds there."""
     world = world_of(scenarios)
     lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
     return lanes.percept, world.success(lanes) > 0.5
 
 
-def grasp_labels(world_of: WorldOf, count: int, generator: Generator) -> tuple[Tensor, Tensor]:
-    """`count` percepts (n, 7) and (n,) bool labels, in random order.
+def grasp_labels(
+    world_of: WorldOf, count: int, generator: Generator, domain: Domain = PERIMETER
+) -> tuple[Tensor, Tensor]:
+    """`count` percepts (n, D) and (n,) bool labels, in random order.
 
     Some poses are drawn around the object, more of them beside the boundary between success and
     failure, and the others anywhere, so that models do not believe in grasps at places where
@@ -42,7 +44,7 @@ def grasp_labels(world_of: WorldOf, count: int, generator: Generator) -> tuple[T
     """
     anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
     first = count - anywhere - ROUNDS * beside
-    poses = poses_at_object(world_of, max(first, PROBE), generator)
+    poses = poses_at_object(world_of, max(first, PROBE), generator, domain)
     percept, graspable = label(world_of, poses)
     rate = float(graspable.float().mean())
     if not 0.01 < rate < 0.99:
@@ -52,11 +54,11 @@ def grasp_labels(world_of: WorldOf, count: int, generator: Generator) -> tuple[T
         )
     probes = len(percept)
     for _ in range(ROUNDS):
-        more = poses_at_object(world_of, CANDIDATES * beside, generator)
+        more = poses_at_object(world_of, CANDIDATES * beside, generator, domain)
         more = more[nearest_to_boundary(more, percept, graspable, beside)]
         seen, answer = label(world_of, more)
         percept, graspable = torch.cat([percept, seen]), torch.cat([graspable, answer])
-    far, fails = label(world_of, poses_around(world_of, anywhere, generator, 2 * ARENA))
+    far, fails = label(world_of, poses_around(world_of, anywhere, generator, domain, 2))
     percept = torch.cat([percept[:first], percept[probes:], far])
     graspable = torch.cat([graspable[:first], graspable[probes:], fails])
     order = torch.randperm(count, generator=generator)
@@ -70,7 +72,7 @@ def nearest_to_boundary(
 
     Args:
         scenarios: B scenarios to choose from.
-        percept: (n, 7) percepts whose labels are known, some of either label.
+        percept: (n, D) percepts whose labels are known, some of either label.
         graspable: (n,) bool, their labels.
         count: at most B.
 
@@ -85,7 +87,7 @@ def nearest_to_boundary(
 
 
 def _distance(seen: Tensor, known: Tensor) -> Tensor:
-    """Mean distance (B,) from percepts (B, 7) to the nearest few among known ones (n, 7)."""
+    """Mean distance (B,) from percepts (B, 7) to the nearest few among known ones (n, D)."""
 
     def place(percept: Tensor) -> Tensor:
         sides = percept[:, :4].clamp(-SIDES_MATTER, SIDES_MATTER)

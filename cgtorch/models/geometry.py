@@ -1,14 +1,16 @@
 """What the geometry of a percept says by itself, without data.
 
-A percept (..., 7) is the table's axis-aligned box x min, x max, y min, y max and the object's
-x, y, z; a motion (..., 3) is dx, dy and dθ: the robot translates by (dx, dy), holding its
-heading, and then turns by dθ. Metres and radians in the robot's base frame.
+The first seven numbers of a percept are the table's axis-aligned box x min, x max, y min, y max and
+the object's x, y, z; what may follow is in `cgtorch.world.percepts`. A motion (..., 3) is dx, dy
+and dθ: the robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres and
+radians in the robot's base frame.
 """
 
 import torch
 from torch import Tensor
 
 from cgtorch.errors import DataError
+from cgtorch.world.percepts import parted, table_seen
 
 COORDINATES = (
     "table x min", "table x max", "table y min", "table y max", "object x", "object y", "object z",
@@ -16,27 +18,39 @@ COORDINATES = (
 FEATURES = 4
 
 
+def coordinates(percept: Tensor) -> tuple[str, ...]:
+    """Names of the D numbers of percepts (..., D)."""
+    _, side, boxes = parted(percept)
+    sides = ("side x", "side y")[: side.shape[-1]]
+    ends = ("x min", "x max", "y min", "y max")
+    obstacles = (f"obstacle {k + 1} {end}" for k in range(boxes.shape[-2]) for end in ends)
+    return (*COORDINATES, *sides, *obstacles)
+
+
 def check_percept(percept: Tensor, motion: Tensor) -> None:
-    """Refuse percepts that are not (..., 7) or motions that are not (..., 3).
+    """Refuse percepts that are not of the tabletop or motions that are not (..., 3).
 
     Raises:
         DataError: Another last dimension.
     """
-    if percept.shape[-1:] != (7,) or motion.shape[-1:] != (3,):
+    try:
+        parted(percept)
+    except DataError as error:
         raise DataError(
-            f"percept has shape {tuple(percept.shape)} and motion {tuple(motion.shape)}; "
-            "pass (..., 7) and (..., 3)"
-        )
+            f"percept has shape {tuple(percept.shape)}; pass (..., 7): {error}"
+        ) from error
+    if motion.shape[-1:] != (3,):
+        raise DataError(f"motion has shape {tuple(motion.shape)}; pass (..., 3)")
 
 
 def to_parts(percept: Tensor) -> Tensor:
-    """Box centre x, y, extents along x, y and object x, y, z (..., 7) of a percept (..., 7)."""
+    """Box centre x, y, extents along x, y and object x, y, z (..., 7) of a percept (..., D)."""
     low, high = percept[..., 0:4:2], percept[..., 1:4:2]
-    return torch.cat([(low + high) / 2, high - low, percept[..., 4:]], dim=-1)
+    return torch.cat([(low + high) / 2, high - low, percept[..., 4:7]], dim=-1)
 
 
 def from_parts(parts: Tensor) -> Tensor:
-    """The percept (..., 7) with the given parts (..., 7), the inverse of `to_parts`."""
+    """The first numbers (..., 7) of a percept with the given parts (..., 7), of `to_parts`."""
     centre, half = parts[..., 0:2], parts[..., 2:4] / 2
     box = torch.stack([centre - half, centre + half], dim=-1)
     return torch.cat([box.flatten(-2), parts[..., 4:]], dim=-1)
@@ -78,9 +92,56 @@ def table_sides(extents: Tensor) -> Tensor:
 
 
 def turned_extents(yaw: Tensor, sides: Tensor) -> Tensor:
-    """Extents (..., 2) of the box of a rectangle of sides (2,), the first along x at yaw 0."""
+    """Extents (..., 2) of the box of a rectangle of sides (..., 2), the first along x at yaw 0."""
     c, s = yaw.cos().abs(), yaw.sin().abs()
-    return torch.stack([sides[0] * c + sides[1] * s, sides[0] * s + sides[1] * c], dim=-1)
+    a, b = sides[..., 0], sides[..., 1]
+    return torch.stack([a * c + b * s, a * s + b * c], dim=-1)
+
+
+def loosely_turned(extents: Tensor, turn: Tensor) -> Tensor:
+    """Extents (..., 2) of a box after turns (...) of the robot, of a shape that is not known.
+
+    Their sum stays and their difference turns as that of an ellipse's squared extents does: a
+    quarter turn swaps them, and half-way there they are equal.
+    """
+    total, gap = extents.sum(-1), (extents[..., 0] - extents[..., 1]) * torch.cos(2 * turn)
+    return torch.stack([total + gap, total - gap], dim=-1) / 2
+
+
+def boxes_moved(boxes: Tensor, motion: Tensor) -> Tensor:
+    """Boxes of obstacles (..., K, 4) after motions (..., 3); those that are not there stay so."""
+    parts = to_parts(torch.nn.functional.pad(boxes, (0, 3)))
+    each = motion[..., None, :]
+    moved = move_rigidly(parts, each)
+    extents = loosely_turned(parts[..., 2:4], each[..., 2])
+    centre, half = moved[..., 0:2], extents / 2
+    after = torch.stack([centre - half, centre + half], dim=-1).flatten(-2)
+    return torch.where((boxes != 0).any(-1, keepdim=True), after, torch.zeros_like(after))
+
+
+def side_turned(side: Tensor, motion: Tensor) -> Tensor:
+    """Sides of tables (..., 2 or 0), at twice their angle, after motions (..., 3)."""
+    if not side.shape[-1]:
+        return side.expand(*torch.broadcast_shapes(side.shape[:-1], motion.shape[:-1]), 0)
+    c, s = torch.cos(2 * motion[..., 2]), torch.sin(2 * motion[..., 2])
+    x, y = side[..., 0], side[..., 1]
+    return torch.stack([c * x + s * y, c * y - s * x], dim=-1)
+
+
+def tables_seen(percept: Tensor, sides: Tensor) -> tuple[Tensor, Tensor]:
+    """The two yaws (..., 2) a table may have, and its sides (2,), or (..., 2) where they are seen.
+
+    Where the percept tells the yaw, both are the same.
+
+    Args:
+        percept: (..., D).
+        sides: (2,) of the table if there is only one, short and long.
+    """
+    seven, side, _ = parted(percept)
+    if not side.shape[-1]:
+        return mirror_yaws(to_parts(seven), sides), sides
+    table = table_seen(seven, side)
+    return table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5]
 
 
 def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
@@ -115,7 +176,7 @@ def places_on_table(parts: Tensor, yaws: Tensor) -> Tensor:
 
 def boxes_after(yaws: Tensor, motion: Tensor, sides: Tensor) -> Tensor:
     """Extents (..., 2 yaws, 2) of the box after motions (..., 3), for either yaw (..., 2)."""
-    return turned_extents(yaws - motion[..., 2:3], sides)
+    return turned_extents(yaws - motion[..., 2:3], sides[..., None, :])
 
 
 def extremes(parts: Tensor, motion: Tensor, yaws: Tensor, sides: Tensor) -> Tensor:

@@ -9,9 +9,8 @@ from torch import Tensor, nn
 
 from cgtorch.errors import DataError
 from cgtorch.models import inputs
-from cgtorch.models.cells import Progress
-from cgtorch.models.grasp_features import grasp_features
-from cgtorch.models.grid_search import Choice, grid_search
+from cgtorch.models.grasp_features import FLAT, SIZES, grasp_features, used_features
+from cgtorch.models.grid_search import Choice, Progress, grid_search
 from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_values
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.scores import balanced_accuracy
@@ -68,7 +67,7 @@ class SuccessReport:
 class SuccessClassifier(nn.Module):
     """C: percept (..., D) -> probability of success (...), differentiable in the percept.
 
-    Buffers: the features' `mean` (D,) and common `scale` (D,); the machine's are in `machine`.
+    Buffers: the features' `mean` (F,) and common `scale` (F,); the machine's are in `machine`.
     """
 
     mean: Tensor
@@ -97,12 +96,14 @@ class SuccessClassifier(nn.Module):
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., F) that the machine sees."""
         self.machine._check_fitted()
-        if percept.shape[-1] != len(self.mean):
+        features, used = grasp_features(percept.to(self.mean)), len(self.mean)
+        flat = used == FLAT and features.shape[-1] == FLAT + 1 and percept.shape[-1] in SIZES
+        if features.shape[-1] != used and not flat:
             raise DataError(
-                f"a percept has {percept.shape[-1]} coordinates; the classifier was fitted on "
-                f"{len(self.mean)}"
+                f"a percept has {percept.shape[-1]} coordinates, which make {features.shape[-1]} "
+                f"features; the classifier was fitted on {used}"
             )
-        return (grasp_features(percept.to(self.mean)) - self.mean) / self.scale
+        return (features[..., :used] - self.mean) / self.scale
 
     def _load_from_state_dict(
         self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
@@ -208,7 +209,7 @@ def _standardised(rows: Tensor) -> tuple[SuccessClassifier, Tensor]:
     One scale for all features: they are lengths and weighed so that they matter about as much, and
     what hardly varies is hardly more than noise, which a scale of its own would blow up.
     """
-    features = grasp_features(rows)
+    features = grasp_features(rows)[:, : used_features(rows)]
     model = SuccessClassifier().to(rows.device)
     model.mean = features.mean(0)
     spread = features.var(0, correction=0).mean().sqrt()

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from cgtorch.errors import DataError
 from cgtorch.models import geometry, inputs
-from cgtorch.models.cells import Progress
-from cgtorch.models.grid_search import Choice, grid_search
+from cgtorch.models.grid_search import Choice, Progress, grid_search
 from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_curve
 from cgtorch.models.machine import KernelMachine
 from cgtorch.models.svr import SVR
@@ -39,9 +38,9 @@ class TransitionReport:
 
     Attributes:
         rows: Transitions it learnt from.
-        coordinates: Names of the 7 percept coordinates.
+        coordinates: Names of the D percept coordinates.
         error: Cross-validated mean absolute error of each coordinate, m.
-        rigid_error: The same for the rigid motion alone, m.
+        rigid_error: The same of a model that knows nothing of the table's shape, m.
         sides: Sides of the table (2,), m.
         decisive: Transitions that tell to which side the table was turned.
         parts: Name of the part that is learnt.
@@ -77,7 +76,7 @@ class TransitionReport:
 def transition_rows(
     percept: Any, motion: Any, next_percept: Any, max_memory: int = inputs.MAX_MEMORY
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Percepts (n, 7), motions (n, 3) and next percepts (n, 7) in float64, checked.
+    """Percepts (n, D), motions (n, 3) and next percepts (n, D) in float64, checked.
 
     Raises:
         DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
@@ -85,10 +84,10 @@ def transition_rows(
     p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(motion, "motion")
     q = inputs.as_rows(next_percept, "next_percept")
     geometry.check_percept(p, u)
-    if not len(p) == len(u) == len(q) or q.shape[1] != 7:
+    if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
         raise DataError(
             f"percept, motion and next percept have {len(p)}, {len(u)} and {len(q)} rows of "
-            f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of 7, 3 and 7"
+            f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of D, 3 and D"
         )
     inputs.check_memory(len(p), max_memory)
     return p, u, q
@@ -100,16 +99,15 @@ def which_yaw(
     """What transitions (n, ...) tell the machine: targets (n,), and (n,) bool which are decisive.
 
     The target is where the next extents lie between those of the second yaw, -1, and of the
-    first, 1.
+    first, 1. Where the percept tells the yaw, it is 0 and all transitions are worth as much.
     """
-    parts, sides = geometry.to_parts(percept), model.sides.to(percept)
-    yaws = geometry.mirror_yaws(parts, sides)
+    yaws, sides = geometry.tables_seen(percept, model.sides.to(percept))
     first, second = geometry.boxes_after(yaws, motion, sides).unbind(-2)
     half = (first - second) / 2
     size = half.norm(dim=-1)
     off = geometry.to_parts(next_percept)[..., 2:4] - (first + second) / 2
     target = ((off * half).sum(-1) / size.square().clamp_min(1e-12)).clamp(-1, 1)
-    return target, size > DECISIVE / 2
+    return target, (size > DECISIVE / 2) | (yaws[..., 0] == yaws[..., 1])
 
 
 def fit_transition_model(
@@ -130,9 +128,9 @@ def fit_transition_model(
     """Choose the hyper-parameters by cross-validation and fit Γ on all transitions.
 
     Args:
-        percept: Percepts before (n, 7), m.
+        percept: Percepts before (n, D), m.
         motion: Motions (n, 3), m and rad.
-        next_percept: Percepts after (n, 7), m.
+        next_percept: Percepts after (n, D), m.
         seed: Seed or generator of folds, subset and solver.
         folds: Number of folds.
         C: Costs to try.
@@ -184,7 +182,7 @@ def fit_transition_model(
     error, rigid_error = _settle(model, p, u, q, held_out)
     report = TransitionReport(
         rows=len(p),
-        coordinates=geometry.COORDINATES,
+        coordinates=geometry.coordinates(p),
         error=tuple(error.tolist()),
         rigid_error=tuple(rigid_error.tolist()),
         sides=tuple(model.sides.tolist()),
@@ -208,13 +206,13 @@ def _geometry_of(p: Tensor, u: Tensor, q: Tensor) -> TransitionModel:
     model = TransitionModel().to(p.device)
     before, after = geometry.to_parts(p), geometry.to_parts(q)
     model.sides = geometry.table_sides(torch.cat([before, after])[:, 2:4])
-    yaws = geometry.mirror_yaws(before, model.sides)
+    yaws, sides = geometry.tables_seen(p, model.sides)
     places = geometry.places_on_table(before, yaws)
     model.mean = places.mean(0)
     # One scale for all: they are lengths, seen with the same noise.
     spread = places.var(0, correction=0).mean().sqrt()
     model.scale = torch.where(spread > 1e-9, spread, 1.0).expand(geometry.FEATURES).clone()
-    most = geometry.extremes(before, u, yaws, model.sides).amax(0)
+    most = geometry.extremes(before, u, yaws, sides).amax(0)
     model.most = most.clamp_min(1e-3)
     return model
 
@@ -236,17 +234,18 @@ def _silence(machine: SVR, rows: Tensor) -> None:
 def _settle(
     model: TransitionModel, p: Tensor, u: Tensor, q: Tensor, held_out: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Trust turning the table only if that beats keeping its box; errors of both (7,).
+    """Trust turning the table only if that beats turning its box loosely; errors of both (D,).
 
-    The first is the error of the model as it is settled, the second that of the rigid motion.
+    The first is the error of the model as it is settled, the second without that trust.
     """
-    parts = geometry.to_parts(p)
-    yaws = geometry.mirror_yaws(parts, model.sides)
-    turned = (model.following(parts, u, yaws, held_out) - q).abs()
-    kept = (geometry.from_parts(geometry.move_rigidly(parts, u)) - q).abs()
-    better = _better(turned[:, :4].mean(1), kept[:, :4].mean(1))
+    errors = []
+    for trust in (1.0, 0.0):
+        model.trust = torch.tensor(trust).to(p)
+        errors.append((model.following(p, u, held_out) - q).abs())
+    turned, loose = errors
+    better = _better(turned[:, :4].mean(1), loose[:, :4].mean(1))
     model.trust = torch.tensor(float(better)).to(p)
-    return (turned if better else kept).mean(0), kept.mean(0)
+    return (turned if better else loose).mean(0), loose.mean(0)
 
 
 def rim(machine: KernelMachine, features: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from cgtorch.world.draws import DRAWS as DRAWS
 from cgtorch.world.draws import draw_of as draw_of
 from cgtorch.world.general import cluttered_scenarios as cluttered_scenarios
 from cgtorch.world.general import general_scenarios as general_scenarios
+from cgtorch.world.percepts import PERCEPTS as PERCEPTS
 from cgtorch.world.percepts import obstacles_seen as obstacles_seen
 from cgtorch.world.percepts import percept_of as percept_of
 from cgtorch.world.percepts import things_seen as things_seen

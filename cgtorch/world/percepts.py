@@ -1,12 +1,19 @@
-"""What there is to perceive: the paper's seven numbers, and the boxes of obstacles after them."""
+"""What there is to perceive: the paper's seven numbers, and what may follow them.
+
+A percept is the table's box x min, x max, y min, y max and the object's x, y, z (7); where it is
+to tell the table's yaw then one side of the table (2); then the box of each obstacle (4K). All in
+m, in the robot's base frame. A percept's length tells which of these it holds.
+"""
 
 import torch
 from torch import Tensor
 
+from cgtorch.errors import DataError
 from cgtorch.world.geometry import bounding_box, box_rectangle, rectangle_in_frame, to_frame
 
-TABLETOP = 7
-"""Numbers that table and object take: x min, x max, y min, y max, then x, y, z."""
+PERCEPTS = {"box": 7, "yaw": 9}
+"""Numbers that table and object take, by the percept's name."""
+TABLETOP = PERCEPTS["box"]
 BOX = 4
 """Numbers that each obstacle takes: x min, x max, y min, y max; all 0 where there is none."""
 
@@ -23,6 +30,21 @@ def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
     return torch.cat([box, to_frame(pose, placed), table[..., 5:6]], -1)
 
 
+def side_seen(pose: Tensor, table: Tensor) -> Tensor:
+    """The table's side (..., 2) that lies along its own x axis (m), without noise.
+
+    A vector as long as the side, at twice the angle from the base's x axis to the side: a side has
+    no beginning and no end, and twice its angle is the same after half a turn. The other side
+    follows from the box.
+
+    Args:
+        pose: (..., 3) base pose.
+        table: (..., 6) table in the world.
+    """
+    angle = 2 * (table[..., 2] - pose[..., 2])
+    return table[..., 3:4] * torch.stack([angle.cos(), angle.sin()], -1)
+
+
 def present(rectangle: Tensor) -> Tensor:
     """(...) bool, whether rectangles (..., 5) stand for something: they have a size."""
     return (rectangle[..., 3:5] > 0).all(-1)
@@ -37,7 +59,43 @@ def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
     return (box * present(obstacles)[..., None]).flatten(-2)
 
 
+def parted(percept: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The seven numbers (..., 7), the side (..., 2 or 0) and the boxes (..., K, 4) of a percept.
+
+    Raises:
+        DataError: it is of another length than a percept of the tabletop can have.
+    """
+    size = percept.shape[-1]
+    tabletop = next((n for n in PERCEPTS.values() if size >= n and (size - n) % BOX == 0), None)
+    if tabletop is None:
+        raise DataError(
+            f"a percept has {size} numbers; give 7, or 9 with the table's side, and 4 for each "
+            "obstacle"
+        )
+    seven, side = percept[..., :TABLETOP], percept[..., TABLETOP:tabletop]
+    return seven, side, percept[..., tabletop:].unflatten(-1, ((size - tabletop) // BOX, BOX))
+
+
+def table_seen(seven: Tensor, side: Tensor) -> Tensor:
+    """Tables (..., 5) as rectangles, from the first two parts of percepts.
+
+    Without the side it is the box itself. With it, the other side is the one that fits the box
+    best, by least squares.
+    """
+    box = box_rectangle(seven[..., :BOX])
+    if not side.shape[-1]:
+        return box
+    length, yaw = side.norm(dim=-1), torch.atan2(side[..., 1], side[..., 0]) / 2
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    other = s * (box[..., 3] - length * c) + c * (box[..., 4] - length * s)
+    return torch.cat([box[..., :2], torch.stack([yaw, length, other.clamp_min(0)], -1)], -1)
+
+
 def things_seen(percept: Tensor) -> Tensor:
-    """(..., 1 + K, 5) table and obstacles as boxes around them, from percepts (..., 7 + 4K)."""
-    boxes = torch.cat([percept[..., :BOX], percept[..., TABLETOP:]], -1)
-    return box_rectangle(boxes.unflatten(-1, (-1, BOX)))
+    """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is none.
+
+    Raises:
+        DataError: as for `parted`.
+    """
+    seven, side, boxes = parted(percept)
+    return torch.cat([table_seen(seven, side)[..., None, :], box_rectangle(boxes)], -2)

@@ -8,8 +8,17 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes
+from cgtorch.errors import SettingsError
 from cgtorch.world.geometry import moved, rectangle_in_frame, sweep_blocked, to_frame
-from cgtorch.world.percepts import BOX, TABLETOP, obstacles_seen, percept_of, present
+from cgtorch.world.percepts import (
+    BOX,
+    PERCEPTS,
+    TABLETOP,
+    obstacles_seen,
+    percept_of,
+    present,
+    side_seen,
+)
 from cgtorch.world.scenarios import Scenarios
 
 MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
@@ -71,11 +80,10 @@ def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
 class TabletopWorld:
     """An `Environment` of B scenarios in the true world.
 
-    A percept (7 + 4K,) is what `percept_of` and `obstacles_seen` say, with noise on all that is
-    there. A lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot
-    has perceived, and K obstacles. The noise of a lane depends on its scenario's seed and on that
-    count alone, so it depends neither on what else runs beside it nor on how the skill is nested
-    in another one.
+    A percept is what `cgtorch.world.percepts` says, with noise on all that is there. A lane's state
+    (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has perceived, and K
+    obstacles. The noise of a lane depends on its scenario's seed and on that count alone, so it
+    depends neither on what else runs beside it nor on how the skill is nested in another one.
     """
 
     control_size = 3
@@ -87,6 +95,7 @@ class TabletopWorld:
         footprint: tuple[float, float, float, float],
         noise: Noise = LAB_NOISE,
         looks: int = 64,
+        percept: str = "box",
     ):
         """Set up the world.
 
@@ -96,14 +105,22 @@ class TabletopWorld:
             footprint: base x min, x max, y min, y max (m).
             noise: its size, default that of a good lab robot (5 mm, 0.5°).
             looks: for how many percepts noise is drawn; later ones use it again.
+            percept: box, or yaw for one that also tells the table's yaw.
+
+        Raises:
+            SettingsError: there is no such percept.
         """
+        if percept not in PERCEPTS:
+            raise SettingsError(f"percept is {percept!r}; use one of {', '.join(PERCEPTS)}")
+        self.tabletop = PERCEPTS[percept]
         self.scenarios, self.graspable, self.looks = scenarios, graspable, looks
         self.footprint = torch.tensor(footprint)
         self.num_obstacles = scenarios.obstacles.shape[1]
-        drawn, more = draw_noise(scenarios.seed, looks, 3 + TABLETOP, BOX * self.num_obstacles)
+        sizes = (3 + TABLETOP, self.tabletop - TABLETOP, BOX * self.num_obstacles)
+        drawn, *more = draw_noise(scenarios.seed, looks, *sizes)
         scale = torch.tensor([noise.position, noise.position, noise.heading])
         self.drift = drawn[..., :3] * scale
-        self.blur = torch.cat([drawn[..., 3:], more], 2) * noise.position
+        self.blur = torch.cat([drawn[..., 3:], *more], 2) * noise.position
 
     @property
     def num_scenarios(self) -> int:
@@ -112,8 +129,8 @@ class TabletopWorld:
 
     @property
     def percept_size(self) -> int:
-        """7, and 4 for each obstacle that a scenario of this batch may have."""
-        return TABLETOP + BOX * self.num_obstacles
+        """7 or 9, and 4 for each obstacle that a scenario of this batch may have."""
+        return self.tabletop + BOX * self.num_obstacles
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
@@ -155,12 +172,14 @@ class TabletopWorld:
         return state[:, 12:].unflatten(1, (self.num_obstacles, 5))
 
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
-        """The states after one more look, and what is seen (n, 7 + 4K)."""
-        pose, obstacles = state[:, :3], self._obstacles(state)
-        exact = percept_of(pose, state[:, 3:9], state[:, 9:11])
+        """The states after one more look, and what is seen (n, D)."""
+        pose, table, obstacles = state[:, :3], state[:, 3:9], self._obstacles(state)
+        exact = percept_of(pose, table, state[:, 9:11])
+        if self.tabletop > TABLETOP:
+            exact = torch.cat([exact, side_seen(pose, table)], 1)
         blur = self.blur[scenario, self._look(state)]
-        percept = exact + blur[:, :TABLETOP]
+        percept = exact + blur[:, : self.tabletop]
         if self.num_obstacles:
-            noise = blur[:, TABLETOP:] * present(obstacles).repeat_interleave(BOX, 1)
+            noise = blur[:, self.tabletop :] * present(obstacles).repeat_interleave(BOX, 1)
             percept = torch.cat([percept, obstacles_seen(pose, obstacles) + noise], 1)
         return torch.cat([state[:, :11], state[:, 11:12] + 1, state[:, 12:]], 1), percept

@@ -2,18 +2,19 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.data import Dataset, collect
+from cgtorch.data import Dataset, collect, domain_of
 from cgtorch.data.collect import drive
-from cgtorch.data.poses import ARENA, in_table, poses_around
+from cgtorch.data.poses import ARENA, PERIMETER, in_table, poses_around
 from cgtorch.environment import Lanes
-from cgtorch.errors import DataError
-from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
+from cgtorch.errors import DataError, SettingsError
+from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 from cgtorch.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
 
 EXACT = Noise(0, 0)
@@ -113,6 +114,38 @@ def test_start_poses_are_free() -> None:
     assert len(scenarios) == 300
     assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
     assert scenarios.pose[:, :2].abs().max() <= ARENA
+
+
+@pytest.mark.parametrize(
+    ("kind", "percept", "size"), [("general", "yaw", 9), ("general-clutter", "box", 11)]
+)
+def test_data_of_other_domains(kind: str, percept: str, size: int) -> None:
+    asked: list[Scenarios] = []
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        asked.append(scenarios)
+        return TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
+
+    data = collect(watched, 200, 200, seeded(3), domain_of(kind))
+    assert data.percept.shape == data.next_percept.shape == data.grasp_percept.shape == (200, size)
+    assert data.percept[:, 6].min() < 0.65 < 0.85 < data.percept[:, 6].max()
+    for scenarios in asked:
+        assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
+        assert len(scenarios.table.unique(dim=0)) == len(scenarios)
+
+
+def test_edges_of_one_table_share_a_domain() -> None:
+    assert domain_of("near") is domain_of("perimeter") is PERIMETER
+    assert domain_of("general").arena > PERIMETER.arena
+    with pytest.raises(SettingsError, match="unknown placement 'far away'"):
+        domain_of("far away")
+
+
+def test_nobody_starts_in_an_obstacle() -> None:
+    scenes = stage_scenarios("near", 2)
+    box = torch.tensor([[[-1.4, 0.0, 0.3, 0.4, 0.4]], [[0.0] * 5]])
+    blocked = in_table(replace(scenes, obstacles=box), torch.tensor(FOOTPRINT))
+    assert blocked.tolist() == [True, False]
 
 
 def never(at: Tensor, table: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from support import FOOTPRINT, graspable, seeded, world
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.errors import SettingsError
 from cgtorch.world import (
     LAB_NOISE,
     Noise,
@@ -286,3 +287,28 @@ def test_arms_reach_over_obstacles() -> None:
     without = replace(scenes, obstacles=0 * scenes.obstacles)
     one, two = (TabletopWorld(s, graspable, FOOTPRINT) for s in (scenes, without))
     assert torch.equal(one.success(lanes_of(one)), two.success(lanes_of(two)))
+
+
+def test_a_percept_may_tell_the_tables_yaw() -> None:
+    scenes = cluttered_scenarios(500, seeded(3))
+    box, yaw = (
+        TabletopWorld(scenes, graspable, FOOTPRINT, percept=name) for name in ("box", "yaw")
+    )
+    assert (box.percept_size, yaw.percept_size) == (11, 13)
+    plain, telling = lanes_of(box), lanes_of(yaw)
+    assert torch.equal(telling.percept[:, :7], plain.percept[:, :7])
+    assert torch.equal(telling.state, plain.state)
+    exact = lanes_of(TabletopWorld(scenes, graspable, FOOTPRINT, QUIET, percept="yaw"))
+    length = exact.percept[:, 7:9].norm(dim=1)
+    torch.testing.assert_close(length, scenes.table[:, 3])
+    blur = (telling.percept - exact.percept)[:, 7:9]
+    assert blur.std(0).tolist() == pytest.approx([0.005] * 2, rel=0.1)
+    control = torch.tensor([[-0.2, 0.1, 0.3]]).expand(500, 3)
+    (one, done), (two, also) = box.step(plain, control), yaw.step(telling, control)
+    assert torch.equal(done, also)
+    assert torch.equal(one.percept[:, :7], two.percept[:, :7])
+
+
+def test_other_percepts_are_unknown() -> None:
+    with pytest.raises(SettingsError, match="percept is 'photo'; use one of box, yaw"):
+        TabletopWorld(stage_scenarios("near"), graspable, FOOTPRINT, percept="photo")
