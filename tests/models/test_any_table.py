@@ -65,7 +65,7 @@ def test_where_the_yaw_is_seen_tables_and_objects_move_exactly(fitted):
 def test_obstacles_keep_their_centres_and_absent_ones_stay_away(fitted):
     motion = torch.randn(400, 3, generator=seeded(3), dtype=torch.float64)
     quarter = torch.pi / 2
-    motion[::2, 2] = quarter * torch.randint(-2, 3, (200,), generator=seeded(4))
+    motion[::2, 2] = quarter * torch.randint(-2, 3, (200,), generator=seeded(4)).double()
     p, u, q = moved_without_noise(cluttered_scenarios(400, seeded(5)), motion)
     found, there = fitted[0](p, u), (p[:, 9:] != 0).any(1)
     assert not found[~there, 9:].any()
