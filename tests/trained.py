@@ -48,6 +48,8 @@ def trained_run(base: Path) -> Trained:
 def copied(trained: Trained, target: Path, stages: tuple[str, ...] = ("S0", "S1")) -> Path:
     """A copy of the run with some of its stages only."""
     without = {"S0", "S1"} - set(stages)
+    if not stages:
+        without.add("ledger")
     skipped = shutil.ignore_patterns("summary.json", "events*", *without)
     shutil.copytree(trained.folder, target, ignore=skipped)
     return target

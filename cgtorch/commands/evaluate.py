@@ -16,6 +16,7 @@ Examples:
   cgtorch-evaluate runs/reference
   cgtorch-evaluate runs/seed-0/S2 --scenarios right --count 100 --seed 3
   cgtorch-evaluate runs/reference --scenarios general --picture scenes.png
+  cgtorch-evaluate runs/auto --skill auto-1
   cgtorch-evaluate skill.json --count 1000 --json
 """
 
@@ -34,6 +35,7 @@ PICTURED = 24
 )
 @click.option("--count", type=click.IntRange(1, 1_000_000), default=40, show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
+@click.option("--skill", help="An earlier skill of the run, by its name in the run's ledger.")
 @click.option("--actions", multiple=True, help="Further actions that the skill uses.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option(
@@ -52,14 +54,18 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
 
     from cgtorch.actions.registry import resolve_actions
     from cgtorch.experiments.evaluate import evaluate_skill
-    from cgtorch.experiments.run import last_skill, tabletop_of
+    from cgtorch.experiments.ledger import read_entry
+    from cgtorch.experiments.run import last_skill, open_run, tabletop_of
     from cgtorch.graphs import load_skill
     from cgtorch.kinematics import load_robot
     from cgtorch.world import LAB_NOISE
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    if path.is_file():
+    if rest["skill"] is not None:
+        run = open_run(path, rest["actions"])
+        skill, world_of = read_entry(path, rest["skill"], run.actions).skill, run.world_of
+    elif path.is_file():
         skill = load_skill(path, resolve_actions(rest["actions"]))
         world_of = tabletop_of(load_robot(), LAB_NOISE)
     else:

@@ -13,6 +13,7 @@ from torch import Generator
 
 from cgtorch.experiments.evaluate import Score
 from cgtorch.experiments.goal import Goal, holds, worth_deciding
+from cgtorch.experiments.ledger import enter, entry_of
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import round_name, stage_generator
 from cgtorch.experiments.storage import load_result
@@ -119,7 +120,7 @@ def _round(
         first = act(run, progress.skill, goal.screening, generator)
         progress = _joined(progress, first)
     setup = make_setup(run, device)
-    missed, earlier = progress.missed, len(progress.solved)
+    missed, earlier, parent = progress.missed, len(progress.solved), progress.skill
     names = tuple(map(round_name, range(1, number + 1)))
     watch(StageStarted(name, names, earlier, len(missed), setup.attempts))
     tally, began = Tally(), time.perf_counter()
@@ -137,6 +138,8 @@ def _round(
         raise not_improved(run, name)
     with working(f"testing {name} on fresh placements"):
         progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
+    if tally.accepted is not None:
+        enter(run.folder, entry_of(tally.accepted, parent, progress))
     result = _result(name, skill, tally, tests, earlier, len(missed), seconds)
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)

@@ -15,6 +15,7 @@ from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.experiments.evaluate import Score, evaluate_skill
 from cgtorch.experiments.goal import AUTO
+from cgtorch.experiments.ledger import enter, entry_of
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
 from cgtorch.experiments.storage import (
@@ -168,12 +169,13 @@ def _stage(
     def draw(generator: Generator) -> Scenarios:
         return random_scenarios(STAGES[name], practice, generator)
 
-    earlier = len(progress.solved)
+    earlier, parent = len(progress.solved), progress.skill
     progress = method(setup, progress, name, task.scenarios, task.targets, draw, generator, listen)
     if tally.accepted is None:
         raise not_improved(run, name)
     with working(f"testing {name} on fresh placements"):
         result = _result(run, name, tally.accepted, earlier, tally)
+    enter(run.folder, entry_of(tally.accepted, parent, progress))
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)
         write_json(folder / "result.json", result)

@@ -53,6 +53,13 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     assert listing(trained.folder) == before
 
 
+def test_an_earlier_skill_of_the_ledger(shell: Shell, trained: Trained) -> None:
+    rest = ("--count", 12, "--seed", 4, "--json")
+    restored = shell(EVALUATE, trained.folder, "--skill", "S0", *rest)
+    assert restored.code == 0, restored
+    assert restored.out == shell(EVALUATE, trained.folder / "S0", *rest).out
+
+
 def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     path.write_bytes((trained.folder / "S1" / "skill.json").read_bytes())

@@ -148,7 +148,7 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     about = json.loads((folder / "run.json").read_text())
     about["settings"]["attempts"] = 1
     (folder / "run.json").write_text(json.dumps(about))
-    words = ["--resume", folder, "--stage", "auto", "--target", 0.9]
+    words = ["--resume", folder, "--stage", "auto", "--target", 0.98]
     ended = shell(TRAIN, *words, "--minutes", 0)
     assert ended.code == 0, ended
     assert f"run {folder} has made no round; raise --minutes" in ended.err.replace("\n", " ")
@@ -157,7 +157,7 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     assert ended.code == 0, ended
     assert "fresh placements = " in ended.err
     said = ended.err.replace("\n", " ")
-    assert f"run {folder} has not reached its goal of 0.9; go on with --resume" in said
+    assert f"run {folder} has not reached its goal of 0.98; go on with --resume" in said
     ended = shell(EVALUATE, folder, "--count", 5, "--json")
     assert json.loads(ended.out)["skill"] == "auto-1"
     assert shell(EVALUATE, folder / "auto-1", "--count", 5, "--json").out == ended.out

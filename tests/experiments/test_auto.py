@@ -21,8 +21,8 @@ from cgtorch.experiments.train import NotImprovedError, load_progress, train
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
 
-GOAL = Goal(target=0.8, rounds=2)
-"""It takes 50 placements to be tried and 200 to decide."""
+GOAL = Goal(target=0.95, rounds=2)
+"""More than two small rounds can reach."""
 
 
 def quietly(message: str) -> nullcontext[None]:
@@ -48,7 +48,7 @@ Made = tuple[Run, list[Event], list[dict[str, Any]]]
 @pytest.fixture(scope="module")
 def made(trained: Trained, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """A run of two rounds, from the start on."""
-    run = prepared(trained, tmp_path_factory.mktemp("auto") / "run")
+    run = prepared(trained, tmp_path_factory.mktemp("auto") / "run", attempts=2)
     events: list[Event] = []
     return run, events, train_until(run, GOAL, events.append, quietly)
 
@@ -63,13 +63,13 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     summary = json.loads((run.folder / "summary.json").read_text())
     assert summary["stages"] == results
     assert summary["reached"] is False
-    assert summary["target"] == 0.8
+    assert summary["target"] == 0.95
 
 
 def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
     """Eq. 1 over the rounds; whatever was met is in W or in M."""
     run, _, results = made
-    before, missed, met = 0, 50, 50
+    before, missed, met = 0, 200, 200
     for result in results:
         progress = load_progress(run, run.folder / result["stage"])
         assert progress.skill is not None
@@ -106,7 +106,7 @@ def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
 def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
     run, _, results = made
     events: list[Event] = []
-    for goal in (Goal(target=0.8, minutes=0), GOAL, Goal(target=0.8, rounds=1)):
+    for goal in (Goal(target=0.95, minutes=0), GOAL, Goal(target=0.95, rounds=1)):
         assert train_until(run, goal, events.append, quietly) == results
     assert events == []
 
@@ -136,10 +136,20 @@ def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_pat
 
 
 def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> None:
-    run = prepared(trained, tmp_path / "run", population=2, generations=1, attempts=1)
-    with pytest.raises(NotImprovedError, match="stage auto-1 found no skill"):
-        train_until(run, GOAL, ignore, quietly)
-    assert open_run(run.folder).stages == ()
+    """One generation of two individuals can be lucky, but not under every seed."""
+    hasty = {"population": 2, "generations": 1, "attempts": 1}
+
+    def gives_up(seed: int) -> bool:
+        run = prepared(trained, tmp_path / str(seed), seed=seed, **hasty)
+        try:
+            train_until(run, Goal(target=0.5, rounds=1), ignore, quietly)
+        except NotImprovedError as e:
+            assert "stage auto-1 found no skill" in str(e)
+            assert open_run(run.folder).stages == ()
+            return True
+        return False
+
+    assert any(map(gives_up, range(20)))
 
 
 def decided(succeeded: int, tried: int) -> dict[str, Any]:
