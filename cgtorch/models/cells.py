@@ -23,25 +23,8 @@ from cgtorch.models.solver import (
     solve,
 )
 
-Progress = Callable[[int, int], None]
-"""Called with the number of cells done and of all cells."""
-
 GRID_RIDGE = 1e-3
 _BATCH = 64  # problems solved together, few enough to stay in the processor's cache
-
-
-class Counter:
-    """Counts solved problems and tells the caller of finished cells."""
-
-    def __init__(self, progress: Progress | None, cells: int, problems: int) -> None:
-        self._progress, self._cells, self._each = progress, cells, problems // cells
-        self._done = 0
-
-    def add(self, problems: int) -> None:
-        """Count problems as solved."""
-        before, self._done = self._done // self._each, self._done + problems
-        if self._progress is not None and self._done // self._each > before:
-            self._progress(self._done // self._each, self._cells)
 
 
 @dataclass(frozen=True)
@@ -97,17 +80,15 @@ class Cells:
     direct: Tensor
 
 
-def solve_width(task: Task, width: float, generator: torch.Generator, counter: Counter) -> Cells:
+def solve_width(task: Task, width: float, generator: torch.Generator) -> Cells:
     """All cells at one gamma."""
     kernel = gram(task.kernel, task.rows, width, task.degree, task.coef0)
-    tubes = [_solve_tube(task, kernel, tube, generator, counter) for tube in task.tubes]
+    tubes = [_solve_tube(task, kernel, tube, generator) for tube in task.tubes]
     columns = zip(*(vars(cells).values() for cells in tubes), strict=True)
     return Cells(*(torch.stack(column) for column in columns))
 
 
-def _solve_tube(
-    task: Task, kernel: Gram, tube: Tensor, generator: torch.Generator, counter: Counter
-) -> Cells:
+def _solve_tube(task: Task, kernel: Gram, tube: Tensor, generator: torch.Generator) -> Cells:
     """All cells at one gamma and epsilon.
 
     The folds start from the same problem on all rows, solved roughly. Above the highest cost that
@@ -131,7 +112,6 @@ def _solve_tube(
             found = solve(kernel, problems, generator, begin, last=GRID_RIDGE * share)
             until = torch.where(highest & _loose(found.status), costs, part[:, 0] + 1)
             _record(task, tube, cells, part, found, until)
-            counter.add(int((until - part[:, 0]).sum()))
             more[rows] = highest & (until < costs)
             start[0][rows], start[1][rows], start[2][rows] = found.beta, found.bias, found.status
         index, start = index[more], _each(start, lambda tensor: tensor[more])  # noqa: B023

@@ -6,21 +6,30 @@ Along C each solution starts from the one before, and a solution that touches no
 every larger C unchanged.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
+import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
-from cgtorch.models.cells import Counter, Progress, Task, solve_width
+from cgtorch.models.cells import Task, solve_width
 from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
+from cgtorch.models.processes import in_processes
 from cgtorch.models.scores import SCORES
 from cgtorch.models.svc import SVC, row_weights
 from cgtorch.models.svr import SVR, units
 from cgtorch.models.threads import one_thread_each
+
+Progress = Callable[[int, int], None]
+"""Called with the number of cells done and of all cells."""
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def grid_search(
     gamma: Sequence[float],
     epsilon: Sequence[float] | None = None,
     folds: Any = 5,
-    seed: int | torch.Generator = 0,
+    seed: int | Generator = 0,
     scoring: str | None = None,
     progress: Progress | None = None,
 ) -> GridResult:
@@ -94,7 +103,7 @@ def grid_search(
         folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
         seed: Seed or generator of the folds and of the solver.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
-        progress: Called as cells are done with (done, all).
+        progress: Called as the cells of a gamma are done with (done, all).
 
     Returns:
         The scores and the choice.
@@ -128,14 +137,8 @@ def grid_search(
     scaled = (targets - mean[:, None]) / unit[:, None]
     place = numbers.to(rows.device)
     task = Task(*kernel, rows, scaled, unit, weight, place, costs, tubes, classifier)
-    cells = len(widths) * len(tubes) * len(costs)
-    counter = Counter(progress, cells, cells * len(targets) * len(masks))
-    with one_thread_each():  # the operations are short: torch's own threads would double the time
-        found = [solve_width(task, float(width), generator, counter) for width in widths]
-    held_out, gap, direct = (
-        torch.stack([getattr(part, name) for part in found])
-        for name in ("held_out", "gap", "direct")
-    )
+    found = _all_widths(task, widths, generator, model.max_memory, progress)
+    held_out, gap, direct = (torch.stack(part) for part in zip(*found, strict=True))
     held_out = held_out * unit[:, None] + mean[:, None]
     scores = torch.stack(
         [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks], dim=-1
@@ -146,7 +149,41 @@ def grid_search(
     )
 
 
-def _folds(folds: Any, targets: Tensor, classifier: bool, generator: torch.Generator) -> Tensor:
+def _all_widths(
+    task: Task, widths: Tensor, generator: Generator, memory: int, progress: Progress | None
+) -> list[list[Tensor]]:
+    """Values (E, N, K, n), gaps and directness (E, N, K) at every gamma.
+
+    The largest gammas, which have most support vectors, go first, so that no process ends late.
+    How many processes there are does not change the result.
+    """
+    order = widths.argsort(descending=True)
+    seeds = torch.randint(2**62, (len(widths),), generator=generator).tolist()
+    each = len(task.tubes) * len(task.costs)
+    finished = itertools.count(each, each)
+
+    def work(number: int) -> tuple[Array, Array, Array]:
+        place = int(order[number])
+        cells = solve_width(task, float(widths[place]), Generator().manual_seed(seeds[place]))
+        return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy(), cells.direct.cpu().numpy()
+
+    def done(_: object) -> None:
+        if progress is not None:
+            progress(next(finished), each * len(widths))
+
+    # The operations are short: torch's own threads would double the time.
+    with one_thread_each() as threads:
+        processes = min(threads, memory // inputs.memory(len(task.rows)))
+        if task.rows.device.type != "cpu":
+            processes = 1
+        found = in_processes(work, len(widths), processes, done)
+    tensors = [
+        tuple(torch.from_numpy(part).to(task.rows.device) for part in cells) for cells in found
+    ]
+    return [tensors[place] for place in order.argsort().tolist()]
+
+
+def _folds(folds: Any, targets: Tensor, classifier: bool, generator: Generator) -> Tensor:
     """Fold numbers (n,), given or drawn."""
     if not isinstance(folds, int):
         return given_folds(folds, targets.shape[1])

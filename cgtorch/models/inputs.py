@@ -88,18 +88,24 @@ def as_given(result: Tensor, example: Any) -> Any:
     return result.detach().cpu().numpy()
 
 
-def check_memory(rows: int, limit: int) -> None:
-    """Refuse a fit whose kernel matrices would not fit in `limit` bytes.
+def memory(rows: int) -> int:
+    """Bytes that a fit on so many rows takes for kernel matrices, at most.
 
     The solver keeps the kernel in float64 and, for the free rows, their rows of it, a block and its
     factor, in float32 and, where that is not enough, in float64: at most 36 bytes for each pair.
+    """
+    return 36 * rows * rows
+
+
+def check_memory(rows: int, limit: int) -> None:
+    """Refuse a fit whose kernel matrices would not fit in `limit` bytes.
 
     Raises:
         DataError: They would not.
     """
-    needed = 36 * rows * rows
+    needed = memory(rows)
     if needed > limit:
-        most = int((limit / 36) ** 0.5)
+        most = int((limit / memory(1)) ** 0.5)
         raise DataError(
             f"{rows} rows would take {needed / 1e9:.1f} GB for kernel matrices and the limit is "
             f"{limit / 1e9:.1f} GB; train on at most {most} rows or raise max_memory"

@@ -1,13 +1,18 @@
 """Newton directions for given statuses: linear systems on the free coefficients."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from cgtorch.models.gram import Gram
 from cgtorch.models.problems import Problems
 from cgtorch.models.rounded import on_bounds
 
 _SMALLEST_PIVOT = 2e-5  # of the diagonal, below which a factor in float32 is not to be trusted
+
+_SMALL = 16, 32, 64  # rows of systems that are solved together, padded with rows of zeros
 
 
 def direction(
@@ -50,7 +55,9 @@ def direction(
 def solve_free(
     gram: Gram, free: Tensor, h: Tensor, right: Tensor, precise: list[bool]
 ) -> tuple[Tensor, Tensor]:
-    """Solve (K_FF + h I) u = right_F and (K_FF + h I) v = 1 for P free sets, one by one.
+    """Solve (K_FF + h I) u = right_F and (K_FF + h I) v = 1 for P free sets.
+
+    Small systems are solved together in float64, large ones one by one.
 
     Args:
         gram: Kernel values.
@@ -63,13 +70,46 @@ def solve_free(
         u and v (P, n), 0 where not free.
     """
     u, v = torch.zeros_like(right), torch.zeros_like(right)
-    for row, ridge in enumerate(h.tolist()):
-        index = free[row].nonzero().flatten()
+    counts, ridges = free.sum(1).tolist(), h.tolist()
+    lists = free.nonzero()[:, 1].split(counts)
+    large = set(range(len(h)))
+    for most in _SMALL:
+        few = [row for row in large if counts[row] <= most]
+        if len(few) > 1:
+            large.difference_update(few)
+            large.update(_solve_together(gram, few, lists, h, right, u, v))
+    for row in sorted(large):
+        index = lists[row]
         columns = torch.ones(len(index), 2, dtype=right.dtype, device=right.device)
         columns[:, 0] = right[row, index]
-        solved, precise[row] = _solve_one(gram, index, ridge, columns, precise[row])
+        solved, precise[row] = _solve_one(gram, index, ridges[row], columns, precise[row])
         u[row, index], v[row, index] = solved[:, 0], solved[:, 1]
     return u, v
+
+
+def _solve_together(
+    gram: Gram,
+    rows: list[int],
+    lists: Sequence[Tensor],
+    h: Tensor,
+    right: Tensor,
+    u: Tensor,
+    v: Tensor,
+) -> list[int]:
+    """Write u and v (P, n) of problems `rows`, and say which are too near singular for that."""
+    index = pad_sequence([lists[row] for row in rows], batch_first=True, padding_value=-1)
+    real = index >= 0
+    index, at = index.clamp_min(0), torch.tensor(rows, device=h.device)
+    matrix = gram.matrix[index[:, :, None], index[:, None, :]]
+    matrix *= (real[:, :, None] & real[:, None, :]).to(matrix)
+    matrix.diagonal(dim1=1, dim2=2).add_(torch.where(real, h[at, None], 1.0))
+    columns = torch.stack([right[at[:, None], index] * real, real.to(right)], 2)
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    solved = torch.cholesky_solve(columns, factor)
+    good = real & (info == 0)[:, None]
+    place = at[:, None].expand_as(index)[good], index[good]
+    u[place], v[place] = solved[..., 0][good], solved[..., 1][good]
+    return [row for row, bad in zip(rows, info.tolist(), strict=True) if bad]
 
 
 def _solve_one(

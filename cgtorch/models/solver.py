@@ -29,7 +29,7 @@ FINAL_RIDGE = 1e-8
 START_RIDGE = 0.03
 """Last ridge of a solution that only starts others."""
 
-_SMALLEST_SUBSET = 200
+_SMALLEST_SUBSET = 400
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from cgtorch.errors import ModelError
 from cgtorch.models import active_set, smo, solver
+from cgtorch.models.gram import gram
+from cgtorch.models.newton import solve_free
 from cgtorch.models.problems import Problems, classification, regression
 
 
@@ -147,3 +149,21 @@ def test_take_selects_problems():
     one = torch.ones(3, dtype=torch.float64)
     problems = Problems(torch.eye(3), -torch.eye(3), torch.eye(3), one, torch.arange(3.0))
     assert problems.take(torch.tensor([2])).cap.tolist() == [2.0]
+
+
+def test_small_systems_solved_together_equal_dense_ones():
+    x = torch.randn(120, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    kernel = gram("rbf", x, 0.3)
+    sizes = [1, 2, 15, 16, 17, 33, 60, 64, 65, 110]
+    free = torch.arange(120) < torch.tensor(sizes)[:, None]
+    h = torch.logspace(-6, 0, len(sizes), dtype=torch.float64)
+    right = torch.randn(len(sizes), 120, generator=torch.Generator().manual_seed(1)).double()
+    u, v = solve_free(kernel, free, h, right, [True] * len(sizes))
+    for row, size in enumerate(sizes):
+        matrix = kernel.matrix[:size, :size] + h[row] * torch.eye(size)
+        columns = torch.stack([right[row, :size], torch.ones(size)], 1)
+        exact = torch.linalg.solve(matrix, columns)
+        torch.testing.assert_close(u[row, :size], exact[:, 0], rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(v[row, :size], exact[:, 1], rtol=1e-6, atol=1e-6)
+        assert not u[row, size:].any()
+        assert not v[row, size:].any()

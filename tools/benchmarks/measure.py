@@ -117,21 +117,26 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def in_turns(
-    works: Sequence[Work], repeats: int, clock: Clock = WALL, calls: Sequence[int] | None = None
+    works: Sequence[Work],
+    repeats: int,
+    clock: Clock = WALL,
+    calls: Sequence[int] | None = None,
+    warm_up: int = 1,
 ) -> list[Timing]:
-    """Time each of `works` `repeats` times, A B A B ..., after one call of each that is not timed.
+    """Time each of `works` `repeats` times, A B A B ..., after calls that are not timed.
 
     Args:
         works: What to time.
         repeats: Samples of each.
         clock: `WALL` or `CPU`.
         calls: Calls in one sample of each, one where not given; more for what is over in a moment.
+        warm_up: Calls of each that are not timed.
 
     Returns:
         Seconds per call of each.
     """
     counts = list(calls) if calls else [1] * len(works)
-    for work in works:
+    for work in list(works) * warm_up:
         work()
     samples: list[list[float]] = [[] for _ in works]
     for _ in range(repeats):
