@@ -9,12 +9,13 @@ them and kept as often as the box seen makes them likely; the object and the mot
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data.poses import WorldOf, poses_around
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, poses_around
+from cgtorch.models.any_table import tables_behind
 from cgtorch.models.geometry import to_parts
-from cgtorch.world import motion_possible, random_scenarios
+from cgtorch.models.placement import placement_density
+from cgtorch.world import motion_possible
 from cgtorch.world.geometry import bounding_box, moved, rectangle_in_frame, rotate
-from cgtorch.world.percepts import percept_of
-from cgtorch.world.scenarios import INSET_MAX, INSET_MIN
+from cgtorch.world.percepts import TABLETOP, percept_of
 
 _POOL = 64  # scenarios whose noise is drawn from
 _SMALLEST_BLUR = 1e-3  # m; below it the drawn tables would lie too far apart
@@ -26,6 +27,7 @@ def possible_next(
     percept: Tensor,
     motion: Tensor,
     generator: Generator,
+    domain: Domain = PERIMETER,
     candidates: int = 8192,
     samples: int = 256,
 ) -> tuple[Tensor, Tensor]:
@@ -33,71 +35,69 @@ def possible_next(
 
     Args:
         world_of: makes the world of given scenarios; its noise is used.
-        percept: (n, 7).
+        percept: (n, D).
         motion: (n, 3).
         generator: of all random choices.
-        candidates: tables drawn from the scenes.
+        domain: the scenes; either the paper's table, or any.
+        candidates: tables drawn from the scenes, where they are the paper's.
         samples: S, next percepts for each row.
 
     Returns:
-        Next percepts (n, S, 7) and their weights (n, S), each row's with sum 1.
+        Next percepts' first numbers (n, S, 7) and their weights (n, S), each row's with sum 1.
     """
-    world = world_of(random_scenarios("perimeter", _POOL, generator))
-    drift, blur = world.drift.flatten(0, 1), world.blur.flatten(0, 1)
-    deviation = float(blur.std().clamp_min(_SMALLEST_BLUR))
-    parts, shape = to_parts(percept), (len(percept), samples)
-    shapes = _likely_shapes(world_of, parts[:, 2:4], deviation, *shape[1:], candidates, generator)
-    look = torch.randint(len(blur), shape, generator=generator)
-    seen = torch.cat([percept[:, None, :4] - blur[look][..., :4], shapes.new_zeros(*shape, 3)], -1)
-    centre = to_parts(seen)[..., :2]
-    placed = percept[:, None, 4:6] - blur[look][..., 4:6]
-    rectangle = torch.cat([centre, shapes], -1)
-    weight = placement_density(rotate(placed - centre, -shapes[..., 0]), shapes[..., 1:])
+    world = world_of(domain.draw(_POOL, generator))
+    drift, blur = world.drift.flatten(0, 1), world.blur.flatten(0, 1)[:, :TABLETOP]
+    deviation, shape = float(blur.std().clamp_min(_SMALLEST_BLUR)), (len(percept), samples)
+    if domain is PERIMETER:
+        look = blur[torch.randint(len(blur), shape, generator=generator)]
+        shapes = _likely_shapes(world_of, percept, deviation, samples, candidates, generator)
+        rectangle, placed, weight = _one_table(percept, shapes, look)
+    else:
+        rectangle, placed, weight = tables_behind(percept, deviation, samples, generator)
     many = motion[:, None].expand(*shape, 3)
     free = motion_possible(many.flatten(0, 1), rectangle.flatten(0, 1), world.footprint)
-    weight = (weight + _OUTLIER) * (free.view(shape) + _OUTLIER)
-    height = percept[:, None, 6:] - blur[look][..., 6:]
+    weight = weight * (free.view(shape) + _OUTLIER)
     pick, then = (torch.randint(len(blur), shape, generator=generator) for _ in range(2))
+    # The height has the noise of both looks.
+    height = (
+        percept[:, None, 6:7] - blur[torch.randint(len(blur), shape, generator=generator)][..., 6:]
+    )
     pose = moved(torch.zeros_like(many), many + drift[pick])
     following = percept_of(pose, torch.cat([rectangle, height], -1), placed) + blur[then]
     return following, weight / weight.sum(1, keepdim=True)
 
 
+def _one_table(percept: Tensor, shapes: Tensor, look: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Tables (n, S, 5), objects (n, S, 2) and weights (n, S) of the paper's scenes.
+
+    Args:
+        percept: (n, D).
+        shapes: (n, S, 3) yaw and sides.
+        look: (n, S, 7) noise of the percept.
+    """
+    seen = percept[:, None, :TABLETOP] - look
+    centre, placed = to_parts(seen)[..., :2], seen[..., 4:6]
+    weight = placement_density(rotate(placed - centre, -shapes[..., 0]), shapes[..., 1:])
+    return torch.cat([centre, shapes], -1), placed, weight + _OUTLIER
+
+
 def _likely_shapes(
     world_of: WorldOf,
-    extents: Tensor,
+    percept: Tensor,
     deviation: float,
     samples: int,
     candidates: int,
     generator: Generator,
 ) -> Tensor:
-    """Yaw and sides (n, S, 3) of tables drawn as the world draws them, given box extents (n, 2)."""
+    """Yaw and sides (n, S, 3) of tables drawn as the world draws them, given percepts (n, D)."""
     scenes = poses_around(world_of, candidates, generator)
     tables = rectangle_in_frame(scenes.pose, scenes.table[:, :5])
     size = to_parts(torch.nn.functional.pad(bounding_box(tables), (0, 3)))[:, 2:4]
     # An extent is the difference of two numbers with noise.
-    score = -torch.cdist(extents, size).square() / (4 * deviation**2)
+    score = -torch.cdist(to_parts(percept)[:, 2:4], size).square() / (4 * deviation**2)
     chance = (score - score.amax(1, keepdim=True)).exp()
     pick = torch.multinomial(chance, samples, replacement=True, generator=generator)
     return tables[pick][..., 2:]
-
-
-def placement_density(at: Tensor, sides: Tensor) -> Tensor:
-    """Density (..., per m²) of objects at (..., 2) in the frame of a table of sides (..., 2).
-
-    That of `random_scenarios("perimeter")`: an edge is drawn by its length, then a place along it
-    and a distance from it.
-    """
-    density = torch.zeros_like(at[..., 0])
-    for axis in (0, 1):
-        long, half = sides[..., 1 - axis], sides[..., axis] / 2
-        inset = half - at[..., axis].abs()
-        for distance in (inset, 2 * half - inset):  # from the near edge and from the far one
-            inside = (distance >= INSET_MIN) & (distance <= INSET_MAX)
-            inside &= at[..., 1 - axis].abs() <= long / 2 - INSET_MIN
-            area = (INSET_MAX - INSET_MIN) * (long - 2 * INSET_MIN)
-            density = density + inside * long / (2 * sides.sum(-1) * area)
-    return density
 
 
 def weighted_median(values: Tensor, weight: Tensor) -> Tensor:

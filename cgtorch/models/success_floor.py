@@ -10,10 +10,12 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.data import label
-from cgtorch.data.poses import WorldOf, in_table
-from cgtorch.models.ambiguity import placement_density
-from cgtorch.world import Scenarios, random_scenarios
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, in_table
+from cgtorch.models.any_table import tables_behind
+from cgtorch.models.placement import placement_density
+from cgtorch.world import Scenarios
 from cgtorch.world.geometry import bounding_box, rotate
+from cgtorch.world.percepts import TABLETOP
 
 _YAWS = 1440  # of a table, which looks the same after half a turn
 _MORE = 8  # scenes drawn for each that is kept
@@ -21,47 +23,74 @@ _SMALLEST_BLUR = 1e-4  # m
 
 
 def chance_of_success(
-    world_of: WorldOf, percept: Tensor, samples: int, generator: Generator
+    world_of: WorldOf,
+    percept: Tensor,
+    samples: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
 ) -> Tensor:
     """Share (n,) of `samples` scenes behind each percept in which a grasp succeeds.
 
     Args:
         world_of: makes the world of given scenarios; its noise is used.
-        percept: (n, 7) percepts of free poses, with noise.
+        percept: (n, D) percepts of free poses, with noise.
         samples: scenes for each percept; each costs the world a label.
         generator: of all random choices.
+        domain: the scenes; either the paper's table, or any.
     """
-    scenes = scenes_behind(world_of, percept, samples, generator)
+    scenes = scenes_behind(world_of, percept, samples, generator, domain)
     return label(world_of, scenes)[1].to(percept).view(len(percept), samples).mean(1)
 
 
 def scenes_behind(
-    world_of: WorldOf, percept: Tensor, samples: int, generator: Generator
+    world_of: WorldOf,
+    percept: Tensor,
+    samples: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
 ) -> Scenarios:
-    """Scenes (n · samples) drawn from those that percepts (n, 7) leave possible, row by row.
+    """Scenes (n · samples) drawn from those that percepts (n, D) leave possible, row by row.
 
-    Objects are placed and tables shaped as `random_scenarios` does; every free pose is as likely.
+    Objects are placed and tables shaped as in the domain; every free pose is as likely. Obstacles,
+    which are reached over, are left out.
     """
-    examples = random_scenarios("perimeter", 64, generator)
+    examples = domain.draw(64, generator)
     world = world_of(examples)
-    blur, table = float(world.blur.std().clamp_min(_SMALLEST_BLUR)), examples.table[0]
+    blur = float(world.blur[..., :TABLETOP].std().clamp_min(_SMALLEST_BLUR))
     many = samples * _MORE
-    noise = blur * torch.randn(len(percept), many, 4, generator=generator)
-    low, high = percept[:, None, [0, 2]], percept[:, None, [1, 3]]
-    centre = (low + high) / 2 + noise[..., :2] / 2**0.5
-    yaw = _likely_yaw((high - low)[:, 0], table[3:5], blur, many, generator)
-    at = rotate(percept[:, None, 4:6] + noise[..., 2:] - centre, -yaw)  # in the table's frame
-    pose = torch.cat([-rotate(centre, -yaw), -yaw[..., None]], -1)
+    if domain is PERIMETER:
+        table, placed, weight = _one_table(percept, examples.table[0], blur, many, generator)
+    else:
+        table, placed, weight = tables_behind(percept, blur, many, generator)
+    yaw = table[..., 2]
+    at = rotate(placed - table[..., :2], -yaw)  # in the table's frame
+    pose = torch.cat([-rotate(table[..., :2], -yaw), -yaw[..., None]], -1)
+    seen = percept[:, 6, None] + blur * torch.randn(yaw.shape, generator=generator)
+    height = seen.clamp(*examples.table[:, 5].aminmax())[..., None]
+    shape = torch.cat([torch.zeros_like(pose), table[..., 3:5], height], -1)
     every = Scenarios(
         pose.reshape(-1, 3),
-        table.expand(yaw.numel(), -1),
+        shape.reshape(-1, 6),
         at.reshape(-1, 2),
         torch.randint(2**31, (yaw.numel(),), generator=generator),
     )
-    weight = placement_density(at, table[3:5].expand(*yaw.shape, 2))
     weight = weight * ~in_table(every, world.footprint).view(yaw.shape) + 1e-9
     kept = torch.multinomial(weight, samples, replacement=True, generator=generator)
     return every[(kept + many * torch.arange(len(percept))[:, None]).flatten()]
+
+
+def _one_table(
+    percept: Tensor, table: Tensor, blur: float, count: int, generator: Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Tables (n, count, 5), objects (n, count, 2) and weights (n, count) given a table (6,)."""
+    noise = blur * torch.randn(len(percept), count, 4, generator=generator)
+    low, high = percept[:, None, [0, 2]], percept[:, None, [1, 3]]
+    centre = (low + high) / 2 + noise[..., :2] / 2**0.5
+    placed = percept[:, None, 4:6] + noise[..., 2:]
+    yaw = _likely_yaw((high - low)[:, 0], table[3:5], blur, count, generator)
+    sides = table[3:5].expand(*yaw.shape, 2)
+    weight = placement_density(rotate(placed - centre, -yaw), sides)
+    return torch.cat([centre, yaw[..., None], sides], -1), placed, weight
 
 
 def _likely_yaw(

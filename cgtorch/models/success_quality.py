@@ -1,13 +1,13 @@
 """How good C is on fresh labels, beside how good any classifier of percepts can be."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.data import label
-from cgtorch.data.poses import WorldOf, in_table, poses_around, poses_at_object
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, in_table, poses_around, poses_at_object
 from cgtorch.models.scores import balanced_accuracy
 from cgtorch.models.success import Reliability, calibration
 from cgtorch.models.success_floor import chance_of_success
@@ -61,25 +61,30 @@ class SuccessQuality:
 
 
 def success_quality(
-    world_of: WorldOf, classifier: Callable[[Tensor], Tensor], count: int, generator: Generator
+    world_of: WorldOf,
+    classifier: Callable[[Tensor], Tensor],
+    count: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
 ) -> SuccessQuality:
     """C on fresh labels of the world.
 
     Args:
         world_of: makes the world of given scenarios.
-        classifier: percepts (n, 7) to probabilities (n,).
+        classifier: percepts (n, D) to probabilities (n,).
         count: labels near the object, as many displaced ones and as many overall; 500 take
             about 3 s with the PR2.
         generator: of all random choices.
+        domain: the scenes.
     """
-    poses = poses_at_object(world_of, count, generator)
-    moved, around = displaced(poses, generator), poses_around(world_of, count, generator)
+    poses = poses_at_object(world_of, count, generator, domain)
+    moved, around = displaced(poses, generator), poses_around(world_of, count, generator, domain)
     # One batch of labels costs far less than three.
     percept, graspable = label(world_of, concatenate_scenarios([poses, moved, around]))
     with torch.no_grad():
         chance = classifier(percept)
     truth = graspable.to(percept)
-    best = _best_chance(world_of, percept, chance, truth, generator)
+    best = _best_chance(world_of, percept, chance, truth, generator, domain)
     near, beside, overall = torch.arange(3 * count).view(3, count)
     crossed = graspable[near] != graspable[beside]
     beside = beside[crossed & ~in_table(moved, world_of(moved[:0]).footprint)]
@@ -93,13 +98,18 @@ def displaced(scenarios: Scenarios, generator: Generator) -> Scenarios:
     """The same scenes with other noise and the robot displaced a little, by `STEP`."""
     step = torch.randn(len(scenarios), 3, generator=generator) * torch.tensor(STEP)
     seed = torch.randint(2**31, (len(scenarios),), generator=generator)
-    return Scenarios(scenarios.pose + step, scenarios.table, scenarios.object, seed)
+    return replace(scenarios, pose=scenarios.pose + step, seed=seed)
 
 
 def _best_chance(
-    world_of: WorldOf, percept: Tensor, chance: Tensor, truth: Tensor, generator: Generator
+    world_of: WorldOf,
+    percept: Tensor,
+    chance: Tensor,
+    truth: Tensor,
+    generator: Generator,
+    domain: Domain,
 ) -> Tensor:
-    """Chance of success (n,) given all that a percept (n, 7) tells.
+    """Chance of success (n,) given all that a percept (n, D) tells.
 
     Scenes are only sampled where C is unsure; elsewhere the label is taken to be certain, which
     can but raise what is called possible.
@@ -107,7 +117,7 @@ def _best_chance(
     best = truth.clone()
     unsure = ((chance > _SURE) & (chance < 1 - _SURE)).nonzero()[:, 0]
     if len(unsure):
-        best[unsure] = chance_of_success(world_of, percept[unsure], _SCENES, generator)
+        best[unsure] = chance_of_success(world_of, percept[unsure], _SCENES, generator, domain)
     return best
 
 

@@ -6,12 +6,12 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.data.collect import random_motions
-from cgtorch.data.poses import ARENA, WorldOf, poses_around
+from cgtorch.data.poses import PERIMETER, Domain, WorldOf, poses_around
 from cgtorch.environment import start_lanes
 from cgtorch.models.ambiguity import possible_next, weighted_median
 from cgtorch.models.transition import TransitionModel
 from cgtorch.world.geometry import moved
-from cgtorch.world.percepts import percept_of
+from cgtorch.world.percepts import TABLETOP, percept_of
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class FreshTransitions:
     """Transitions with what really happened: percept, motion, next percept, next without noise.
 
     Attributes:
-        percept: (n, 7).
+        percept: (n, D).
         motion: (n, 3).
-        next_percept: (n, 7) as seen.
-        exact: (n, 7) as it would be without any noise of motion or of the second look.
+        next_percept: (n, D) as seen.
+        exact: (n, 7) the same without any noise of motion or of the second look.
     """
 
     percept: Tensor
@@ -64,7 +64,11 @@ class FreshTransitions:
 
 
 def transition_quality(
-    world_of: WorldOf, model: TransitionModel, count: int, generator: Generator
+    world_of: WorldOf,
+    model: TransitionModel,
+    count: int,
+    generator: Generator,
+    domain: Domain = PERIMETER,
 ) -> TransitionQuality:
     """Γ's errors on `count` fresh transitions, and their floors.
 
@@ -73,13 +77,15 @@ def transition_quality(
         model: a fitted Γ.
         count: transitions; 500 take about a second.
         generator: of all random choices.
+        domain: the scenes.
     """
-    fresh = fresh_transitions(world_of, count, generator)
-    possible, weight = possible_next(world_of, fresh.percept, fresh.motion, generator)
-    best = (weighted_median(possible, weight) - fresh.next_percept).abs()
+    fresh = fresh_transitions(world_of, count, generator, domain)
+    possible, weight = possible_next(world_of, fresh.percept, fresh.motion, generator, domain)
+    seen = fresh.next_percept[:, :TABLETOP]
+    best = (weighted_median(possible, weight) - seen).abs()
     with torch.no_grad():
-        answer = model(fresh.percept, fresh.motion)
-    error, offset = (answer - fresh.next_percept).abs(), (answer - fresh.exact).abs()
+        answer = model(fresh.percept, fresh.motion)[:, :TABLETOP]
+    error, offset = (answer - seen).abs(), (answer - fresh.exact).abs()
     table, table_best = error[:, :4].mean(1), best[:, :4].mean(1)
     placed_best = best[:, 4:6].mean(1)
     return TransitionQuality(
@@ -100,7 +106,9 @@ def _standard_error(values: Tensor) -> float:
     return float(values.std() / len(values) ** 0.5)
 
 
-def fresh_transitions(world_of: WorldOf, count: int, generator: Generator) -> FreshTransitions:
+def fresh_transitions(
+    world_of: WorldOf, count: int, generator: Generator, domain: Domain = PERIMETER
+) -> FreshTransitions:
     """`count` random motions from random poses around the table that can be carried out.
 
     Poses, motions and limits are those of `cgtorch.data.collect`.
@@ -108,13 +116,13 @@ def fresh_transitions(world_of: WorldOf, count: int, generator: Generator) -> Fr
     parts: list[tuple[Tensor, ...]] = []
     have = 0
     while have < count:
-        scenes = poses_around(world_of, 2 * (count - have) + 8, generator)
+        scenes = poses_around(world_of, 2 * (count - have) + 8, generator, domain)
         motion = random_motions(len(scenes), generator)
         world = world_of(scenes)
         before = start_lanes(world, torch.arange(len(scenes)), 0, 0)
         after, ok = world.step(before, motion)
         for state in (before.state, after.state):
-            ok = ok & (state[:, :2].norm(dim=1) <= ARENA)
+            ok = ok & (state[:, :2].norm(dim=1) <= domain.arena)
         exact = percept_of(moved(scenes.pose, motion), scenes.table, scenes.object)
         parts.append((before.percept[ok], motion[ok], after.percept[ok], exact[ok]))
         have += int(ok.sum())

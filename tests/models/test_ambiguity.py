@@ -12,8 +12,9 @@ from support import FOOTPRINT, seeded
 from cgtorch.data.collect import drive
 from cgtorch.environment import start_lanes
 from cgtorch.models import fit_transition_model, transition_quality
-from cgtorch.models.ambiguity import placement_density, possible_next, weighted_median
+from cgtorch.models.ambiguity import possible_next, weighted_median
 from cgtorch.models.geometry import to_parts
+from cgtorch.models.placement import placement_density
 from cgtorch.models.transition_quality import FreshTransitions, fresh_transitions
 from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, random_scenarios
 from cgtorch.world.geometry import bounding_box
