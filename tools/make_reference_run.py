@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent / "runs" / "reference"
-KEPT = ("run.json", "summary.json", "robot", "S0", "S1", "S2", "S3")
-"""What is kept, beside the TensorBoard file: what evaluating needs, not the data it came from."""
+KEPT = ("run.json", "summary.json", "robot", "ledger", "by_rows", "S0", "S1", "S2", "S3")
+"""What is kept, beside the TensorBoard files: what evaluating needs, not the data it came from."""
 
 
 def main() -> None:
-    """Train with seed 2 and keep the skills, the settings and the TensorBoard file."""
+    """Train with seed 2 and keep the skills, the settings and the TensorBoard files."""
     shutil.rmtree(FOLDER, ignore_errors=True)
     train = [Path(sys.executable).parent / "cgtorch-train", "--stage", "S3", "--seed", "2"]
     subprocess.run([*train, "--run-dir", FOLDER], check=True)
@@ -20,8 +20,8 @@ def main() -> None:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     for path in FOLDER.glob("S?/*.safetensors"):
         path.unlink()
-    for path in FOLDER.glob("events.out.*"):
-        path.rename(FOLDER / "events.out.tfevents.0.reference")
+    for path in FOLDER.rglob("events.out.*"):
+        path.rename(path.with_name("events.out.tfevents.0.reference"))
 
 
 if __name__ == "__main__":
