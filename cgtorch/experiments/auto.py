@@ -30,13 +30,14 @@ from cgtorch.experiments.train import (
 )
 from cgtorch.files import write_json
 from cgtorch.graphs import Skill
+from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, Watch
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios, concatenate_scenarios, random_scenarios
 
 PLACEMENT = "perimeter"
-BATCH = 200  # placements tried before the next look at how many were missed
+BATCH = 400  # placements tried before the next look at how many were missed
 ENOUGH = 12  # missed placements to learn from; a specialist's group has as many
 
 
@@ -129,6 +130,8 @@ def _round(
         tally.count(event)
         watch(event)
 
+    if parent is not None:
+        progress = replace(progress, members=specialists_of(parent))
     everything = torch.ones(len(missed), dtype=torch.bool)
     method = METHODS[run.settings.method]
     progress = method(setup, progress, name, missed, everything, _nothing, generator, listen)

@@ -57,12 +57,23 @@ def compose(
     return Skill(name, graph, both, max_transitions)
 
 
-def fewest_members(solves: Tensor, keep: Tensor) -> list[int]:
+def specialists_of(skill: Skill) -> tuple[Skill, ...]:
+    """The skills of a composed one that hold no others, at whatever level; () if there are none."""
+    found: dict[str, Skill] = {}
+    for name, sub in skill.sub_skills.items():
+        found.update({s.name: s for s in specialists_of(sub)} or {name: sub})
+    return tuple(found.values())
+
+
+def fewest_members(solves: Tensor, keep: Tensor, most: int | None = None) -> list[int]:
     """Members that together solve all that any solve, chosen greedily; few where possible.
+
+    Who adds nothing is left out: members that no longer matter, and one of two that do the same.
 
     Args:
         solves: (B, M) bool.
         keep: (M,) bool, members that stay in any case.
+        most: where more would be needed, those that solve most of it.
 
     Returns:
         Their indices, ascending.
@@ -72,7 +83,7 @@ def fewest_members(solves: Tensor, keep: Tensor) -> list[int]:
     while True:
         gain = (solves & ~covered[:, None]).sum(0)
         best = int(gain.argmax()) if len(gain) else 0
-        if not len(gain) or gain[best] == 0:
+        if not len(gain) or gain[best] == 0 or len(chosen) == most:
             return sorted(chosen)
         chosen.append(best)
         covered |= solves[:, best]

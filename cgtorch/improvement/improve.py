@@ -62,7 +62,7 @@ def improve(
     tried, result = 0, None
     for _ in range(setup.rounds):
         team, tried = _recruit_all(setup, team, task, tried, generator, watch)
-        composed = compose_team(setup, team, task, progress.skill is not None, generator, watch)
+        composed = compose_team(setup, team, task, progress, generator, watch)
         if composed is None:
             break
         skill, succeeded = composed

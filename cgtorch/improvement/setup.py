@@ -61,6 +61,7 @@ class Progress:
         missed: M, what it was tried on and failed.
         knowledge: experience and models.
         specialists: graphs evolved so far, seeds of later populations; None before the first.
+        members: skills within the last one that the next may use beside it or in its place.
     """
 
     skill: Skill | None
@@ -68,3 +69,4 @@ class Progress:
     missed: Scenarios
     knowledge: Knowledge
     specialists: Population | None = None
+    members: tuple[Skill, ...] = ()

@@ -18,6 +18,8 @@ from cgtorch.improvement.specialists import evolve_candidate, local_group
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, concatenate_scenarios
 
+FEW = 8  # members of a team: 15 nodes with the branches to them
+
 
 @dataclass(frozen=True)
 class Team:
@@ -82,14 +84,16 @@ def with_fresh(
 
 
 def first_team(setup: Setup, progress: Progress, task: Task) -> Team:
-    """The earlier skill, or nobody."""
+    """The earlier skill and those within it that may be used, or nobody."""
     if progress.skill is None:
         rates = torch.zeros(len(task.scenarios), 0)
         return Team((), rates, progress.specialists, progress.knowledge)
     rate = task.keep.float()  # W is what it succeeds on
     new = (~task.keep).nonzero()[:, 0]
     rate[new], _ = try_all(setup, progress.skill, task.scenarios[new])
-    return Team((progress.skill,), rate[:, None], progress.specialists, progress.knowledge)
+    others = [try_all(setup, member, task.scenarios)[0] for member in progress.members]
+    members, rates = (progress.skill, *progress.members), torch.stack([rate, *others], 1)
+    return Team(members, rates, progress.specialists, progress.knowledge)
 
 
 def with_noise(scenarios: Scenarios, copy: int) -> Scenarios:
@@ -177,25 +181,47 @@ def compose_team(
     setup: Setup,
     team: Team,
     task: Task,
-    has_earlier: bool,
+    progress: Progress,
     generator: Generator,
     watch: Watch,
-    tries: int = 3,
 ) -> tuple[Skill, Tensor] | None:
     """The smallest team that solves what all of it solve, under trained branches.
+
+    Where `progress` has members, teams without the earlier skill are tried first, so that skills
+    do not nest deeper with every stage; and first of all one of no more than `FEW`. The world
+    decides on each, as on any other, by all of W.
 
     Returns:
         The skill and (B,) bool what it solves in the world on the recorded noise, or None if in
         no try it solves all of W and at least one other scenario (eq. 1).
     """
-    if not team.members:
-        return None
-    stay = torch.zeros(len(team.members), dtype=torch.bool)
-    stay[0] = has_earlier
-    chosen = fewest_members(team.rates == 1, stay)
-    # The earlier skill comes last: it gets what no specialist takes.
-    order = sorted(chosen, key=lambda i: (i == 0 and has_earlier, i))
-    members, rates = [team.members[i] for i in order], team.rates[:, order]
+    solves, nobody = team.rates == 1, torch.zeros(len(team.members), dtype=torch.bool)
+    teams = []
+    if progress.members:
+        flat = (fewest_members(solves[:, 1:], nobody[1:], most) for most in (FEW, None))
+        teams += [[i + 1 for i in chosen] for chosen in flat]
+    if progress.skill is not None:
+        # The earlier skill comes last: it gets what no specialist takes.
+        first = torch.arange(len(nobody)) == 0
+        teams.append([*fewest_members(solves, first)[1:], 0])
+    elif team.members:
+        teams.append(fewest_members(solves, nobody))
+    distinct = [t for i, t in enumerate(teams) if t and t not in teams[:i]]
+    made = (composed(setup, team, task, chosen, generator, watch) for chosen in distinct)
+    return next(filter(None, made), None)
+
+
+def composed(
+    setup: Setup,
+    team: Team,
+    task: Task,
+    chosen: list[int],
+    generator: Generator,
+    watch: Watch,
+    tries: int = 3,
+) -> tuple[Skill, Tensor] | None:
+    """The `chosen` members in this order under trained branches; result as `compose_team`."""
+    members, rates = [team.members[i] for i in chosen], team.rates[:, chosen]
     _, branch = branching_action(setup.actions)
     weight = torch.where(task.keep | task.targets, 3.0, 1.0)
     for _ in range(tries):

@@ -139,17 +139,16 @@ def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> 
     """One generation of two individuals can be lucky, but not under every seed."""
     hasty = {"population": 2, "generations": 1, "attempts": 1}
 
-    def gives_up(seed: int) -> bool:
+    def error(seed: int) -> str:
         run = prepared(trained, tmp_path / str(seed), seed=seed, **hasty)
         try:
             train_until(run, Goal(target=0.5, rounds=1), ignore, quietly)
         except NotImprovedError as e:
-            assert "stage auto-1 found no skill" in str(e)
-            assert open_run(run.folder).stages == ()
-            return True
-        return False
+            return "" if run.stages else str(e)
+        return ""
 
-    assert any(map(gives_up, range(20)))
+    message = next(filter(None, map(error, range(20))))
+    assert "stage auto-1 found no skill" in message
 
 
 def decided(succeeded: int, tried: int) -> dict[str, Any]:
@@ -169,7 +168,7 @@ def test_only_the_last_round_can_reach_the_goal() -> None:
 
 
 @pytest.mark.parametrize(
-    ("most", "enough", "tried"), [(50, 12, 50), (450, 10**6, 450), (450, 1, 200), (450, 201, 400)]
+    ("most", "enough", "tried"), [(50, 12, 50), (850, 10**6, 850), (850, 1, 400), (850, 401, 800)]
 )
 def test_acting_ends_where_enough_was_missed(
     made: Made, most: int, enough: int, tried: int

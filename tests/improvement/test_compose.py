@@ -15,7 +15,7 @@ from cgtorch.environment import Lanes
 from cgtorch.errors import ActionError
 from cgtorch.graphs import Skill, from_networkx, load_skill, save_skill
 from cgtorch.graphs.view import View
-from cgtorch.improvement.compose import branching_action, compose, fewest_members
+from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
 from cgtorch.improvement.gate import sent_to, train_branches
 from cgtorch.simulation import rollout
 
@@ -172,3 +172,25 @@ def test_nobody_to_choose_from() -> None:
     assert (
         fewest_members(torch.zeros(4, 0, dtype=torch.bool), torch.zeros(0, dtype=torch.bool)) == []
     )
+
+
+@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(0, 6), st.integers(0, 6))
+def test_of_few_members_those_that_solve_most_are_taken(
+    seed: int, rows: int, count: int, most: int
+) -> None:
+    solves = torch.rand(rows, count, generator=seeded(seed)) < 0.4
+    nobody = torch.zeros(count, dtype=torch.bool)
+    everyone, few = fewest_members(solves, nobody), fewest_members(solves, nobody, most)
+    assert len(few) == min(len(everyone), most)
+    assert set(few) <= set(everyone)
+    if most >= 1 and count >= 1:
+        assert int(solves[:, few].any(1).sum()) >= int(solves.sum(0).max())
+
+
+def test_specialists_are_the_innermost_skills() -> None:
+    a, b, c = members(3)
+    first = compose("S0", [a, b], branches(2, 0), ACTIONS, 20)
+    second = compose("S1", [c, first], branches(2, 1), ACTIONS, 20)
+    assert specialists_of(a) == ()
+    assert {s.name: s for s in specialists_of(first)} == {a.name: a, b.name: b}
+    assert {s.name: s for s in specialists_of(second)} == {m.name: m for m in (a, b, c)}

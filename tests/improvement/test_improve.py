@@ -229,5 +229,50 @@ def test_a_team_that_would_lose_something_is_not_accepted(
         (solved & (torch.arange(40) > 20), True),
     ):
         task = Task("S1", scenarios, keep, nobody, percepts)
-        found = compose_team(setup, team, task, True, seeded(0), lambda event: None)
+        progress = replace(nothing_yet, skill=nearly(0.0))
+        found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
         assert (found is not None) == accepted
+
+
+def test_members_take_the_earlier_skills_place_and_idle_ones_are_dropped(
+    setup: Setup, nothing_yet: Progress
+) -> None:
+    """What is left is flat and small, and the world says that nothing of W is lost."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world, none = setup.world_of(scenarios), torch.zeros(60, dtype=torch.bool)
+    near, twin, far, useless = (
+        replace(nearly(ahead), name=name)
+        for ahead, name in ((0.25, "near"), (0.25, "twin"), (0.55, "far"), (-1.0, "useless"))
+    )
+    earlier = replace(near, name="S0")
+    members = (near, useless, twin, far)
+    results = [try_skill(m, world).succeeded for m in (earlier, *members)]
+    assert not results[2].any()
+    assert (results[4] & ~results[0]).any()
+    team = Team((earlier, *members), torch.stack(results, 1).float(), None, nothing_yet.knowledge)
+    task = Task("S1", scenarios, results[0], none, first_percepts(world))
+    progress = replace(nothing_yet, skill=earlier, members=members)
+    found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
+    assert found is not None
+    skill, succeeded = found
+    assert set(skill.sub_skills) == {"near", "far"}
+    assert (skill.num_nodes, skill.depth) == (3, 2)
+    assert torch.equal(try_skill(skill, world).succeeded, succeeded)
+    assert succeeded[results[0]].all()
+
+
+def test_where_members_would_lose_something_the_earlier_skill_stays(
+    setup: Setup, nothing_yet: Progress
+) -> None:
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world, none = setup.world_of(scenarios), torch.zeros(60, dtype=torch.bool)
+    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
+    results = [try_skill(m, world).succeeded for m in (earlier, far)]
+    assert (results[0] & ~results[1]).any()
+    team = Team((earlier, far), torch.stack(results, 1).float(), None, nothing_yet.knowledge)
+    task = Task("S1", scenarios, results[0], none, first_percepts(world))
+    progress = replace(nothing_yet, skill=earlier, members=(far,))
+    found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
+    assert found is not None
+    assert "S0" in found[0].sub_skills
+    assert found[1][results[0]].all()
