@@ -24,8 +24,9 @@ from cgtorch.models import (
     update_transition_model,
 )
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.world import motion_possible
-from cgtorch.world.geometry import box_rectangle
+from cgtorch.world import motion_possible, things_seen
+from cgtorch.world.percepts import BOX
+from cgtorch.world.percepts import parted as parts_of
 
 SWIFT_CENTRES = 128
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
@@ -114,20 +115,30 @@ def imagine(
         pick = torch.randperm(len(data.percept), generator=generator)[:1000]
         residual = data.next_percept[pick] - knowledge.swift(data.percept[pick], data.motion[pick])
     rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)
+    percepts = percepts.repeat_interleave(replicas, 0)
+    errors = residual[rows] * can_err(percepts)[:, None]
     return ModelEnvironment(
-        percepts.repeat_interleave(replicas, 0).to(device),
+        percepts.to(device),
         copy.deepcopy(knowledge.swift).to(device),
         copy.deepcopy(knowledge.classifier).to(device),
         possible_with(footprint.to(device)),
-        errors=residual[rows].to(device),
+        errors=errors.to(device),
     )
+
+
+def can_err(percept: Tensor) -> Tensor:
+    """(n, D) 1, or 0 for the boxes of obstacles that are not there: they are never seen."""
+    _, _, boxes = parts_of(percept)
+    there = (boxes != 0).any(-1).repeat_interleave(BOX, -1)
+    size = percept.shape[-1] - there.shape[-1]
+    return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
 
 
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 
 
 def possible_with(footprint: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
-    """MoveBase's own check on percepts: the way must be clear of the box seen around the table.
+    """MoveBase's own check on percepts: the way must be clear of table and obstacles as seen.
 
     It asks for `MARGIN` more room than the world does, so that a way which is possible in the
     models is not blocked by the noise of the world.
@@ -135,7 +146,7 @@ def possible_with(footprint: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
     wider = footprint + footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
 
     def possible(percept: Tensor, motion: Tensor) -> Tensor:
-        return motion_possible(motion, box_rectangle(percept[:, :4]), wider)
+        return motion_possible(motion, things_seen(percept), wider)
 
     return possible
 

@@ -10,7 +10,7 @@ from members import nearly
 from support import FOOTPRINT, seeded, world
 from torch import Tensor
 
-from cgtorch.data import Dataset, collect
+from cgtorch.data import Dataset, collect, domain_of
 from cgtorch.environment import start_lanes
 from cgtorch.improvement.knowledge import (
     ASIDE,
@@ -20,6 +20,7 @@ from cgtorch.improvement.knowledge import (
     imagine,
     learn,
     parted,
+    possible_with,
     sampled,
     taken,
 )
@@ -27,7 +28,7 @@ from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
 from cgtorch.improvement.team import try_all, with_noise
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
+from cgtorch.world import Scenarios, TabletopWorld, cluttered_scenarios, random_scenarios
 
 
 def reachable(at: Tensor, table: Tensor) -> Tensor:
@@ -78,6 +79,41 @@ def test_imagined_tables_are_in_the_way(knowledge: Knowledge) -> None:
         after, done = place.step(lanes, motion)
         assert done.tolist() == [free] * 4
         assert free or torch.equal(after.percept, lanes.percept)
+
+
+def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
+    """A square table of 1 m, turned by 45°, whose box is also in the way where it is not."""
+    half = 0.5**0.5
+    seven = [1.2 - half, 1.2 + half, -half, half, 1.2, 0.0, 0.8]
+    turned, behind, none = [0.0, 1.0], [-1.0, -0.5, -0.2, 0.2], [0.0] * 4
+    possible = possible_with(torch.tensor(FOOTPRINT))
+    forwards, aside, back = [0.6, 0.0, 0.0], [0.2, 0.9, 0.0], [-0.4, 0.0, 0.0]
+    for extra, free in (
+        ([], [False, False, True]),
+        (turned, [False, True, True]),
+        (turned + behind, [False, True, False]),
+        (turned + none, [False, True, True]),
+    ):
+        percept = torch.tensor([seven + extra]).repeat(3, 1)
+        assert possible(percept, torch.tensor([forwards, aside, back])).tolist() == free
+
+
+def test_obstacles_that_are_not_there_are_never_imagined() -> None:
+    def seeing_yaw(scenarios: Scenarios) -> TabletopWorld:
+        return TabletopWorld(scenarios, reachable, FOOTPRINT, percept="yaw")
+
+    domain = domain_of("general-clutter")
+    knowledge = fit_models(collect(seeing_yaw, 80, 120, seeded(0), domain), seed=0)
+    percepts = first_percepts(seeing_yaw(cluttered_scenarios(12, seeded(1))))
+    there = (percepts[:, 9:] != 0).any(1)
+    assert 0 < int(there.sum()) < 12
+    place = imagine(knowledge, percepts, torch.tensor(FOOTPRINT), 1, seeded(2))
+    assert place.errors is not None
+    assert place.errors[:, :, :9].abs().amin(2).gt(0).all()
+    lanes = start_lanes(place, torch.arange(12), 0, 0)
+    for _ in range(3):
+        lanes, _ = place.step(lanes, torch.tensor([[0.01, 0.0, 0.2]]).repeat(12, 1))
+    assert torch.equal((lanes.percept[:, 9:] != 0).any(1), there)
 
 
 def test_imagining_leaves_the_models_alone(knowledge: Knowledge) -> None:
