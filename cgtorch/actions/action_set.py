@@ -122,7 +122,8 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
             )
 
 
-def paper_actions() -> ActionSet:
-    """The five actions of section VI."""
-    actions = (MoveBase(), Detect(), Grasp(), ContinuousNN(), BranchingNN())
+def paper_actions(percept_size: int = 7) -> ActionSet:
+    """The five actions of section VI, with networks that read percepts of that length."""
+    networks = ContinuousNN(percept_size), BranchingNN(percept_size)
+    actions = (MoveBase(), Detect(), Grasp(), *networks)
     return ActionSet(tuple(type(a).__name__ for a in actions), actions)

@@ -11,7 +11,7 @@ from cgtorch.experiments.auto import reached, train_until
 from cgtorch.experiments.goal import AUTO, Goal
 from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.stages import stages_up_to
+from cgtorch.experiments.stages import check_stages, stages_up_to
 from cgtorch.experiments.train import finished_generations, train
 from cgtorch.improvement.events import Event
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
@@ -39,7 +39,7 @@ def begin(
         device: where populations are evaluated.
         quiet: print the final table only.
     """
-    _check(stage)
+    _check(stage, settings)
     where = device_of(device)
     if (folder / "run.json").is_file():
         run = open_run(folder, settings.actions)
@@ -53,13 +53,15 @@ def carry_on(
     folder: Path, trusted: Sequence[str], stage: str, goal: Goal, device: str, quiet: bool
 ) -> None:
     """Go on with a run under the settings it has; the arguments are those of `begin`."""
-    _check(stage)
-    _train(open_run(folder, trusted), stage, goal, device_of(device), quiet)
+    run = open_run(folder, trusted)
+    _check(stage, run.settings)
+    _train(run, stage, goal, device_of(device), quiet)
 
 
-def _check(stage: str) -> None:
+def _check(stage: str, settings: RunSettings) -> None:
     if stage != AUTO:
         stages_up_to(stage)
+        check_stages(settings.scenarios)
 
 
 def device_of(name: str) -> torch.device:

@@ -1,11 +1,13 @@
 """The autonomous loop: act, collect what succeeds and what fails, improve, until a goal is met.
 
 Nobody tells the robot about edges or stages. A round improves the skill on what was missed so far
-and tries it on fresh placements, all around the table; what succeeds joins W, what fails joins M.
+and tries it on fresh placements, around the paper's table or around any; what succeeds joins W,
+what fails joins M.
 """
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -34,9 +36,8 @@ from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, Watch
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import Scenarios, concatenate_scenarios, random_scenarios
+from cgtorch.world import concatenate_scenarios, draw_of
 
-PLACEMENT = "perimeter"
 BATCH = 400  # placements tried before the next look at how many were missed
 ENOUGH = 12  # missed placements to learn from; a specialist's group has as many
 
@@ -133,8 +134,9 @@ def _round(
     if parent is not None:
         progress = replace(progress, members=specialists_of(parent))
     everything = torch.ones(len(missed), dtype=torch.bool)
-    method = METHODS[run.settings.method]
-    progress = method(setup, progress, name, missed, everything, _nothing, generator, listen)
+    method, placement = METHODS[run.settings.method], run.settings.scenarios
+    nothing = partial(draw_of(placement), 0)  # fresh placements are drawn at the round's end
+    progress = method(setup, progress, name, missed, everything, nothing, generator, listen)
     seconds = time.perf_counter() - began
     skill = progress.skill
     if skill is None:
@@ -143,16 +145,11 @@ def _round(
         progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
     if tally.accepted is not None:
         enter(run.folder, entry_of(tally.accepted, parent, progress))
-    result = _result(name, skill, tally, tests, earlier, len(missed), seconds)
+    result = _result(name, placement, skill, tally, tests, earlier, len(missed), seconds)
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)
         write_json(folder / "result.json", result)
     return progress, result
-
-
-def _nothing(generator: Generator) -> Scenarios:
-    """No fresh placements within a round: they are drawn at its end."""
-    return random_scenarios(PLACEMENT, 0, generator)
 
 
 def _tested(
@@ -190,11 +187,11 @@ def act(
         generator: of the placements.
         enough: missed placements after which no batch is tried any more.
     """
-    parts: list[Score] = []
+    draw, parts = draw_of(run.settings.scenarios), list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
         sum(p.tried - p.successes for p in parts) < enough
     ):
-        fresh = random_scenarios(PLACEMENT, min(BATCH, most - tried), generator)
+        fresh = draw(min(BATCH, most - tried), generator)
         if skill is None:
             nobody = torch.zeros(len(fresh), dtype=torch.bool)
             parts.append(Score(fresh, nobody, nobody.long()))
@@ -222,6 +219,7 @@ def _joined(progress: Progress, score: Score) -> Progress:
 
 def _result(
     name: str,
+    placement: str,
     skill: Skill,
     tally: Tally,
     tests: Tests,
@@ -236,7 +234,7 @@ def _result(
     decisive = tests.decisive
     return {
         "stage": name,
-        "edge": PLACEMENT,
+        "edge": placement,
         "skill": skill.name,
         "targets_succeeded": won,
         "targets": missed,
@@ -249,7 +247,7 @@ def _result(
         "generations": tally.generations,
         "transitions": tally.transitions,
         "seconds": round(seconds, 1),
-        "fresh": counts(PLACEMENT, tests.screening),
-        "perimeter": counts(PLACEMENT, decisive or tests.screening),
-        "decisive": None if decisive is None else counts(PLACEMENT, decisive),
+        "fresh": counts(placement, tests.screening),
+        "perimeter": counts(placement, decisive or tests.screening),
+        "decisive": None if decisive is None else counts(placement, decisive),
     }

@@ -29,7 +29,7 @@ from cgtorch.experiments.stages import STAGES, round_name
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
-from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
+from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, draw_of
 
 FORMAT, VERSION = "cgtorch-run", 1
 
@@ -52,9 +52,9 @@ class Run:
 
     @property
     def world_of(self) -> Callable[[Scenarios], TabletopWorld]:
-        """Makes the world of given scenarios, with the run's robot and noise."""
+        """Makes the world of given scenarios, with the run's robot, noise and percept."""
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
-        return tabletop_of(self.robot, noise)
+        return tabletop_of(self.robot, noise, self.settings.percept)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -70,12 +70,15 @@ class Run:
         return (self.folder / stage / "skill.json").is_file()
 
 
-def tabletop_of(robot: Robot, noise: Noise) -> Callable[[Scenarios], TabletopWorld]:
-    """Makes tabletop worlds for a robot."""
+def tabletop_of(
+    robot: Robot, noise: Noise, percept: str = "box"
+) -> Callable[[Scenarios], TabletopWorld]:
+    """Makes tabletop worlds for a robot that sees them with a percept of that name."""
 
     def world_of(scenarios: Scenarios) -> TabletopWorld:
         footprint = robot.description.footprint
-        return TabletopWorld(scenarios, partial(graspable, robot), footprint, noise)
+        grasps = partial(graspable, robot)
+        return TabletopWorld(scenarios, grasps, footprint, noise, percept=percept)
 
     return world_of
 
@@ -157,9 +160,10 @@ def open_run(folder: Path, trusted: Sequence[str] = ()) -> Run:
 
 def _checked_actions(robot: Robot, settings: RunSettings) -> ActionSet:
     """The run's actions; those that are not built in are tried on two lanes."""
-    actions = resolve_actions(settings.actions)
+    scenarios = draw_of(settings.scenarios)(2, torch.Generator().manual_seed(0))
+    world = tabletop_of(robot, LAB_NOISE, settings.percept)(scenarios)
+    actions = resolve_actions(settings.actions, world.percept_size)
     built_in = set(paper_actions().names)
-    world = tabletop_of(robot, LAB_NOISE)(stage_scenarios("near", 2))
     for name, action in zip(actions.names, actions.actions, strict=True):
         if name not in built_in:
             check_action(name, action, world)

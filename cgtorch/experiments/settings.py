@@ -7,6 +7,11 @@ from typing import Any
 from cgtorch.errors import SettingsError
 
 METHODS = ("compose", "paper")
+SCENARIOS = ("perimeter", "general", "general-clutter")
+PERCEPTS = ("box", "yaw")
+CHOICES = {"method": METHODS, "scenarios": SCENARIOS, "percept": PERCEPTS}
+LATER = ("scenarios", "percept")
+"""Settings that a run may lack, because it was begun before they were; it has their defaults."""
 
 
 def option(default: Any, text: str) -> Any:
@@ -34,6 +39,12 @@ class RunSettings:
     labels: int = option(5500, "Grasp labels collected for the success classifier.")
     position_noise: float = option(0.005, "Noise of odometry and detection, m.")
     heading_noise: float = option(math.pi / 360, "Noise of the heading after a motion, rad.")
+    scenarios: str = option(
+        "perimeter",
+        "With --stage auto: perimeter of the paper's table, general for any table from any side, "
+        "general-clutter with boxes in the way.",
+    )
+    percept: str = option("box", "box as in the paper, or yaw to see the table's yaw too.")
     actions: tuple[str, ...] = option((), "Further actions: names or package.module:Class.")
 
     def __post_init__(self) -> None:
@@ -51,8 +62,9 @@ class RunSettings:
                 type(value) not in (int, float) or not 0 <= value <= 10
             ):
                 raise SettingsError(f"{f.name} is {value!r:.40}; give a number from 0 to 10")
-        if self.method not in METHODS:
-            raise SettingsError(f"method is {self.method!r}; use one of {', '.join(METHODS)}")
+        for name, choices in CHOICES.items():
+            if (value := getattr(self, name)) not in choices:
+                raise SettingsError(f"{name} is {value!r}; use one of {', '.join(choices)}")
         if not isinstance(self.actions, tuple) or not all(isinstance(a, str) for a in self.actions):
             raise SettingsError(f"actions are {self.actions!r}; give names in a tuple")
 
@@ -68,6 +80,8 @@ def settings_from_dict(data: Any) -> RunSettings:
         SettingsError: a setting is unknown, missing or impossible.
     """
     names = {f.name for f in fields(RunSettings)}
+    if isinstance(data, dict):
+        data = {f.name: f.default for f in fields(RunSettings) if f.name in LATER} | data
     if not isinstance(data, dict) or set(data) != names:
         odd = sorted(names ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")

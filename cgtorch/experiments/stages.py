@@ -12,6 +12,9 @@ from cgtorch.world import Scenarios, concatenate_scenarios, random_scenarios, st
 STAGES = {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
 """Each stage and the edge of the table it is about."""
 
+PERIMETER = "perimeter"
+"""The scenarios that all stages together are about."""
+
 _SEED_STRIDE = 1_000_003
 
 
@@ -34,6 +37,15 @@ def stages_up_to(stage: str) -> tuple[str, ...]:
         raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*STAGES, AUTO))}")
     names = tuple(STAGES)
     return names[: names.index(stage) + 1]
+
+
+def check_stages(scenarios: str) -> None:
+    """SettingsError unless a run's `scenarios` are those that the stages are about."""
+    if scenarios != PERIMETER:
+        raise SettingsError(
+            f"stages S0 to S3 are about the paper's table, not {scenarios} scenarios; use "
+            f"--stage {AUTO}"
+        )
 
 
 def round_name(number: int) -> str:

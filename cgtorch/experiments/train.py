@@ -10,14 +10,21 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
-from cgtorch.data import collect
+from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.experiments.evaluate import Score, evaluate_skill
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.ledger import enter, entry_of
 from cgtorch.experiments.run import Run, whole_folder
-from cgtorch.experiments.stages import STAGES, exercise, stage_generator, stages_up_to
+from cgtorch.experiments.stages import (
+    PERIMETER,
+    STAGES,
+    check_stages,
+    exercise,
+    stage_generator,
+    stages_up_to,
+)
 from cgtorch.experiments.storage import (
     load_knowledge,
     load_population,
@@ -45,7 +52,7 @@ from cgtorch.improvement.specialists import Budget
 from cgtorch.models import success_quality, transition_quality
 from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
-FRESH, PERIMETER, FRESH_SEED = 40, 40, 7_000_001
+FRESH, AROUND, FRESH_SEED = 40, 40, 7_000_001
 FRESH_TRANSITIONS = 1500  # which tell the models' errors
 FRESH_LABELS = 500  # at most, as many as were learnt from
 
@@ -97,8 +104,10 @@ def train(
     Raises:
         NotImprovedError: a stage ended without a skill that meets eq. 1.
         RunError: a file cannot be written or read, or the run has gone on in rounds.
+        SettingsError: no such stage, or the run is about scenarios that have none.
     """
     names = stages_up_to(stage)
+    check_stages(run.settings.scenarios)
     if run.rounds and not set(names) <= set(run.stages):
         raise RunError(
             f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "
@@ -120,19 +129,21 @@ def beginning(run: Run, watch: Watch, working: Working) -> Progress:
     start = run.folder / "start"
     if start.is_dir():
         return load_progress(run, start)
-    settings = run.settings
+    settings, domain = run.settings, domain_of(run.settings.scenarios)
     generator = Generator().manual_seed(settings.seed)
     with working("driving at random and trying grasps"):
-        dataset = collect(run.world_of, settings.transitions, settings.labels, generator)
+        dataset = collect(run.world_of, settings.transitions, settings.labels, generator, domain)
     began = time.perf_counter()
     with working("fitting the transition model and the success classifier"):
         knowledge = fit_models(dataset, settings.seed)
     seconds = time.perf_counter() - began
     with working("trying the transition model on fresh transitions"):
-        quality = transition_quality(run.world_of, knowledge.gamma, FRESH_TRANSITIONS, generator)
+        quality = transition_quality(
+            run.world_of, knowledge.gamma, FRESH_TRANSITIONS, generator, domain
+        )
     with working("trying the success classifier on fresh labels"):
         count = min(FRESH_LABELS, settings.labels)
-        judged = success_quality(run.world_of, knowledge.classifier, count, generator)
+        judged = success_quality(run.world_of, knowledge.classifier, count, generator, domain)
     watch(ModelsFitted("start", knowledge, seconds, quality, judged))
     nothing = stage_scenarios("near", 0)
     progress = Progress(None, nothing, nothing, knowledge)
@@ -213,7 +224,7 @@ def _result(
     seed = FRESH_SEED + run.settings.seed
     edge = STAGES[name]
     fresh = evaluate_skill(skill, run.world_of, edge, FRESH, seed)
-    around = evaluate_skill(skill, run.world_of, "perimeter", PERIMETER, seed)
+    around = evaluate_skill(skill, run.world_of, PERIMETER, AROUND, seed)
     five = succeeded[earlier : earlier + 5]
     return {
         "stage": name,
@@ -230,7 +241,7 @@ def _result(
         "transitions": tally.transitions,
         "seconds": round(accepted.seconds, 1),
         "fresh": counts(edge, fresh),
-        "perimeter": counts("perimeter", around),
+        "perimeter": counts(PERIMETER, around),
     }
 
 

@@ -36,7 +36,7 @@ Result = Mapping[str, Any]
 
 
 def final_table(results: Sequence[Result]) -> "Table":
-    """The stages and the test on the perimeter, as a table for a terminal.
+    """The stages and the test all around, as a table for a terminal.
 
     Args:
         results: of each stage in order, as stored in its result.json; what is missing or null
@@ -99,13 +99,15 @@ def _rows(results: Sequence[Result]) -> list[tuple[str, ...]]:
 
 def _perimeter(results: Sequence[Result]) -> tuple[str, ...]:
     tested = [r for r in results if r.get("perimeter")]
-    ours, stage = MISSING, MISSING
+    ours, stage, placement = MISSING, MISSING, "perimeter"
     if tested:
         last = tested[-1]["perimeter"]
         ours, stage = _share(last, "succeeded", "tried"), _text(tested[-1], "stage")
+        placement = last.get("placement", placement)
         if last.get("tried"):
             ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
-    return (stage, "perimeter", ours, PAPER_PERIMETER, *[""] * (len(HEADER) - 4))
+    theirs = PAPER_PERIMETER if placement == "perimeter" else MISSING
+    return (stage, placement, ours, theirs, *[""] * (len(HEADER) - 4))
 
 
 def _text(data: Mapping[str, Any], key: str) -> str:

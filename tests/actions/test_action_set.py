@@ -30,6 +30,14 @@ def test_the_papers_five() -> None:
     assert actions.parameter_capacity == 36
 
 
+def test_the_five_read_percepts_of_any_length() -> None:
+    seven, thirteen = paper_actions(), paper_actions(13)
+    assert seven.names == thirteen.names
+    assert seven.num_parameters.tolist() == [0, 0, 0, 3 * 7 + 3 + 9 + 3, 3 * 7 + 3 + 6 + 2]
+    longer = thirteen.num_parameters - seven.num_parameters
+    assert longer.tolist() == [0, 0, 0, 3 * 6, 3 * 6]
+
+
 def test_extending_keeps_indices_and_grows_tables() -> None:
     base, actions = paper_actions(), custom_actions()
     assert actions.names[:5] == base.names

@@ -4,18 +4,20 @@ import json
 import shutil
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from support import seeded
-from trained import Trained, copied
+from trained import SMALL, Trained, copied
 
-from cgtorch.errors import RunError
+from cgtorch.errors import RunError, SettingsError
 from cgtorch.experiments.auto import act, reached, train_until
+from cgtorch.experiments.evaluate import check_percepts
 from cgtorch.experiments.goal import Goal
-from cgtorch.experiments.run import Run, last_skill, open_run
+from cgtorch.experiments.run import Run, create_run, last_skill, open_run
 from cgtorch.experiments.storage import load_result
 from cgtorch.experiments.train import NotImprovedError, load_progress, train
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
@@ -186,6 +188,46 @@ def test_acting_is_trying_in_the_world(made: Made) -> None:
     again = try_skill(skill, run.world_of(score.scenarios))
     assert torch.equal(again.succeeded, score.succeeded)
     assert torch.equal(again.transitions, score.transitions)
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """A round on tables of any kind with things in the way, whose yaw is seen."""
+    settings = replace(
+        SMALL,
+        scenarios="general-clutter",
+        percept="yaw",
+        transitions=100,
+        labels=300,
+        attempts=1,
+        generations=8,
+    )
+    run = create_run(tmp_path_factory.mktemp("wide") / "run", settings)
+    events: list[Event] = []
+    return run, events, train_until(run, Goal(target=0.5, rounds=1), events.append, quietly)
+
+
+def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
+    """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept."""
+    run, _, results = wide
+    assert {results[0][name]["placement"] for name in ("fresh", "perimeter")} == {"general-clutter"}
+    again, skill = last_skill(run.folder)
+    check_percepts(skill, 13, "the run's scenarios")
+    progress = load_progress(again, again.folder / "auto-1")
+    assert (
+        len(progress.solved) == results[0]["targets_succeeded"] + results[0]["fresh"]["succeeded"]
+    )
+    assert progress.knowledge.dataset.percept.shape[1] == 13
+    for scenarios, solved in ((progress.solved, True), (progress.missed, False)):
+        assert len(scenarios.table[:, 2:].unique(dim=0)) == len(scenarios) > 0
+        assert (scenarios.obstacles[:, 0, 3] > 0).any()
+        succeeded = try_skill(skill, again.world_of(scenarios)).succeeded
+        assert succeeded.eq(solved).all()
+
+
+def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
+    with pytest.raises(SettingsError, match="use --stage auto"):
+        train(wide[0], "S0", ignore, quietly)
 
 
 VALUES: list[Callable[[Any], Any]] = [lambda d: 3, lambda d: {}, lambda d: {**d, "tried": -1}]

@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.errors import SettingsError
-from cgtorch.experiments.settings import RunSettings, settings_from_dict
+from cgtorch.experiments.settings import (
+    CHOICES,
+    LATER,
+    PERCEPTS,
+    SCENARIOS,
+    RunSettings,
+    settings_from_dict,
+)
+from cgtorch.world import DRAWS
+from cgtorch.world import PERCEPTS as SIZES_OF_PERCEPTS
 
 COUNTS = [f.name for f in fields(RunSettings) if isinstance(f.default, int)]
 SIZES = [f.name for f in fields(RunSettings) if isinstance(f.default, float)]
@@ -29,8 +38,8 @@ def refused(**values: Any) -> str:
     st.fixed_dictionaries(
         {name: st.integers(LEAST.get(name, 1), 2**31 - 1) for name in COUNTS}
         | {name: st.floats(0, 10) for name in SIZES}
+        | {name: st.sampled_from(choices) for name, choices in CHOICES.items()}
         | {
-            "method": st.sampled_from(["compose", "paper"]),
             "actions": st.lists(st.text(max_size=10), max_size=3).map(tuple),
         }
     )
@@ -57,9 +66,23 @@ def test_sizes(name: str) -> None:
         assert f"{name} is {bad!r:.40}; give a number from 0 to 10" in refused(**{name: bad})
 
 
-@pytest.mark.parametrize("bad", ["", "Compose", None, 3, ["compose"]])
-def test_methods(bad: Any) -> None:
-    assert "use one of compose, paper" in refused(method=bad)
+@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize("bad", ["", "Compose", "near", None, 3, ["compose"]])
+def test_choices(name: str, bad: Any) -> None:
+    message = refused(**{name: bad})
+    assert message == f"{name} is {bad!r}; use one of {', '.join(CHOICES[name])}"
+
+
+def test_what_can_be_chosen_exists() -> None:
+    assert set(SCENARIOS) <= set(DRAWS)
+    assert set(PERCEPTS) == set(SIZES_OF_PERCEPTS)
+
+
+def test_a_run_from_before_there_were_other_tables() -> None:
+    data = RunSettings(scenarios="general", percept="yaw", seed=3).to_dict()
+    for name in LATER:
+        del data[name]
+    assert settings_from_dict(data) == RunSettings(seed=3, scenarios="perimeter", percept="box")
 
 
 @pytest.mark.parametrize("bad", [(1,), ("Wait", None), 5, None, "Wait"])
@@ -74,12 +97,17 @@ def test_what_are_no_settings(data: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [f.name for f in fields(RunSettings)])
-def test_a_setting_missing_or_wrong_in_a_file(name: str) -> None:
+def test_a_wrong_setting_in_a_file(name: str) -> None:
     data = RunSettings().to_dict()
     for bad in ({}, [[]], -1, {"a": 1}):
         with pytest.raises(SettingsError) as caught:
             settings_from_dict({**data, name: bad})
         assert name in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(RunSettings) if f.name not in LATER])
+def test_a_setting_missing_in_a_file(name: str) -> None:
+    data = RunSettings().to_dict()
     del data[name]
     with pytest.raises(SettingsError, match=f"'{name}' is unknown or missing"):
         settings_from_dict(data)

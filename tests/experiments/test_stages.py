@@ -5,7 +5,14 @@ import torch
 from support import seeded
 
 from cgtorch.errors import SettingsError
-from cgtorch.experiments.stages import STAGES, exercise, round_name, stage_generator, stages_up_to
+from cgtorch.experiments.stages import (
+    STAGES,
+    check_stages,
+    exercise,
+    round_name,
+    stage_generator,
+    stages_up_to,
+)
 from cgtorch.world import random_scenarios, stage_scenarios
 from cgtorch.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 
@@ -23,6 +30,13 @@ def test_stages_in_order() -> None:
 def test_unknown_stages(bad: str) -> None:
     with pytest.raises(SettingsError, match=r"unknown stage .*; use one of S0, S1, S2, S3"):
         stages_up_to(bad)
+
+
+def test_only_the_papers_table_has_stages() -> None:
+    check_stages("perimeter")
+    for other in ("general", "general-clutter"):
+        with pytest.raises(SettingsError, match=f"not {other} scenarios; use --stage auto"):
+            check_stages(other)
 
 
 @pytest.mark.parametrize("stage", STAGES)
