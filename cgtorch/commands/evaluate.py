@@ -52,11 +52,9 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
     """
     import torch
 
-    from cgtorch.actions.registry import resolve_actions
     from cgtorch.experiments.evaluate import evaluate_skill
     from cgtorch.experiments.ledger import read_entry
-    from cgtorch.experiments.run import last_skill, open_run, tabletop_of
-    from cgtorch.graphs import load_skill
+    from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
     from cgtorch.kinematics import load_robot
     from cgtorch.world import LAB_NOISE
 
@@ -66,8 +64,8 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         run = open_run(path, rest["actions"])
         skill, world_of = read_entry(path, rest["skill"], run.actions).skill, run.world_of
     elif path.is_file():
-        skill = load_skill(path, resolve_actions(rest["actions"]))
-        world_of = tabletop_of(load_robot(), LAB_NOISE)
+        percept, skill = lone_skill(path, rest["actions"])
+        world_of = tabletop_of(load_robot(), LAB_NOISE, percept)
     else:
         run, skill = last_skill(path, rest["actions"])
         world_of = run.world_of

@@ -23,13 +23,14 @@ import torch
 
 import cgtorch
 from cgtorch.actions import ActionSet, check_action, paper_actions, resolve_actions
-from cgtorch.errors import ActionError, RunError
+from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES, round_name
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
-from cgtorch.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, draw_of
+from cgtorch.world import LAB_NOISE, PERCEPTS, Noise, Scenarios, TabletopWorld, draw_of
+from cgtorch.world.percepts import BOX
 
 FORMAT, VERSION = "cgtorch-run", 1
 
@@ -187,6 +188,27 @@ def last_skill(path: Path, trusted: Sequence[str] = ()) -> tuple[Run, Skill]:
         run = open_run(path.absolute().parent, trusted)  # also of "."
         return run, load_skill(path / "skill.json", run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
+
+
+def lone_skill(path: Path, names: Sequence[str] = ()) -> tuple[str, Skill]:
+    """The skill of a file that stands for itself, and the percept that its networks fit.
+
+    Args:
+        path: the file.
+        names: of further actions that it uses.
+
+    Raises:
+        GraphError: the file cannot be read or describes no skill, for whatever percept.
+        ActionError: an action is not known.
+    """
+    kinds = [(percept, size + BOX * k) for k in (0, 1) for percept, size in PERCEPTS.items()]
+    errors: list[GraphError] = []
+    for percept, size in kinds:
+        try:
+            return percept, load_skill(path, resolve_actions(names, size))
+        except GraphError as e:
+            errors.append(e)
+    raise errors[0]
 
 
 @contextmanager

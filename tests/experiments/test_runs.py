@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from support import random_skill
 from trained import SMALL, Trained, copied
 
-from cgtorch.errors import ActionError, RunError
-from cgtorch.experiments.run import create_run, last_skill, open_run, whole_folder
+from cgtorch.actions import paper_actions
+from cgtorch.errors import ActionError, GraphError, RunError
+from cgtorch.experiments.run import create_run, last_skill, lone_skill, open_run, whole_folder
 from cgtorch.experiments.train import NotImprovedError, load_progress, train
-from cgtorch.graphs import skill_to_dict
+from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.improvement.events import Event, ModelsFitted, SkillAccepted, StageStarted, WorldTested
 from cgtorch.improvement.trial import try_skill
 
@@ -101,6 +103,23 @@ def with_action(trained: Trained, target: Path, spec: str) -> Path:
     about["settings"]["actions"] = [spec]
     (folder / "run.json").write_text(json.dumps(about))
     return folder
+
+
+@pytest.mark.parametrize(("size", "percept"), [(7, "box"), (9, "yaw"), (11, "box"), (13, "yaw")])
+def test_a_skill_file_tells_what_it_reads(tmp_path: Path, size: int, percept: str) -> None:
+    path = tmp_path / "skill.json"
+    skill = random_skill(4, "some", paper_actions(size))
+    save_skill(path, skill)
+    found, again = lone_skill(path)
+    assert found == percept
+    assert skill_to_dict(again) == skill_to_dict(skill)
+
+
+def test_a_skill_file_of_no_percept(tmp_path: Path) -> None:
+    path = tmp_path / "skill.json"
+    save_skill(path, random_skill(4, "some", paper_actions(8)))
+    with pytest.raises(GraphError, match="parameters"):
+        lone_skill(path)
 
 
 MARKING = """

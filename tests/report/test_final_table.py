@@ -72,6 +72,13 @@ def test_no_number_is_cut_in_a_terminal(width: int) -> None:
     assert max(map(len, text.splitlines())) <= width
 
 
+def test_other_placements_than_the_papers_are_not_beside_its_result() -> None:
+    test = {"placement": "general", "tried": 40, "succeeded": 30}
+    text = final_text([result("auto-1", "general", 5, perimeter=test)])
+    last = next(line for line in text.splitlines() if "30/40" in line)
+    assert last.split() == ["auto-1", "general", "30/40", "=", "75", "%", "–"]
+
+
 def test_what_is_missing_is_a_dash() -> None:
     bare: list[dict[str, object]] = [{"stage": "S9", "perimeter": None, "fresh": None}]
     for text in (final_text(bare), shown(bare, 100)):
