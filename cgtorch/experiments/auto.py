@@ -229,8 +229,8 @@ def _result(
 ) -> dict[str, Any]:
     """A round's line of the final table; it began with W of `earlier` and M of `missed`."""
     accepted = tally.accepted
-    won = 0 if accepted is None else int(accepted.succeeded[earlier:].sum())
-    lost = 0 if accepted is None else int((~accepted.succeeded[:earlier]).sum())
+    won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
+    lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
     decisive = tests.decisive
     return {
         "stage": name,

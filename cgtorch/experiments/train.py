@@ -219,13 +219,13 @@ def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
 def _result(
     run: Run, name: str, accepted: SkillAccepted, earlier: int, tally: Tally
 ) -> dict[str, Any]:
-    """A stage's line of the final table; the first `earlier` scenarios are the W it began with."""
+    """A stage's line of the final table; it began with W of `earlier`."""
     skill, succeeded = accepted.skill, accepted.succeeded
     seed = FRESH_SEED + run.settings.seed
     edge = STAGES[name]
     fresh = evaluate_skill(skill, run.world_of, edge, FRESH, seed)
     around = evaluate_skill(skill, run.world_of, PERIMETER, AROUND, seed)
-    five = succeeded[earlier : earlier + 5]
+    five = succeeded[accepted.targets][:5]
     return {
         "stage": name,
         "edge": edge,
@@ -234,7 +234,7 @@ def _result(
         "earlier_failures": int(accepted.targets.sum()) - len(five),
         "earlier_failures_succeeded": int(succeeded[accepted.targets].sum()) - int(five.sum()),
         "w_size": earlier,
-        "w_lost": int((~succeeded[:earlier]).sum()),
+        "w_lost": int((~succeeded[accepted.keep]).sum()),
         "nodes": skill.num_nodes,
         "depth": skill.depth,
         "generations": tally.generations,

@@ -3,6 +3,8 @@
 Growing one graph under a hard W stalls, so the default is to divide, evolve and compose: local
 groups of missed scenarios get specialists of their own, and branching nodes, trained by gradient,
 send each scenario to a member that solves it. `cgtorch.improvement.grow` is the paper's own way.
+
+Of a large W, members are tried on a coreset only. Whether eq. 1a holds is checked on all of W.
 """
 
 import time
@@ -13,6 +15,8 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.graphs import Skill
+from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import SkillAccepted, Watch
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import (
@@ -24,11 +28,13 @@ from cgtorch.improvement.team import (
     recruit,
     with_fresh,
 )
-from cgtorch.improvement.trial import try_skill
-from cgtorch.world import Scenarios
+from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.world import Scenarios, concatenate_scenarios
 
 Draw: TypeAlias = Callable[[Generator], Scenarios]
 """Draws fresh scenarios of the kind a stage is about."""
+
+CHECKS = 4  # on all of W, before a stage gives up
 
 
 def improve(
@@ -57,19 +63,18 @@ def improve(
         The new skill with what it solves and misses; the old one where eq. 1 could not be met.
     """
     began = time.perf_counter()
-    task = make_task(setup, progress, stage, scenarios, targets)
+    start, rest = _without_rest(setup, progress)
+    task = make_task(setup, start, stage, scenarios, targets)
     team = first_team(setup, progress, task)
     tried, result = 0, None
     for _ in range(setup.rounds):
         team, tried = _recruit_all(setup, team, task, tried, generator, watch)
-        composed = compose_team(setup, team, task, progress, generator, watch)
+        work, composed = _compose(setup, (task, team, rest), progress, generator, watch)
+        task, team, rest = work
         if composed is None:
             break
         skill, succeeded = composed
-        seconds = time.perf_counter() - began
-        watch(
-            SkillAccepted(stage, skill, task.scenarios, succeeded, task.keep, task.targets, seconds)
-        )
+        watch(_accepted(task, rest, skill, succeeded, time.perf_counter() - began))
         fresh = draw(generator)
         solved = torch.cat([succeeded, try_skill(skill, setup.world_of(fresh)).succeeded])
         task, team = with_fresh(setup, task, team, solved, fresh)
@@ -83,8 +88,58 @@ def improve(
     return replace(
         progress,
         skill=skill,
-        solved=everything[solved.nonzero()[:, 0]],
+        solved=concatenate_scenarios([everything[solved.nonzero()[:, 0]], rest]),
         missed=everything[(~solved).nonzero()[:, 0]],
+    )
+
+
+Work: TypeAlias = tuple[Task, Team, Scenarios]
+"""A task with its team, and what of W is in neither."""
+
+
+def _without_rest(setup: Setup, progress: Progress) -> tuple[Progress, Scenarios]:
+    """The progress with a coreset of W only, and the rest of W."""
+    rows, _ = cover(first_percepts(setup.world_of(progress.solved)), setup.core)
+    kept = torch.zeros(len(progress.solved), dtype=torch.bool)
+    kept[rows] = True
+    rest = progress.solved[(~kept).nonzero()[:, 0]]
+    return replace(progress, solved=progress.solved[rows]), rest
+
+
+def _compose(
+    setup: Setup, work: Work, progress: Progress, generator: Generator, watch: Watch
+) -> tuple[Work, tuple[Skill, Tensor] | None]:
+    """What `compose_team` gives, once it loses nothing of the rest of W either; None if it does.
+
+    What was lost of the rest joins the task, and another team is composed.
+    """
+    task, team, rest = work
+    for _ in range(CHECKS):
+        composed = compose_team(setup, team, task, progress, generator, watch)
+        if composed is None or not len(rest):
+            return (task, team, rest), composed
+        held = try_skill(composed[0], setup.world_of(rest)).succeeded
+        if held.all():
+            return (task, team, rest), composed
+        keep = torch.cat([task.keep, torch.ones(int((~held).sum()), dtype=torch.bool)])
+        task, team = with_fresh(setup, task, team, keep, rest[(~held).nonzero()[:, 0]])
+        rest = rest[held.nonzero()[:, 0]]
+    return (task, team, rest), None
+
+
+def _accepted(
+    task: Task, rest: Scenarios, skill: Skill, succeeded: Tensor, seconds: float
+) -> SkillAccepted:
+    """The event of a new skill, which succeeds on all of the rest, too."""
+    yes = torch.ones(len(rest), dtype=torch.bool)
+    return SkillAccepted(
+        task.stage,
+        skill,
+        concatenate_scenarios([task.scenarios, rest]),
+        torch.cat([succeeded, yes]),
+        torch.cat([task.keep, yes]),
+        torch.cat([task.targets, ~yes]),
+        seconds,
     )
 
 

@@ -32,6 +32,7 @@ class Setup:
             different errors of Γ.
         trials: runs in the world, with different noise, that a member must all pass to count as
             solving a scenario.
+        core: scenarios of W at most that members are tried on; a new skill is tried on all.
         max_transitions: of every skill.
         device: where populations are evaluated.
     """
@@ -47,6 +48,7 @@ class Setup:
     group: int = 12
     lanes: int = 24
     trials: int = 3
+    core: int = 1000
     max_transitions: int = 20
     device: torch.device | str = "cpu"
 

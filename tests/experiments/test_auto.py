@@ -64,7 +64,7 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     assert [e.stage for e in events if isinstance(e, StageStarted)] == ["auto-1", "auto-2"]
     summary = json.loads((run.folder / "summary.json").read_text())
     assert summary["stages"] == results
-    assert summary["reached"] is False
+    assert summary["reached"] == reached(GOAL, results)
     assert summary["target"] == 0.95
 
 
@@ -79,7 +79,7 @@ def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
         assert not try_skill(progress.skill, run.world_of(progress.missed)).succeeded.any()
         assert (result["w_size"], result["w_lost"], result["targets"]) == (before, 0, missed)
         assert result["targets_succeeded"] > 0
-        met += result["fresh"]["tried"]
+        met += result["fresh"]["tried"] + (result["decisive"] or {"tried": 0})["tried"]
         before, missed = len(progress.solved), len(progress.missed)
         assert before + missed == met
     assert torch.unique(progress.solved.object, dim=0).shape[0] == before
@@ -87,11 +87,10 @@ def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
 
 def test_fresh_placements_are_told(made: Made) -> None:
     _, events, results = made
-    told = [e for e in events if isinstance(e, FreshTested)]
+    told = [e for e in events if isinstance(e, FreshTested) and not e.decisive]
     assert [(e.succeeded, e.tried) for e in told] == [
         (r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
     ]
-    assert not any(e.decisive for e in told)
 
 
 def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
@@ -161,12 +160,12 @@ def test_only_the_last_round_can_reach_the_goal() -> None:
     goal, none = Goal(target=0.99), {"decisive": None}
     assert not reached(goal, [])
     assert not reached(goal, [none])
-    assert reached(goal, [none, decided(3960, 4000)])
+    assert reached(goal, [none, decided(3970, 4000)])
     assert not reached(goal, [decided(3990, 4000), none])
     assert not reached(goal, [decided(3900, 4000)])
     many = [decided(3900, 4000)] * 20
-    assert not reached(goal, [*many, decided(3960, 4000)])  # luck has had many chances
-    assert reached(goal, [*many, decided(3980, 4000)])
+    assert not reached(goal, [*many, decided(3970, 4000)])  # luck has had many chances
+    assert reached(goal, [*many, decided(3985, 4000)])
 
 
 @pytest.mark.parametrize(

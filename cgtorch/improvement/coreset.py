@@ -1,0 +1,34 @@
+"""Few of many scenarios that stand for all, so that W can grow without bound.
+
+Members of a team are tried on, and branches trained by, a coreset of W. What is left out is near
+something that stays, and is not forgotten: a new skill is tried on all of W before it is accepted,
+and what it loses joins the coreset (`cgtorch.improvement.improve`).
+"""
+
+import torch
+from torch import Tensor
+
+
+def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
+    """Scenarios that are spread over all that the robot sees at first (Gonzalez 1985).
+
+    The first is kept, then again and again the one that is farthest from all that are kept, which
+    is at most twice as far from them as with the best choice of as many.
+
+    Args:
+        percepts: (B, D) first percepts (m).
+        size: how many to keep at most, at least 1; of the same percept, only one is kept.
+
+    Returns:
+        (n,) long, the rows that are kept, ascending, all if there are no more than `size`, and the
+        distance (m) within which every other row has one of them.
+    """
+    if len(percepts) <= size:
+        return torch.arange(len(percepts)), 0.0
+    distance = torch.full((len(percepts),), torch.inf)
+    rows = [0]
+    while True:
+        distance = torch.minimum(distance, (percepts - percepts[rows[-1]]).norm(dim=1))
+        if len(rows) == size or not distance.any():
+            return torch.tensor(rows).sort()[0], float(distance.max())
+        rows.append(int(distance.argmax()))

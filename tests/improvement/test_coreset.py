@@ -1,0 +1,88 @@
+"""The coreset of W: what stays covers what goes, and what goes is not forgotten."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from members import nearly
+from support import seeded
+
+from cgtorch.improvement.coreset import cover
+from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.trial import try_skill
+from cgtorch.world import random_scenarios
+
+
+@given(st.integers(0, 2**31), st.integers(0, 60), st.integers(1, 70))
+def test_every_scenario_has_a_kept_one_within_the_distance(
+    seed: int, count: int, size: int
+) -> None:
+    percepts = torch.randn(count, 3, generator=seeded(seed))
+    rows, distance = cover(percepts, size)
+    assert rows.tolist() == sorted(set(rows.tolist()))
+    assert len(rows) == min(count, size)
+    if count:
+        nearest = (percepts[:, None] - percepts[rows]).norm(dim=2).amin(1)
+        assert float(nearest.max()) <= distance + 1e-5
+        assert distance == pytest.approx(float(nearest.max()), abs=1e-5)
+
+
+def test_the_same_percept_is_kept_once() -> None:
+    rows, distance = cover(torch.eye(3).repeat(4, 1), 10)
+    assert rows.tolist() == [0, 1, 2]
+    assert distance == 0
+
+
+def test_it_is_at_most_twice_as_far_as_with_the_best_choice() -> None:
+    """Four heaps: four are enough to be near everything."""
+    centres = torch.tensor([[0.0, 0], [9, 0], [0, 9], [9, 9]])
+    heaps = centres.repeat_interleave(25, 0) + 0.2 * torch.rand(100, 2, generator=seeded(0))
+    rows, distance = cover(heaps, 4)
+    assert sorted((rows // 25).tolist()) == [0, 1, 2, 3]
+    assert distance < 0.3
+
+
+def test_acceptance_is_checked_on_all_of_w(setup: Setup, nothing_yet: Progress) -> None:
+    """Eq. 1a holds for scenarios that no member was tried on; those once lost are not lost again.
+
+    With a member that solves the coreset and what is missed, but not all of W, the branches would
+    send everything to it.
+    """
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world = setup.world_of(scenarios)
+    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
+    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
+    both, only_first, only_second = first & second, first & ~second, second & ~first
+    assert both.any()
+    assert only_first.any()
+    order = torch.cat([both.nonzero()[:, 0], only_first.nonzero()[:, 0]])
+    missed = scenarios[only_second.nonzero()[:, 0]]
+    progress = replace(
+        nothing_yet, skill=earlier, members=(far,), solved=scenarios[order], missed=missed
+    )
+    told: list[object] = []
+    small = replace(setup, core=2, attempts=1, rounds=1)
+    after = improve(
+        small,
+        progress,
+        "S1",
+        missed,
+        torch.ones(len(missed), dtype=torch.bool),
+        lambda generator: random_scenarios("near", 0, generator),
+        seeded(1),
+        told.append,
+    )
+    assert after.skill is not None
+    assert after.skill is not earlier
+    assert try_skill(after.skill, small.world_of(progress.solved)).succeeded.all()
+    assert len(after.solved) + len(after.missed) == len(order) + len(missed)
+    (accepted,) = (e for e in told if isinstance(e, SkillAccepted))
+    assert len(accepted.scenarios) == len(order) + len(missed)
+    assert int(accepted.keep.sum()) == len(order)
+    again = try_skill(accepted.skill, small.world_of(accepted.scenarios)).succeeded
+    assert torch.equal(again, accepted.succeeded)
+    assert again[accepted.keep].all()
