@@ -16,6 +16,7 @@ PERIMETER = "perimeter"
 """The scenarios that all stages together are about."""
 
 _SEED_STRIDE = 1_000_003
+_AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def stage_generator(seed: int, stage: str) -> Generator:
     if stage in STAGES:
         offset = list(STAGES).index(stage) + 1
     else:
-        offset = len(STAGES) + int(stage.removeprefix(f"{AUTO}-"))
+        offset = _AUTO_SEEDS + int(stage.removeprefix(f"{AUTO}-"))
     return Generator().manual_seed(seed * _SEED_STRIDE + offset)
 
 

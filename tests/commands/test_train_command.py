@@ -159,7 +159,9 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     said = ended.err.replace("\n", " ")
     assert f"run {folder} has not reached its goal of 0.98; go on with --resume" in said
     ended = shell(EVALUATE, folder, "--count", 5, "--json")
-    assert json.loads(ended.out)["skill"] == "auto-1"
+    kept = json.loads((folder / "auto-1" / "skill.json").read_text())["name"]
+    assert kept in ("S1", "auto-1")  # so few attempts may improve nothing
+    assert json.loads(ended.out)["skill"] == kept
     assert shell(EVALUATE, folder / "auto-1", "--count", 5, "--json").out == ended.out
     assert "can have no further stage" in shell.refuses(
         TRAIN, "--resume", folder, "--stage", "S2", "--quiet"
