@@ -41,12 +41,17 @@ class _Network(Action):
     def __init__(self, inputs: int, hidden: int, outputs: int):
         super().__init__()
         self.inputs, self.hidden, self.outputs = inputs, hidden, outputs
+        self.percept_size = inputs
         self.num_parameters = network_parameters(inputs, hidden, outputs)
+
+    def sees(self, percept: Tensor) -> Tensor:
+        """What of percepts (n, D) the network reads (n, inputs)."""
+        return percept[:, : self.inputs]
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
         """(n, outputs), before any output activation."""
-        percept = lanes.percept[:, : self.inputs]
-        return one_hidden_layer(percept, parameters, self.hidden, self.outputs)
+        seen = self.sees(lanes.percept)
+        return one_hidden_layer(seen, parameters, self.hidden, self.outputs)
 
 
 class ContinuousNN(_Network):

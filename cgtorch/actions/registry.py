@@ -15,19 +15,19 @@ from cgtorch.errors import ActionError
 ENTRY_POINTS = "cgtorch.actions"
 
 
-def resolve_actions(names: Sequence[str] = (), percept_size: int = 7) -> ActionSet:
-    """The five actions of the paper and those named.
+def resolve_actions(names: Sequence[str] = (), basic: ActionSet | None = None) -> ActionSet:
+    """The five actions of the paper, or others, and those named.
 
     Args:
         names: each the name of a built-in action, the name of an entry point of the group
             "cgtorch.actions" that an installed package declares, or "package.module:Class". Naming
-            an action twice, or one of the five, changes nothing.
-        percept_size: how many numbers of a percept the networks of the five read.
+            an action twice, or one of the basic ones, changes nothing.
+        basic: what the named ones are added to; the paper's if None.
 
     Raises:
         ActionError: a name is unknown, or stands for nothing that can be made into an action.
     """
-    actions = paper_actions(percept_size)
+    actions = paper_actions() if basic is None else basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
     for spec in dict.fromkeys(names):
         if spec in actions.names:

@@ -87,10 +87,10 @@ def check_percepts(skill: Skill, size: int, where: str) -> None:
     """
     for index in skill.graph.action[0].unique().tolist():
         action = skill.actions.actions[index] if index >= 0 else None
-        if isinstance(action, ContinuousNN | BranchingNN) and action.inputs != size:
+        if isinstance(action, ContinuousNN | BranchingNN) and action.percept_size != size:
             raise SettingsError(
-                f"skill {skill.name!r} reads percepts of {action.inputs} numbers, those of {where} "
-                f"have {size}; use scenarios like those it was evolved on"
+                f"skill {skill.name!r} reads percepts of {action.percept_size} numbers, those of "
+                f"{where} have {size}; use scenarios like those it was evolved on"
             )
     for inner in skill.sub_skills.values():
         check_percepts(inner, size, where)

@@ -10,22 +10,23 @@ summary.json        the final table
 events.out.…        TensorBoard
 """
 
+import itertools
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from itertools import count, takewhile
 from pathlib import Path
 
 import torch
 
 import cgtorch
-from cgtorch.actions import ActionSet, check_action, paper_actions, resolve_actions
+from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES, round_name
+from cgtorch.experiments.views import VIEWS
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
@@ -60,21 +61,22 @@ class Run:
     @property
     def stages(self) -> tuple[str, ...]:
         """The finished stages, in order, up to the first that is missing, then the rounds."""
-        return (*takewhile(self._finished, STAGES), *self.rounds)
+        return (*itertools.takewhile(self._finished, STAGES), *self.rounds)
 
     @property
     def rounds(self) -> tuple[str, ...]:
         """The finished rounds of `--stage auto`, in order."""
-        return tuple(takewhile(self._finished, map(round_name, count(1))))
+        return tuple(itertools.takewhile(self._finished, map(round_name, itertools.count(1))))
 
     def _finished(self, stage: str) -> bool:
         return (self.folder / stage / "skill.json").is_file()
 
 
 def tabletop_of(
-    robot: Robot, noise: Noise, percept: str = "box"
+    robot: Robot, noise: Noise, view: str = "box"
 ) -> Callable[[Scenarios], TabletopWorld]:
-    """Makes tabletop worlds for a robot that sees them with a percept of that name."""
+    """Makes tabletop worlds for a robot that sees them in one of `VIEWS`."""
+    percept = VIEWS[view].percept
 
     def world_of(scenarios: Scenarios) -> TabletopWorld:
         footprint = robot.description.footprint
@@ -163,10 +165,10 @@ def _checked_actions(robot: Robot, settings: RunSettings) -> ActionSet:
     """The run's actions; those that are not built in are tried on two lanes."""
     scenarios = draw_of(settings.scenarios)(2, torch.Generator().manual_seed(0))
     world = tabletop_of(robot, LAB_NOISE, settings.percept)(scenarios)
-    actions = resolve_actions(settings.actions, world.percept_size)
-    built_in = set(paper_actions().names)
+    basic = VIEWS[settings.percept].actions(world.percept_size)
+    actions = resolve_actions(settings.actions, basic)
     for name, action in zip(actions.names, actions.actions, strict=True):
-        if name not in built_in:
+        if name not in basic.names:
             check_action(name, action, world)
     return actions
 
@@ -191,22 +193,22 @@ def last_skill(path: Path, trusted: Sequence[str] = ()) -> tuple[Run, Skill]:
 
 
 def lone_skill(path: Path, names: Sequence[str] = ()) -> tuple[str, Skill]:
-    """The skill of a file that stands for itself, and the percept that its networks fit.
+    """The skill of a file that stands for itself, and the view that its networks fit.
 
     Args:
         path: the file.
         names: of further actions that it uses.
 
     Raises:
-        GraphError: the file cannot be read or describes no skill, for whatever percept.
+        GraphError: the file cannot be read or describes no skill, in whatever view.
         ActionError: an action is not known.
     """
-    kinds = [(percept, size + BOX * k) for k in (0, 1) for percept, size in PERCEPTS.items()]
-    errors: list[GraphError] = []
-    for percept, size in kinds:
+    errors: list[GraphError | ActionError] = []
+    for obstacles, (name, view) in itertools.product((0, 1), VIEWS.items()):
+        size = PERCEPTS[view.percept] + BOX * obstacles
         try:
-            return percept, load_skill(path, resolve_actions(names, size))
-        except GraphError as e:
+            return name, load_skill(path, resolve_actions(names, view.actions(size)))
+        except (GraphError, ActionError) as e:
             errors.append(e)
     raise errors[0]
 

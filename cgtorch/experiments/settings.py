@@ -8,7 +8,7 @@ from cgtorch.errors import SettingsError
 
 METHODS = ("compose", "paper")
 SCENARIOS = ("perimeter", "general", "general-clutter")
-PERCEPTS = ("box", "yaw")
+PERCEPTS = ("box", "yaw", "edge")
 CHOICES = {"method": METHODS, "scenarios": SCENARIOS, "percept": PERCEPTS}
 LATER = ("scenarios", "percept")
 """Settings that a run may lack, because it was begun before they were; it has their defaults."""
@@ -44,7 +44,11 @@ class RunSettings:
         "With --stage auto: perimeter of the paper's table, general for any table from any side, "
         "general-clutter with boxes in the way.",
     )
-    percept: str = option("box", "box as in the paper, or yaw to see the table's yaw too.")
+    percept: str = option(
+        "box",
+        "box as in the paper, yaw to see the table's yaw too, edge for networks that besides see "
+        "and act from the edge nearest to the object.",
+    )
     actions: tuple[str, ...] = option((), "Further actions: names or package.module:Class.")
 
     def __post_init__(self) -> None:

@@ -33,7 +33,7 @@ def train_branches(
     if solves.shape[1] == 1:
         empty = percepts.new_zeros(0, branch.num_parameters)
         return empty, torch.zeros(len(percepts), dtype=torch.long)
-    x = percepts[:, : branch.inputs]
+    x = branch.sees(percepts)
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
     weight = weight * (solves.amax(1) > 0)
     tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
@@ -88,7 +88,7 @@ def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
 
 def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
     """(B,) long, the member that each percept is sent to."""
-    x = percepts[:, : branch.inputs]
+    x = branch.sees(percepts)
     # As in the running skill, where the sigmoid rounds large outputs to the same number.
     out = torch.stack([sigmoid(one_hidden_layer(x, p, branch.hidden, 2)) for p in parameters])
     takes = out[..., 0] >= out[..., 1]

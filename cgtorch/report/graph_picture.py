@@ -22,7 +22,9 @@ COLOURS = {
     "Detect": "#cfeede",
     "Grasp": "#fbdca6",
     "ContinuousNN": "#dcd0f2",
+    "EdgeNN": "#dcd0f2",
     "BranchingNN": "#f6cadd",
+    "EdgeBranchingNN": "#f6cadd",
 }
 OTHERS = ("#e6e6b8", "#c9e3e6", "#ead3c0", "#d5dbe3")
 SKILL_FILL, SKILL_RIM = "#ffffff", "#3b4a6b"

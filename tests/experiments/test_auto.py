@@ -191,11 +191,11 @@ def test_acting_is_trying_in_the_world(made: Made) -> None:
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """A round on tables of any kind with things in the way, whose yaw is seen."""
+    """A round on tables of any kind with things in the way, seen from their edges."""
     settings = replace(
         SMALL,
         scenarios="general-clutter",
-        percept="yaw",
+        percept="edge",
         transitions=100,
         labels=300,
         attempts=1,

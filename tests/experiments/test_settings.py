@@ -18,6 +18,7 @@ from cgtorch.experiments.settings import (
     RunSettings,
     settings_from_dict,
 )
+from cgtorch.experiments.views import VIEWS
 from cgtorch.world import DRAWS
 from cgtorch.world import PERCEPTS as SIZES_OF_PERCEPTS
 
@@ -75,7 +76,8 @@ def test_choices(name: str, bad: Any) -> None:
 
 def test_what_can_be_chosen_exists() -> None:
     assert set(SCENARIOS) <= set(DRAWS)
-    assert set(PERCEPTS) == set(SIZES_OF_PERCEPTS)
+    assert set(PERCEPTS) == set(VIEWS)
+    assert {v.percept for v in VIEWS.values()} == set(SIZES_OF_PERCEPTS)
 
 
 def test_a_run_from_before_there_were_other_tables() -> None:

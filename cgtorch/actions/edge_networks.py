@@ -1,0 +1,50 @@
+"""The networks in the frame of the edge nearest to the object (`cgtorch.world.edge_frame`).
+
+They need not learn that a table that is turned, or seen from another side, is still the same
+table: what a node says of one edge holds for all.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from cgtorch.actions.networks import BranchingNN, ContinuousNN
+from cgtorch.environment import Environment, Lanes
+from cgtorch.world.edge_frame import edge_frame, motion_to, scene, scene_size
+
+
+class EdgeNN(ContinuousNN):
+    """From the scene to a pose to stand at, both in the edge's frame; sent as a motion to there.
+
+    The pose is x, y (m) and heading (rad) of the base.
+    """
+
+    def __init__(self, percept_size: int = 9, hidden: int = 3):
+        super().__init__(scene_size(percept_size), hidden)
+        self.percept_size = percept_size
+
+    def sees(self, percept: Tensor) -> Tensor:
+        """The scene (n, inputs)."""
+        return scene(percept)
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        """See `Action.forward`."""
+        pose = self.network(lanes, parameters)
+        message = lanes.message.clone()
+        message[:, : self.outputs] = motion_to(edge_frame(lanes.percept), pose)
+        lanes = replace(lanes, message=message, has_message=lanes.has_message | True)
+        return lanes, lanes.step.new_zeros(len(lanes))
+
+
+class EdgeBranchingNN(BranchingNN):
+    """From the scene in the edge's frame to one of two branches."""
+
+    def __init__(self, percept_size: int = 9, hidden: int = 3):
+        super().__init__(scene_size(percept_size), hidden)
+        self.percept_size = percept_size
+
+    def sees(self, percept: Tensor) -> Tensor:
+        """The scene (n, inputs)."""
+        return scene(percept)
