@@ -62,12 +62,25 @@ def custom_actions() -> ActionSet:
     return paper_actions().extended(["Counter"], [Counter()])
 
 
-def nested_actions(seed: int = 0) -> ActionSet:
-    """Custom actions and skills, one of them within the other, each with its own limit."""
-    base = custom_actions()
-    inner = random_skill(seed, "S0", base, max_transitions=3)
+class Visits(Counter):
+    """Counts, too, but never ends a skill."""
+
+    terminal: Mapping[str, bool] = {}
+
+
+def endless_actions() -> ActionSet:
+    """The paper's actions and one of our own, none of which ends a skill without success."""
+    return paper_actions().extended(["Visits"], [Visits()])
+
+
+def nested_actions(
+    seed: int = 0, base: ActionSet | None = None, limits: tuple[int, int] = (3, 5)
+) -> ActionSet:
+    """Base actions and skills, one of them within the other, each with its own limit."""
+    base = base or custom_actions()
+    inner = random_skill(seed, "S0", base, max_transitions=limits[0])
     one = base.extended(["S0"], [SubSkill(inner)])
-    outer = random_skill(seed + 1, "S1", one, max_transitions=5)
+    outer = random_skill(seed + 1, "S1", one, max_transitions=limits[1])
     return one.extended(["S1"], [SubSkill(outer)])
 
 

@@ -4,11 +4,14 @@ from cgtorch.graphs.files import load_skill as load_skill
 from cgtorch.graphs.files import save_skill as save_skill
 from cgtorch.graphs.files import skill_from_dict as skill_from_dict
 from cgtorch.graphs.files import skill_to_dict as skill_to_dict
+from cgtorch.graphs.flatten import flattened as flattened
 from cgtorch.graphs.graphs import NO_NODE as NO_NODE
 from cgtorch.graphs.graphs import Graphs as Graphs
 from cgtorch.graphs.graphs import compacted as compacted
 from cgtorch.graphs.graphs import concatenate as concatenate
 from cgtorch.graphs.graphs import resized as resized
+from cgtorch.graphs.merge import merged as merged
+from cgtorch.graphs.merge import same_behaviour as same_behaviour
 from cgtorch.graphs.skill import Skill as Skill
 from cgtorch.graphs.skill import SubSkill as SubSkill
 from cgtorch.graphs.validity import check_graph as check_graph

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet, BranchingNN
 from cgtorch.errors import ActionError
-from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
+from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, same_behaviour
 
 
 def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
@@ -30,27 +30,32 @@ def compose(
     """A skill that branches to one of its members, each a frozen sub-skill.
 
     The branches are asked in turn; a member that fails hands back to the first branch, which
-    decides again from the percept that is then seen.
+    decides again from the percept that is then seen. Members that behave the same are one node.
 
     Args:
         name: of the new skill.
-        members: M skills with different names.
+        members: M skills; those that differ need different names.
         branches: (M - 1, K) parameters of the branching networks.
         actions: the primitive actions.
         max_transitions: of the new skill.
     """
     kind, branch = branching_action(actions)
     m = len(members)
-    both = actions.extended([s.name for s in members], [SubSkill(s) for s in members])
-    if m == 1:
+    place = [next(j for j in range(m) if same_behaviour(members[j], s)) for s in members]
+    distinct = sorted(set(place))
+    if len(distinct) == 1:
         return Skill(name, members[0].graph, members[0].actions, max_transitions)
-    n, first_member = 2 * m - 1, m - 1
-    action = torch.cat([torch.full((m - 1,), kind), len(actions) + torch.arange(m)])
+    different = [members[j] for j in distinct]
+    both = actions.extended([s.name for s in different], [SubSkill(s) for s in different])
+    first_member = m - 1
+    n = first_member + len(distinct)
+    action = torch.cat([torch.full((m - 1,), kind), len(actions) + torch.arange(len(distinct))])
     edges = torch.full((1, n, both.outcome_capacity), NO_NODE)
     parameters = torch.zeros(1, n, both.parameter_capacity)
+    node = [first_member + distinct.index(j) for j in place]
     for i in range(m - 1):
-        edges[0, i, 0] = first_member + i
-        edges[0, i, 1] = i + 1 if i < m - 2 else n - 1
+        edges[0, i, 0] = node[i]
+        edges[0, i, 1] = i + 1 if i < m - 2 else node[-1]
         parameters[0, i, : branch.num_parameters] = branches[i]
     edges[0, first_member:, 1] = 0
     graph = Graphs(action[None], edges, parameters, torch.zeros(1, dtype=torch.long))

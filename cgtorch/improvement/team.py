@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.data import Dataset
 from cgtorch.evolution import Population, join
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
 from cgtorch.improvement.gate import train_branches
@@ -153,7 +153,7 @@ def recruit(
         max_transitions=setup.max_transitions,
         device=setup.device,
     )
-    member = Skill(name, champion.graphs, setup.actions, setup.max_transitions)
+    member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, task.scenarios)
     promised = solved.view(len(group), -1).all(1)
     watch(

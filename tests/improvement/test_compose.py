@@ -1,5 +1,6 @@
 """Composed skills: branches over frozen members, run by the engine."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from support import random_skill, seeded, world
 from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
 from cgtorch.environment import Lanes
 from cgtorch.errors import ActionError
-from cgtorch.graphs import Skill, from_networkx, load_skill, save_skill
+from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, save_skill
 from cgtorch.graphs.view import View
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
 from cgtorch.improvement.gate import sent_to, train_branches
@@ -129,9 +130,35 @@ def test_composed_skills_can_be_stored_and_composed_again(tmp_path: Path) -> Non
 
 
 def test_members_of_one_name_are_an_error() -> None:
-    one = members(1)[0]
+    one, two = members(2)
     with pytest.raises(ActionError, match="is used twice"):
-        compose("all", [one, one], branches(2, 1), ACTIONS, 20)
+        compose("all", [one, replace(two, name=one.name)], branches(2, 1), ACTIONS, 20)
+
+
+def test_members_that_behave_the_same_are_one_node() -> None:
+    """The whole does what it does with a node for each."""
+    one, two = members(2)
+    again = replace(one, name="again")
+    parameters = branches(3, 3)
+    small = compose("all", [one, two, again], parameters, ACTIONS, 20)
+    assert small.num_nodes == 4
+    assert set(small.sub_skills) == {one.name, two.name}
+    longer = replace(again, max_transitions=again.max_transitions + 1)
+    assert compose("all", [one, two, longer], parameters, ACTIONS, 20).num_nodes == 5
+    # The last member is a copy of the first one, but of other modules, which are never compared.
+    twin = replace(again, actions=paper_actions())
+    large = compose("all", [one, two, twin], parameters, ACTIONS, 20)
+    assert large.num_nodes == 5
+    once, all_three = (rollout(s.graph, s.actions, world(0, COUNT)) for s in (small, large))
+    for name, value in vars(once).items():
+        assert torch.equal(value, getattr(all_three, name)), name
+
+
+def test_a_team_that_behaves_the_same_is_one_skill() -> None:
+    one = members(1)[0]
+    skill = compose("all", [one, replace(one, name="again")], branches(2, 1), ACTIONS, 20)
+    assert skill.depth == 1
+    assert same_behaviour(skill, replace(one, max_transitions=20))
 
 
 def test_composing_needs_a_branching_network() -> None:

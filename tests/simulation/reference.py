@@ -35,6 +35,8 @@ class Robot:
     has_message: bool = False
     memory: list[float] = field(default_factory=lambda: [0.0] * 8)
     steps: int = 0
+    seen: list[list[float]] = field(default_factory=list)  # the percept after each action
+    ran_out: int | None = None  # actions before any graph first ran out of its transitions
 
     def lanes(self) -> Lanes:
         return Lanes(
@@ -60,13 +62,26 @@ def run(
     max_steps: int,
 ) -> tuple[End, list[float], int]:
     """How the first graph ends on a scenario, its last percept, and the actions it executed."""
+    end, robot = live(graphs, actions, environment, scenario, max_transitions, max_steps)
+    return end, robot.percept.tolist(), robot.steps
+
+
+def live(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    scenario: int,
+    max_transitions: int,
+    max_steps: int,
+) -> tuple[End, Robot]:
+    """How the first graph ends on a scenario, and the robot afterwards."""
     state, percept = environment.start(torch.tensor([scenario]))
     robot = Robot(environment, scenario, max_steps, percept[0], state[0])
     try:
         end = execute_graph(graphs, actions, robot, max_transitions)
     except OutOfSteps:
         end = "timeout"
-    return end, robot.percept.tolist(), robot.steps
+    return end, robot
 
 
 def execute_graph(graphs: Graphs, actions: ActionSet, robot: Robot, max_transitions: int) -> End:
@@ -82,6 +97,8 @@ def execute_graph(graphs: Graphs, actions: ActionSet, robot: Robot, max_transiti
         (node,) = [
             head for _, head, edge in view.out_edges(node, data=True) if edge["outcome"] == outcome
         ]
+    if robot.ran_out is None:
+        robot.ran_out = robot.steps
     return "timeout"
 
 
@@ -95,6 +112,7 @@ def execute_action(action: Action, parameters: list[float], robot: Robot) -> str
         raise OutOfSteps
     outcome = execute_primitive(action, parameters, robot)
     robot.steps += 1
+    robot.seen.append(robot.percept.tolist())
     return outcome
 
 

@@ -1,0 +1,103 @@
+"""Merging: nodes that behave the same become one, and skills that behave the same are found.
+
+Graphs are minimised as deterministic automata are, by refining a partition of the nodes (Moore
+1956; Hopcroft 1971 needs fewer steps, but graphs are small and this refines a whole population at
+once).
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import Action
+from cgtorch.graphs.graphs import NO_NODE, Graphs, resized
+from cgtorch.graphs.skill import Skill, SubSkill
+
+
+def merged(graphs: Graphs) -> Graphs:
+    """The same graphs with nodes of the same behaviour made one; the first slot stays.
+
+    Two nodes behave the same if they have the same action and, to the last bit, the same
+    parameters, and every outcome leads to nodes that behave the same. What a graph does does not
+    change, not even in its number of transitions, and it has the fewest nodes of all graphs of
+    which this can be said.
+    """
+    label = node_classes(graphs)
+    slot = torch.arange(graphs.capacity, device=label.device).expand_as(label)
+    first = torch.full((label.numel(),), graphs.capacity, device=label.device)
+    first.scatter_reduce_(0, label.flatten(), slot.flatten(), "amin")
+    stands = first[label]
+    gone = stands != slot
+    heads = stands.gather(1, graphs.edges.clamp_min(0).flatten(1)).view_as(graphs.edges)
+    heads = torch.where(graphs.edges == NO_NODE, NO_NODE, heads)
+    return replace(
+        graphs,
+        action=graphs.action.masked_fill(gone, NO_NODE),
+        edges=heads.masked_fill(gone[..., None], NO_NODE),
+        parameters=graphs.parameters.masked_fill(gone[..., None], 0.0),
+        start=stands.gather(1, graphs.start[:, None])[:, 0],
+    )
+
+
+def node_classes(graphs: Graphs) -> Tensor:
+    """(P, N) long, equal numbers for nodes of one graph that behave the same.
+
+    Numbers are from 0 and differ from graph to graph; unused slots of a graph share one.
+    """
+    p, n, o = graphs.edges.shape
+    number = torch.arange(p, device=graphs.action.device)[:, None].expand(p, n)
+    bits = torch.int64 if graphs.parameters.element_size() == 8 else torch.int32
+    parameters = graphs.parameters.view(bits).long()  # which tells 0.0 from -0.0
+    label = _numbered(torch.cat([number[..., None], graphs.action[..., None], parameters], 2))
+    while True:
+        heads = label.gather(1, graphs.edges.clamp_min(0).flatten(1)).view(p, n, o)
+        heads = torch.where(graphs.edges == NO_NODE, NO_NODE, heads)
+        finer = _numbered(torch.cat([label[..., None], heads], 2))
+        if torch.equal(finer, label):
+            return label
+        label = finer
+
+
+def _numbered(keys: Tensor) -> Tensor:
+    """(P, N) long, the place of each key (P, N, ·) among all different keys in their order."""
+    return torch.unique(keys.flatten(0, 1), dim=0, return_inverse=True)[1].view(keys.shape[:2])
+
+
+def same_behaviour(first: Skill, second: Skill) -> bool:
+    """Whether two skills do the same in the same number of transitions, whatever their names.
+
+    Actions are the same if they are the same modules, sub-skills if this holds for them.
+    """
+    if first is second:
+        return True
+    if first.max_transitions != second.max_transitions:
+        return False
+    a, b = first.graph, second.graph
+    o, k = (
+        max(x.shape[2], y.shape[2]) for x, y in ((a.edges, b.edges), (a.parameters, b.parameters))
+    )
+    a, b = resized(a, a.capacity, o, k), resized(b, b.capacity, o, k)
+    kind = torch.tensor([_index(first, action) for action in second.actions.actions])
+    action = torch.where(b.used, kind.to(b.action.device)[b.action.clamp_min(0)], NO_NODE)
+    edges = torch.where(b.edges == NO_NODE, NO_NODE, b.edges + a.capacity)
+    both = Graphs(
+        torch.cat([a.action, action], 1),
+        torch.cat([a.edges, edges], 1),
+        torch.cat([a.parameters, b.parameters], 1),
+        a.start,
+    )
+    label = node_classes(both)[0]
+    return bool(label[a.start] == label[b.start + a.capacity])
+
+
+def _index(skill: Skill, action: Action) -> int:
+    """Where a skill's set has an action that is the same, after its end if nowhere."""
+    for i, own in enumerate(skill.actions.actions):
+        if own is action or (
+            isinstance(own, SubSkill)
+            and isinstance(action, SubSkill)
+            and same_behaviour(own.skill, action.skill)
+        ):
+            return i
+    return len(skill.actions)
