@@ -21,12 +21,14 @@ class Budget:
         patience: generations without a better fitness, once all is solved in the models.
         stall: generations without a better fitness after which the search gives up.
         enough: fitness with which a candidate that solves all is good enough.
+        transitions: actions executed in the models after which no generation is begun.
     """
 
     generations: int = 150
     patience: int = 10
     stall: int = 40
     enough: float = 0.97
+    transitions: float = float("inf")
 
 
 def evolve_candidate(
@@ -52,7 +54,7 @@ def evolve_candidate(
         The best individual, as a population of one, and (B,) bool what it solves in the models.
     """
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
-    champion, solved, best, since = None, keep, -1.0, 0
+    champion, solved, best, since, spent = None, keep, -1.0, 0, 0
     began = time.perf_counter()
     for generation in evolve(
         environment,
@@ -81,10 +83,12 @@ def evolve_candidate(
         began = now
         fitness = float(generation.fitness[generation.best])
         since += 1
+        spent += generation.transitions
         if fitness > best + 1e-3:
             champion, solved, best, since = generation.champion, result, fitness, 0
         done = bool(solved.all()) and (best >= budget.enough or since >= budget.patience)
-        if done or since >= budget.stall or generation.number + 1 >= budget.generations:
+        last = generation.number + 1 >= budget.generations or spent >= budget.transitions
+        if done or since >= budget.stall or last:
             break
     assert champion is not None  # noqa: S101  the loop body has run
     return champion, solved

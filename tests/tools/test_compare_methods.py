@@ -1,0 +1,140 @@
+"""The comparison of methods: one small seed, and the table."""
+
+import json
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import pytest
+from trained import SMALL
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import compare_methods
+from compare_methods import compare, cost_of, published, seeds_in, spread, table
+
+from cgtorch.experiments.run import open_run
+from cgtorch.experiments.storage import load_knowledge
+from cgtorch.experiments.train import make_setup
+
+HASTY = replace(SMALL, transitions=100, labels=120, attempts=2, generations=6)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One seed of the default and of the paper's method, both too hasty to get far."""
+    folder = tmp_path_factory.mktemp("comparison")
+    compare(folder, HASTY, ("stages", "paper-here"), 0, 20)
+    return folder
+
+
+def result(folder: Path, method: str) -> dict:
+    return json.loads((folder / f"seed-2-{method}.json").read_text())
+
+
+def test_both_begin_with_the_same_models(folder: Path) -> None:
+    names = ("begin", "stages", "paper-here")
+    bytes_of = [(folder / "seed-2" / n / "start" / "gamma.safetensors").read_bytes() for n in names]
+    assert len(set(bytes_of)) == 1
+    assert len(load_knowledge(folder / "seed-2" / "begin" / "start").dataset.percept) == 90
+
+
+def test_the_paper_gets_what_the_default_took(folder: Path) -> None:
+    default, paper = result(folder, "stages"), result(folder, "paper-here")
+    assert default["budget"] is None
+    assert paper["budget"] == default["transitions"] > 0
+    most = 60 * 20 * 300  # of a generation that had begun
+    assert paper["transitions"] <= paper["budget"] + most
+
+
+@pytest.mark.parametrize("method", ["stages", "paper-here"])
+def test_every_accepted_skill_is_measured(folder: Path, method: str) -> None:
+    found = result(folder, method)
+    costs = [*found["points"], found]
+    for cost in ("transitions", "generations", "search_seconds", "seconds"):
+        assert [c[cost] for c in costs] == sorted(c[cost] for c in costs)
+    assert found["search_seconds"] <= found["seconds"]
+    assert all(0 <= p["succeeded"] <= 20 for p in found["points"])
+    assert found["settings"]["seed"] == 2
+    if method == "stages" and found["failure"] is None:
+        assert [p["stage"] for p in found["points"]] == ["S0", "S1", "S2", "S3"]
+
+
+def test_what_is_there_is_not_made_again(folder: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
+    compare(folder, HASTY, ("stages", "paper-here"), 0, 20)
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*")} == before
+
+
+def test_a_budget_needs_a_default_to_take_it_from(tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "seed-2").mkdir()
+    (tmp_path / "seed-2" / "begin").symlink_to(folder / "seed-2" / "begin")
+    with pytest.raises(click.ClickException, match="make stages or auto first"):
+        compare(tmp_path, HASTY, ("paper",), 0, 20)
+
+
+def test_a_budget_ends_the_published_settings(tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "seed-2").mkdir()
+    (tmp_path / "seed-2" / "begin").symlink_to(folder / "seed-2" / "begin")
+    compare(tmp_path, HASTY, ("paper",), 60_000, 20)
+    found = result(tmp_path, "paper")
+    assert found["budget"] == 60_000
+    assert found["transitions"] >= 60_000 or found["failure"] is not None
+    assert found["transitions"] <= 60_000 + 200 * 20 * 20  # a generation on 20 scenarios
+
+
+def test_the_published_settings(folder: Path) -> None:
+    setup = published(make_setup(open_run(folder / "seed-2" / "begin")))
+    assert (setup.evolution.population, setup.evolution.elite, setup.evolution.tau) == (
+        200,
+        1,
+        0.05,
+    )
+    assert setup.budget.generations == 10_000
+    assert setup.max_transitions == 20
+
+
+def made(method: str, *points: tuple[int, float]) -> dict:
+    """A result with skills that solve so many of 100 after so many million transitions."""
+    told = [
+        {"succeeded": s, "transitions": t * 1e6, "seconds": 10 * t, "search_seconds": 5 * t}
+        for s, t in points
+    ]
+    last = told[-1] if told else {"transitions": 9e6, "seconds": 90, "search_seconds": 45}
+    return {"method": method, "placements": 100, **last, "points": told}
+
+
+def test_the_first_skill_that_reaches_the_target_counts() -> None:
+    found = made("auto", (50, 1), (85, 2), (84, 3), (99, 4))
+    assert cost_of(found, 0.85, "transitions") == 2e6
+    assert cost_of(found, 0.99, "seconds") == 40
+    assert cost_of(made("auto", (98, 1)), 0.99, "seconds") == math.inf
+    assert cost_of(made("auto"), 0.85, "seconds") == math.inf
+
+
+def test_the_table_has_medians_and_ranges() -> None:
+    results = [made("auto", (90, 1), (99, n)) for n in (2, 3, 8)]
+    results += [made("paper", (60, 9)), made("paper", (86, 9)), made("paper")]
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in table(results).splitlines()
+    ]
+    assert len({len(line) for line in lines}) == 1
+    auto, paper = lines[2:]
+    assert auto[1:5] == ["3", "99.0 %", "3.0, 2.0–8.0", "30, 20–80 (15, 10–40)"]
+    assert auto[5:8] == ["3 of 3", "1.0", "10 (5)"]
+    assert auto[8:] == ["3 of 3", "3.0, 2.0–8.0", "30, 20–80 (15, 10–40)"]
+    assert paper[2] == "60.0 %, 0.0 %–86.0 %"
+    assert paper[5:7] == ["1 of 3", "never, 9.0–never"]
+    assert paper[8:10] == ["0 of 3", "never"]
+
+
+def test_seeds_and_spreads() -> None:
+    assert seeds_in("0-3,7") == [0, 1, 2, 3, 7]
+    assert seeds_in("5") == [5]
+    with pytest.raises(click.BadParameter, match="give seeds such as"):
+        seeds_in("0-x")
+    assert spread([1.0, 1.0], "{:.0f}") == "1"
+    assert set(compare_methods.LABELS) == set(compare_methods.METHODS)

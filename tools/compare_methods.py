@@ -1,0 +1,335 @@
+"""Compare `--method paper` with the default: success, evaluations and seconds, over many seeds.
+
+    python tools/compare_methods.py FOLDER [--seeds 0-9] [--methods ...] [--budget N]
+
+For each seed, data and models are made once and all methods begin with them. After each accepted
+skill it is tried on fresh perimeter placements in the world, which costs it nothing. FOLDER keeps
+one JSON file per seed and method; what is there is not made again, so that a long comparison can
+be interrupted, and the table, FOLDER/table.md, is made from all files. Evaluations are actions
+executed in the models, seconds are CPU seconds of one thread.
+"""
+
+import math
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import click
+import torch
+
+from cgtorch.evolution import EvolutionSettings
+from cgtorch.experiments.auto import ENOUGH, act, train_until
+from cgtorch.experiments.evaluate import evaluate_skill
+from cgtorch.experiments.goal import Goal
+from cgtorch.experiments.run import Run, create_run, open_run
+from cgtorch.experiments.settings import RunSettings
+from cgtorch.experiments.stages import PERIMETER, STAGES, exercise, round_name, stage_generator
+from cgtorch.experiments.train import NotImprovedError, beginning, make_setup, train
+from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
+from cgtorch.improvement.grow import grow
+from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.specialists import Budget
+
+FRESH_SEED = 9_000_001  # of the placements that skills are measured on
+TARGETS = (0.85, 0.99)
+
+
+@dataclass
+class Meter:
+    """A watch that notes what every accepted skill had cost when it was accepted, and its success.
+
+    `measuring` are the CPU seconds of its own trials, which belong to nobody.
+    """
+
+    run: Run
+    placements: int
+    transitions: int = 0
+    generations: int = 0
+    search: float = 0.0
+    measuring: float = 0.0
+    points: list[dict[str, Any]] = field(default_factory=list)
+    began: float = field(default_factory=time.process_time)
+    last: float = field(default_factory=time.process_time)
+
+    def __call__(self, event: Event) -> None:
+        """Take note of an event."""
+        now = time.process_time()
+        if isinstance(event, GenerationDone):
+            self.transitions += event.generation.transitions
+            self.generations += 1
+            self.search += now - self.last
+        elif isinstance(event, SkillAccepted):
+            seed = FRESH_SEED + self.run.settings.seed
+            score = evaluate_skill(event.skill, self.run.world_of, PERIMETER, self.placements, seed)
+            point = {"stage": event.stage, **self.cost, "succeeded": score.successes}
+            size = {"nodes": event.skill.num_nodes, "depth": event.skill.depth}
+            self.points.append({**point, **size})
+            self.measuring += time.process_time() - now
+        self.last = time.process_time()
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """What was spent so far; `seconds` are those of search, learning and trials together."""
+        return {
+            "transitions": self.transitions,
+            "generations": self.generations,
+            "search_seconds": round(self.search, 1),
+            "seconds": round(time.process_time() - self.began - self.measuring, 1),
+        }
+
+
+def by_stages(run: Run, meter: Meter, budget: float) -> None:
+    """The default: S0 to S3."""
+    train(run, list(STAGES)[-1], meter, quietly)
+
+
+def by_rounds(run: Run, meter: Meter, budget: float) -> None:
+    """The default with `--stage auto`; it ends by its goal, not by the clock."""
+    train_until(run, Goal(minutes=1e6), meter, quietly)
+
+
+def published(setup: Setup) -> Setup:
+    """The settings that the paper and the code it names publish.
+
+    The paper: tournament selection, elitism, τ = 0.05, 20 transitions, half of the first population
+    the last graph. Its code: 200 individuals of 100 nodes, a pool of 20, elitism 1, up to 10,000
+    generations, and no other end than success.
+    """
+    evolution = EvolutionSettings(
+        population=200, tournament=20, elite=1, capacity=128, initial_nodes=(100, 100)
+    )
+    budget = Budget(generations=10_000, stall=10_000)
+    return replace(setup, evolution=evolution, budget=budget, max_transitions=20)
+
+
+def paper(run: Run, meter: Meter, budget: float) -> None:
+    """The paper's method with its own settings."""
+    grow_all(run, published(make_setup(run)), meter, budget)
+
+
+def paper_here(run: Run, meter: Meter, budget: float) -> None:
+    """The paper's method with the run's population, tournament and end of evolutions."""
+    grow_all(run, make_setup(run), meter, budget)
+
+
+METHODS: dict[str, Callable[[Run, Meter, float], None]] = {
+    "stages": by_stages,
+    "auto": by_rounds,
+    "paper": paper,
+    "paper-here": paper_here,
+}
+DEFAULTS = ("stages", "auto")  # their cost is the others' budget
+LABELS = {
+    "stages": "default, `--stage S3`",
+    "auto": "default, `--stage auto`",
+    "paper": "paper, its settings",
+    "paper-here": "paper, our settings",
+}
+
+
+def grow_all(run: Run, setup: Setup, meter: Meter, budget: float) -> None:
+    """Algorithm 1 as published: S0 to S3 and then fresh failures, until the budget is spent.
+
+    A stage goes on until all of its scenarios are solved or its share of what is left is spent;
+    what it has missed joins the next one. Only one evolution is made at a time, so that each skill
+    it accepts is measured.
+    """
+    progress = beginning(run, meter, quietly)
+    names = [*STAGES, *(round_name(i + 1) for i in range(1000))]
+    for i, name in enumerate(names):
+        if meter.transitions >= budget:
+            return
+        generator = stage_generator(run.settings.seed, name)
+        if name in STAGES:
+            todo = exercise(name, progress.missed, 0, generator).scenarios
+        elif progress.skill is None:
+            raise NotImprovedError(f"nothing was accepted in {', '.join(STAGES)}")
+        else:
+            score = act(run, progress.skill, Goal().screening, generator)
+            todo = score.scenarios[(~score.succeeded).nonzero()[:ENOUGH, 0]]
+            if not len(todo):
+                return
+        end = meter.transitions + (budget - meter.transitions) / max(1, len(STAGES) - i)
+        progress = replace(progress, missed=todo)
+        for _ in range(setup.attempts):
+            if not len(progress.missed) or meter.transitions >= end:
+                break
+            progress = grow_once(setup, progress, name, end, meter, generator)
+
+
+def grow_once(
+    setup: Setup,
+    progress: Progress,
+    name: str,
+    end: float,
+    meter: Meter,
+    generator: torch.Generator,
+) -> Progress:
+    """One evolution on all that is missed, which ends at `end` transitions at the latest."""
+    left = replace(setup.budget, transitions=end - meter.transitions)
+    once = replace(setup, attempts=1, budget=left)
+    missed = progress.missed
+    targets = torch.ones(len(missed), dtype=torch.bool)
+    return grow(once, progress, name, missed, targets, lambda _: missed, generator, meter)
+
+
+def quietly(message: str) -> nullcontext[None]:
+    """Long steps say nothing."""
+    return nullcontext()
+
+
+def compare(
+    folder: Path, settings: RunSettings, methods: tuple[str, ...], budget: float, placements: int
+) -> None:
+    """Make the files of one seed that are not there yet.
+
+    Args:
+        folder: of the comparison.
+        settings: of all runs, also their seed.
+        methods: keys of `METHODS`.
+        budget: transitions of the paper's method; 0 for those of the default with more of them.
+        placements: that skills are measured on.
+    """
+    seed = settings.seed
+    made = {name: folder / f"seed-{seed}-{name}.json" for name in METHODS}
+    if all(made[name].is_file() for name in methods):
+        return
+    common = begun(folder / f"seed-{seed}" / "begin", settings)
+    beginning(common, lambda event: None, quietly)
+    for name in methods:
+        if made[name].is_file():
+            continue
+        if name not in DEFAULTS and not budget:
+            spent = [read_json(made[d])["transitions"] for d in DEFAULTS if made[d].is_file()]
+            if not spent:
+                raise click.ClickException(f"seed {seed}: make {' or '.join(DEFAULTS)} first")
+            limit = max(spent)
+        else:
+            limit = math.inf if name in DEFAULTS else budget
+        place = folder / f"seed-{seed}" / name
+        shutil.rmtree(place, ignore_errors=True)  # one that was interrupted
+        run = begun(place, settings)
+        shutil.copytree(common.folder / "start", place / "start")
+        meter, failure = Meter(run, placements), None
+        try:
+            METHODS[name](run, meter, limit)
+        except NotImprovedError as e:
+            failure = str(e)
+        about = {"method": name, "seed": seed, "placements": placements, "failure": failure}
+        limited = {"budget": None if math.isinf(limit) else limit}
+        write_json(
+            made[name],
+            {
+                **about,
+                **limited,
+                **meter.cost,
+                "points": meter.points,
+                "settings": asdict(settings),
+            },
+        )
+        click.echo(f"seed {seed}, {name}: {summary(read_json(made[name]))}", err=True)
+
+
+def begun(folder: Path, settings: RunSettings) -> Run:
+    """A run in a folder, new or as it is."""
+    if (folder / "run.json").is_file():
+        return open_run(folder, settings.actions)
+    return create_run(folder, settings)
+
+
+def summary(result: dict[str, Any]) -> str:
+    """One line on one seed and method."""
+    way = ", ".join(f"{p['stage']} {share(result, p):.1%}" for p in result["points"])
+    return f"{way or 'nothing'}; {result['transitions'] / 1e6:.1f} M, {result['seconds']:.0f} s"
+
+
+def share(result: dict[str, Any], point: dict[str, Any]) -> float:
+    """Success on fresh placements."""
+    return float(point["succeeded"] / result["placements"])
+
+
+def cost_of(result: dict[str, Any], target: float, what: str) -> float:
+    """What the first accepted skill that reaches the target had cost; infinity if none does."""
+    reached = (p[what] for p in result["points"] if share(result, p) >= target)
+    return float(next(reached, math.inf))
+
+
+def table(results: list[dict[str, Any]]) -> str:
+    """Medians and ranges over seeds, one row per method."""
+    heads = ["method", "seeds", "success at the end", "evaluations, M", "CPU s (search)"]
+    for target in TARGETS:
+        heads += [f"{target:.0%}: seeds", "evaluations, M", "CPU s (search)"]
+    lines = [heads, ["---"] * len(heads)]
+    for name in METHODS:
+        if of := [r for r in results if r["method"] == name]:
+            last = [share(r, r["points"][-1]) if r["points"] else 0.0 for r in of]
+            row = [LABELS[name], str(len(of)), spread([100 * x for x in last], "{:.1f} %")]
+            row += _costs([{k: r[k] for k in COSTS} for r in of])
+            for target in TARGETS:
+                costs = [{k: cost_of(r, target, k) for k in COSTS} for r in of]
+                row.append(f"{sum(math.isfinite(c['seconds']) for c in costs)} of {len(of)}")
+                row += _costs(costs)
+            lines.append(row)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+COSTS = ("transitions", "seconds", "search_seconds")
+
+
+def _costs(costs: list[dict[str, float]]) -> list[str]:
+    transitions, seconds, search = ([c[k] for c in costs] for k in COSTS)
+    both = f"{spread(seconds, '{:.0f}')} ({spread(search, '{:.0f}')})"
+    return [spread([t / 1e6 for t in transitions], "{:.1f}"), both]
+
+
+def spread(values: list[float], form: str) -> str:
+    """The median and the extremes; infinity is what was never reached."""
+    middle, low, high = (
+        form.format(v) if math.isfinite(v) else "never"
+        for v in (median(values), min(values), max(values))
+    )
+    return middle if low == high else f"{middle}, {low}–{high}"
+
+
+def seeds_in(text: str) -> list[int]:
+    """The numbers in "3", "0-9" or "0,2,5-7"."""
+    try:
+        ends = [[int(x) for x in part.split("-")] for part in text.split(",")]
+        return [n for first, *last in ends for n in range(first, (last or [first])[0] + 1)]
+    except ValueError as e:
+        raise click.BadParameter(f"{text!r}; give seeds such as 0-9 or 0,2") from e
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--seeds", default="0-9", show_default=True, help="Such as 0-9 or 0,2,5-7.")
+@click.option(
+    "--methods", multiple=True, type=click.Choice(list(METHODS)), help="All if not given."
+)
+@click.option(
+    "--budget", default=0.0, help="Transitions of the paper's method; else what the default took."
+)
+@click.option("--placements", default=1000, show_default=True, help="Fresh ones for each skill.")
+def main(
+    folder: Path, seeds: str, methods: tuple[str, ...], budget: float, placements: int
+) -> None:
+    """Compare the paper's method with the default and print a table in Markdown."""
+    torch.set_num_threads(1)
+    numbers = seeds_in(seeds)
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in numbers:
+        compare(folder, RunSettings(seed=seed), methods or tuple(METHODS), budget, placements)
+    results = [read_json(path) for path in sorted(folder.glob("seed-*.json"))]
+    text = table(results)
+    write_bytes(folder / "table.md", text.encode())
+    click.echo(text)
+
+
+if __name__ == "__main__":
+    main()
