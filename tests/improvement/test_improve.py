@@ -169,6 +169,18 @@ def test_the_budget_is_kept(setup: Setup, nothing_yet: Progress, method: str) ->
         assert len(numbers) <= 3
 
 
+def test_an_evolution_ends_once_its_transitions_are_spent(
+    setup: Setup, nothing_yet: Progress
+) -> None:
+    one = replace(setup, attempts=1, budget=Budget(generations=8, enough=2.0, patience=8))
+    _, told = stage("paper", one, nothing_yet, "S0", "far", 2)
+    spent = [e.generation.transitions for e in told if isinstance(e, GenerationDone)]
+    assert len(spent) == 8
+    less = replace(one, budget=replace(one.budget, transitions=sum(spent[:3]) - 1))
+    _, told = stage("paper", less, nothing_yet, "S0", "far", 2)
+    assert [e.generation.transitions for e in told if isinstance(e, GenerationDone)] == spent[:3]
+
+
 def test_the_papers_way_evolves_under_a_hard_w(setup: Setup, nothing_yet: Progress) -> None:
     """Who loses a scenario of W in the models is worth nothing, and the last skill is a seed."""
     first, _ = stage("paper", setup, nothing_yet, "S0", "near", 1)
