@@ -29,8 +29,8 @@ def compose(
 ) -> Skill:
     """A skill that branches to one of its members, each a frozen sub-skill.
 
-    The branches are asked in turn; a member that fails hands back to the first branch, which
-    decides again from the percept that is then seen. Members that behave the same are one node.
+    The branches are asked in turn; a member that fails hands over to the next one, the last to the
+    first, so that a wrong branch is not the end. Members that behave the same are one node.
 
     Args:
         name: of the new skill.
@@ -57,7 +57,7 @@ def compose(
         edges[0, i, 0] = node[i]
         edges[0, i, 1] = i + 1 if i < m - 2 else node[-1]
         parameters[0, i, : branch.num_parameters] = branches[i]
-    edges[0, first_member:, 1] = 0
+    edges[0, first_member:, 1] = torch.arange(1, len(distinct) + 1) % len(distinct) + first_member
     graph = Graphs(action[None], edges, parameters, torch.zeros(1, dtype=torch.long))
     return Skill(name, graph, both, max_transitions)
 
