@@ -64,7 +64,7 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         run = open_run(path, rest["actions"])
         skill, world_of = read_entry(path, rest["skill"], run.actions).skill, run.world_of
     elif path.is_file():
-        percept, skill = lone_skill(path, rest["actions"])
+        percept, skill = lone_skill(path, rest["actions"], scenarios)
         world_of = tabletop_of(load_robot(), LAB_NOISE, percept)
     else:
         run, skill = last_skill(path, rest["actions"])

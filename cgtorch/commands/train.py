@@ -17,7 +17,7 @@ Examples:
   cgtorch-train --stage S3 --seed 1 --run-dir runs/one
   cgtorch-train --resume runs/one --stage S3
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
-  cgtorch-train --stage auto --scenarios general --percept edge --run-dir runs/general
+  cgtorch-train --stage auto --scenarios general --run-dir runs/general
   cgtorch-train --stage S1 --actions my_package.actions:Wait
 """
 

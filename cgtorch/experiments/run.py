@@ -26,7 +26,7 @@ from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES, round_name
-from cgtorch.experiments.views import VIEWS
+from cgtorch.experiments.views import NETWORKS, networks_of, percept_of, usual_percept
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
@@ -56,7 +56,7 @@ class Run:
     def world_of(self) -> Callable[[Scenarios], TabletopWorld]:
         """Makes the world of given scenarios, with the run's robot, noise and percept."""
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
-        return tabletop_of(self.robot, noise, self.settings.percept)
+        return tabletop_of(self.robot, noise, percept_of(self.settings))
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -73,10 +73,9 @@ class Run:
 
 
 def tabletop_of(
-    robot: Robot, noise: Noise, view: str = "box"
+    robot: Robot, noise: Noise, percept: str = "box"
 ) -> Callable[[Scenarios], TabletopWorld]:
-    """Makes tabletop worlds for a robot that sees them in one of `VIEWS`."""
-    percept = VIEWS[view].percept
+    """Makes tabletop worlds for a robot that sees them with a percept of that name."""
 
     def world_of(scenarios: Scenarios) -> TabletopWorld:
         footprint = robot.description.footprint
@@ -164,8 +163,8 @@ def open_run(folder: Path, trusted: Sequence[str] = ()) -> Run:
 def _checked_actions(robot: Robot, settings: RunSettings) -> ActionSet:
     """The run's actions; those that are not built in are tried on two lanes."""
     scenarios = draw_of(settings.scenarios)(2, torch.Generator().manual_seed(0))
-    world = tabletop_of(robot, LAB_NOISE, settings.percept)(scenarios)
-    basic = VIEWS[settings.percept].actions(world.percept_size)
+    world = tabletop_of(robot, LAB_NOISE, percept_of(settings))(scenarios)
+    basic = networks_of(settings).actions(world.percept_size)
     actions = resolve_actions(settings.actions, basic)
     for name, action in zip(actions.names, actions.actions, strict=True):
         if name not in basic.names:
@@ -192,25 +191,33 @@ def last_skill(path: Path, trusted: Sequence[str] = ()) -> tuple[Run, Skill]:
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 
 
-def lone_skill(path: Path, names: Sequence[str] = ()) -> tuple[str, Skill]:
-    """The skill of a file that stands for itself, and the view that its networks fit.
+def lone_skill(
+    path: Path, names: Sequence[str] = (), scenarios: str = RunSettings.scenarios
+) -> tuple[str, Skill]:
+    """The skill of a file that stands for itself, and the percept that its networks fit.
+
+    Networks in the edge's frame are of the same size whatever they were evolved with; for these
+    it is the percept that a run about such scenarios has.
 
     Args:
         path: the file.
         names: of further actions that it uses.
+        scenarios: what it is to be tried on.
 
     Raises:
-        GraphError: the file cannot be read or describes no skill, in whatever view.
+        GraphError: the file cannot be read or describes no skill, for whatever percept.
         ActionError: an action is not known.
     """
     errors: list[GraphError | ActionError] = []
-    for obstacles, (name, view) in itertools.product((0, 1), VIEWS.items()):
-        size = PERCEPTS[view.percept] + BOX * obstacles
+    usual = usual_percept(scenarios)
+    percepts = sorted(PERCEPTS, key=lambda percept: percept != usual)
+    for networks, obstacles, percept in itertools.product(NETWORKS.values(), (0, 1), percepts):
+        basic = networks.actions(PERCEPTS[percept] + BOX * obstacles)
         try:
-            return name, load_skill(path, resolve_actions(names, view.actions(size)))
+            return percept, load_skill(path, resolve_actions(names, basic))
         except (GraphError, ActionError) as e:
             errors.append(e)
-    raise errors[0]
+    raise next((e for e in errors if isinstance(e, GraphError)), errors[0])
 
 
 @contextmanager

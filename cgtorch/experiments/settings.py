@@ -8,10 +8,16 @@ from cgtorch.errors import SettingsError
 
 METHODS = ("compose", "paper")
 SCENARIOS = ("perimeter", "general", "general-clutter")
-PERCEPTS = ("box", "yaw", "edge")
-CHOICES = {"method": METHODS, "scenarios": SCENARIOS, "percept": PERCEPTS}
-LATER = ("scenarios", "percept")
-"""Settings that a run may lack, because it was begun before they were; it has their defaults."""
+PERCEPTS = ("auto", "box", "yaw")
+NETWORKS = ("auto", "percept", "edge")
+CHOICES = {
+    "method": METHODS,
+    "scenarios": SCENARIOS,
+    "percept": PERCEPTS,
+    "networks": NETWORKS,
+}
+LATER = {"scenarios": "perimeter", "percept": "box", "networks": "percept"}
+"""Settings that a run may lack, because it was begun before they were, and what they then are."""
 
 
 def option(default: Any, text: str) -> Any:
@@ -45,9 +51,14 @@ class RunSettings:
         "general-clutter with boxes in the way.",
     )
     percept: str = option(
-        "box",
-        "box as in the paper, yaw to see the table's yaw too, edge for networks that besides see "
-        "and act from the edge nearest to the object.",
+        "auto",
+        "What is seen: box as in the paper, yaw for the table's yaw too, auto for yaw with general "
+        "scenarios only.",
+    )
+    networks: str = option(
+        "auto",
+        "What networks read: percept as in the paper, edge for the scene as seen from the edge "
+        "nearest to the object, auto for edge unless the method is paper.",
     )
     actions: tuple[str, ...] = option((), "Further actions: names or package.module:Class.")
 
@@ -85,7 +96,7 @@ def settings_from_dict(data: Any) -> RunSettings:
     """
     names = {f.name for f in fields(RunSettings)}
     if isinstance(data, dict):
-        data = {f.name: f.default for f in fields(RunSettings) if f.name in LATER} | data
+        data = LATER | data
     if not isinstance(data, dict) or set(data) != names:
         odd = sorted(names ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")

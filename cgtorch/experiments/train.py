@@ -34,6 +34,7 @@ from cgtorch.experiments.storage import (
     save_population,
     save_scenarios,
 )
+from cgtorch.experiments.views import networks_of
 from cgtorch.files import write_json
 from cgtorch.graphs import load_skill, save_skill
 from cgtorch.improvement.events import (
@@ -203,13 +204,16 @@ def not_improved(run: Run, name: str) -> NotImprovedError:
 
 def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
     """The run's settings in the terms of improvement."""
-    s = run.settings
+    s, networks = run.settings, networks_of(run.settings)
     return Setup(
         actions=run.actions,
         world_of=run.world_of,
         footprint=torch.tensor(run.robot.description.footprint),
         evolution=EvolutionSettings(population=s.population, tournament=s.tournament),
-        budget=Budget(generations=s.generations),
+        budget=Budget(generations=s.generations, stall=networks.stall),
+        group_of=networks.group_of,
+        group=networks.group,
+        lanes=2 * networks.group,
         attempts=s.attempts,
         max_transitions=s.max_transitions,
         device=device,

@@ -10,7 +10,7 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
 from cgtorch.improvement.knowledge import Knowledge
-from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.specialists import Budget, Grouping, local_group
 from cgtorch.world import Scenarios, TabletopWorld
 
 
@@ -27,7 +27,8 @@ class Setup:
         attempts: the most evolutions in one stage.
         idle: evolutions without a new member after which no more are tried.
         rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
-        group: scenarios a specialist is evolved on.
+        group_of: chooses the scenarios that a specialist is evolved on.
+        group: how many these are.
         lanes: runs of a specialist in the models, each scenario of its group at least twice, with
             different errors of Γ.
         trials: runs in the world, with different noise, that a member must all pass to count as
@@ -45,6 +46,7 @@ class Setup:
     attempts: int = 24
     idle: int = 4
     rounds: int = 1
+    group_of: Grouping = local_group
     group: int = 12
     lanes: int = 24
     trials: int = 3

@@ -1,7 +1,9 @@
 """Specialists: small graphs evolved on a local group of missed scenarios, without W to carry."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
@@ -92,6 +94,17 @@ def evolve_candidate(
             break
     assert champion is not None  # noqa: S101  the loop body has run
     return champion, solved
+
+
+Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
+"""First percepts (B, D), (B,) bool what is missed, a size, and a generator to the indices (n,) of
+a group of missed scenarios that a specialist is evolved on."""
+
+
+def broad_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
+    """Indices of missed scenarios, drawn at random; the arguments are those of `local_group`."""
+    rows = missed.nonzero()[:, 0]
+    return rows[torch.randperm(len(rows), generator=generator)[:size]]
 
 
 def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:

@@ -14,7 +14,7 @@ from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
 from cgtorch.improvement.gate import train_branches
 from cgtorch.improvement.knowledge import Knowledge, imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.specialists import evolve_candidate, local_group
+from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, concatenate_scenarios
 
@@ -134,7 +134,7 @@ def recruit(
     It joins the team if it solves anything that nobody does. Where the world does not keep what
     the models promised, Γ and C learn from it, and the next search goes on from there.
     """
-    group = local_group(task.percepts, missed, setup.group, generator)
+    group = setup.group_of(task.percepts, missed, setup.group, generator)
     percepts = task.percepts[group]
     replicas = max(2, setup.lanes // len(group))
     environment = imagine(

@@ -46,7 +46,7 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["--scenarios", "general"], "not general scenarios; use --stage auto"),
         (["--stage", "S0", "--scenarios", "general-clutter"], "use --stage auto"),
         (["--scenarios", "near"], "scenarios is 'near'; use one of perimeter, general, general-"),
-        (["--percept", "nose"], "percept is 'nose'; use one of box, yaw, edge"),
+        (["--percept", "nose"], "percept is 'nose'; use one of auto, box, yaw"),
         (["--stage", "auto-1"], "unknown stage 'auto-1'; use one of S0, S1, S2, S3, auto"),
         (["--device", "abacus"], "device 'abacus' cannot be used; give auto, cpu or cuda"),
         (["--device", "cuda:99"], "device 'cuda:99' cannot be used"),

@@ -17,7 +17,7 @@ from cgtorch.actions import paper_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.run import create_run, last_skill, lone_skill, open_run, whole_folder
 from cgtorch.experiments.train import NotImprovedError, load_progress, train
-from cgtorch.experiments.views import VIEWS
+from cgtorch.experiments.views import NETWORKS
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.improvement.events import Event, ModelsFitted, SkillAccepted, StageStarted, WorldTested
 from cgtorch.improvement.trial import try_skill
@@ -106,15 +106,15 @@ def with_action(trained: Trained, target: Path, spec: str) -> Path:
     return folder
 
 
-KINDS = [(7, "box"), (9, "yaw"), (11, "box"), (13, "yaw"), (9, "edge"), (13, "edge")]
-
-
-@pytest.mark.parametrize(("size", "percept"), KINDS)
-def test_a_skill_file_tells_what_it_reads(tmp_path: Path, size: int, percept: str) -> None:
+@pytest.mark.parametrize("networks", NETWORKS)
+@pytest.mark.parametrize(("size", "percept"), [(7, "box"), (9, "yaw"), (11, "box"), (13, "yaw")])
+def test_a_skill_file_tells_what_it_reads(
+    tmp_path: Path, size: int, percept: str, networks: str
+) -> None:
     path = tmp_path / "skill.json"
-    skill = random_skill(4, "some", VIEWS[percept].actions(size))
+    skill = random_skill(4, "some", NETWORKS[networks].actions(size))
     save_skill(path, skill)
-    found, again = lone_skill(path)
+    found, again = lone_skill(path, scenarios="perimeter" if percept == "box" else "general")
     assert found == percept
     assert skill_to_dict(again) == skill_to_dict(skill)
 

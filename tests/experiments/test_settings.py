@@ -13,12 +13,13 @@ from cgtorch.errors import SettingsError
 from cgtorch.experiments.settings import (
     CHOICES,
     LATER,
+    NETWORKS,
     PERCEPTS,
     SCENARIOS,
     RunSettings,
     settings_from_dict,
 )
-from cgtorch.experiments.views import VIEWS
+from cgtorch.experiments.views import NETWORKS as KINDS_OF_NETWORKS
 from cgtorch.world import DRAWS
 from cgtorch.world import PERCEPTS as SIZES_OF_PERCEPTS
 
@@ -76,15 +77,16 @@ def test_choices(name: str, bad: Any) -> None:
 
 def test_what_can_be_chosen_exists() -> None:
     assert set(SCENARIOS) <= set(DRAWS)
-    assert set(PERCEPTS) == set(VIEWS)
-    assert {v.percept for v in VIEWS.values()} == set(SIZES_OF_PERCEPTS)
+    assert set(PERCEPTS) == {"auto", *SIZES_OF_PERCEPTS}
+    assert set(NETWORKS) == {"auto", *KINDS_OF_NETWORKS}
 
 
 def test_a_run_from_before_there_were_other_tables() -> None:
     data = RunSettings(scenarios="general", percept="yaw", seed=3).to_dict()
     for name in LATER:
         del data[name]
-    assert settings_from_dict(data) == RunSettings(seed=3, scenarios="perimeter", percept="box")
+    before = RunSettings(seed=3, scenarios="perimeter", percept="box", networks="percept")
+    assert settings_from_dict(data) == before
 
 
 @pytest.mark.parametrize("bad", [(1,), ("Wait", None), 5, None, "Wait"])
