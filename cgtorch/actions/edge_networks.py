@@ -10,22 +10,23 @@ from torch import Tensor
 
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
 from cgtorch.environment import Environment, Lanes
-from cgtorch.world.edge_frame import edge_frame, motion_to, scene, scene_size
+from cgtorch.world.edge_frame import SCENE, edge_frame, motion_to, scene, scene_size
 
 
 class EdgeNN(ContinuousNN):
     """From the scene to a pose to stand at, both in the edge's frame; sent as a motion to there.
 
-    The pose is x, y (m) and heading (rad) of the base.
+    The pose is x, y (m) and heading (rad) of the base. Obstacles are not looked at: whether one is
+    in the way is MoveBase's to say, and where else to go then another node's.
     """
 
     def __init__(self, percept_size: int = 9, hidden: int = 3):
-        super().__init__(scene_size(percept_size), hidden)
+        super().__init__(SCENE, hidden)
         self.percept_size = percept_size
 
     def sees(self, percept: Tensor) -> Tensor:
-        """The scene (n, inputs)."""
-        return scene(percept)
+        """The scene without obstacles (n, inputs)."""
+        return scene(percept)[:, :SCENE]
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment

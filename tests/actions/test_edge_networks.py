@@ -5,7 +5,7 @@ from support import seeded
 from cgtorch.actions import BranchingNN, ContinuousNN, EdgeBranchingNN, EdgeNN, edge_actions
 from cgtorch.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.world.edge_frame import edge_frame, motion_to, scene
+from cgtorch.world.edge_frame import SCENE, edge_frame, motion_to, scene
 
 
 def environment(size: int) -> ModelEnvironment:
@@ -20,7 +20,7 @@ def test_they_are_the_papers_networks_on_the_scene(size: int) -> None:
     lanes = start_lanes(here, torch.arange(6), 3, 0)
     seen = start_lanes(here, torch.arange(6), 3, 0)
     seen = type(seen)(**{**vars(seen), "percept": scene(here.percepts)})
-    edge, plain = EdgeNN(size), ContinuousNN(seen.percept.shape[1])
+    edge, plain = EdgeNN(size), ContinuousNN(SCENE)
     parameters = edge.initial_parameters(6, seeded(2))
     after, outcome = edge(lanes, parameters, here)
     meant, _ = plain(seen, parameters, here)

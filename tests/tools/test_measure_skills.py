@@ -1,0 +1,69 @@
+"""One small run, measured; and the table."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import measure_skills
+from click.testing import CliRunner
+
+from cgtorch.files import read_json
+
+HASTY = "--transitions 100 --labels 300 --attempts 1 --generations 8 --rounds 1 --minutes 1"
+
+
+def test_a_run_is_made_once_and_measured(tmp_path: Path) -> None:
+    arguments = [str(tmp_path / "made"), "--seeds", "1", "--kinds", "general", "--count", "40"]
+    ended = CliRunner().invoke(measure_skills.command, [*arguments, "--options", HASTY])
+    assert ended.exit_code == 0, ended.output
+    result = read_json(tmp_path / "made" / "general-0.json")
+    assert result["tried"] == 40
+    assert 0 <= result["succeeded"]["general"] <= 40
+    assert result["w_lost"] == 0
+    assert 0 < result["improving"] < result["seconds"]
+    table = (tmp_path / "made" / "table.md").read_text()
+    assert table in ended.output
+    assert f"| {result['succeeded']['general'] / 40:.1%} |" in table
+    run = next((tmp_path / "made" / "general-0").glob("auto-1/skill.json"))
+    before = run.stat().st_mtime_ns
+    assert CliRunner().invoke(measure_skills.command, arguments).exit_code == 0
+    assert run.stat().st_mtime_ns == before
+
+
+def test_the_table_tells_the_median_and_the_least() -> None:
+    results = [
+        {
+            "kind": "clutter",
+            "tried": 10,
+            "succeeded": {"general-clutter": n},
+            "seconds": 60.0 + n,
+            "w_lost": n,
+            "nodes": n,
+            "largest": 2 * n,
+        }
+        for n in (9, 7, 8)
+    ]
+    line = measure_skills.table(results).splitlines()[-1]
+    assert line.split("|")[2:-1] == [
+        " general-clutter ",
+        " 80.0% ",
+        " 70.0% ",
+        " 3 ",
+        " 68 ",
+        " 24 ",
+        " 9, 18 ",
+    ]
+
+
+def test_no_results_no_lines() -> None:
+    assert len(measure_skills.table([]).splitlines()) == 2
+
+
+@pytest.mark.parametrize("kind", measure_skills.KINDS)
+def test_every_kind_is_tried_on_something(kind: str) -> None:
+    options, placements = measure_skills.KINDS[kind]
+    assert options[0] == "--stage"
+    assert placements
