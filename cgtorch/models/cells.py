@@ -1,11 +1,9 @@
 """The dual problems of a cross-validated grid at one gamma, solved together.
 
 One kernel matrix serves every fold, every C, every epsilon and every output: a fold only fixes its
-held-out coefficients to 0, and their decision values come free as K beta + b. A solution that
-touches no bound of its box holds for every larger C unchanged.
+held-out coefficients to 0, and their decision values come free as K beta + b.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -15,16 +13,23 @@ from cgtorch.models.gram import Gram, gram
 from cgtorch.models.kernels import Kernel
 from cgtorch.models.problems import Problems, classification, regression
 from cgtorch.models.solver import (
-    Solutions,
-    Start,
     descend,
+    dual_objective,
     duality_gap,
+    middle_bias,
     quarter_start,
     solve,
 )
+from cgtorch.models.splitting import split
 
 GRID_RIDGE = 1e-3
-_BATCH = 64  # problems solved together, few enough to stay in the processor's cache
+TOLERANCE = 1e-3  # violation of the optimality conditions, as libsvm's default
+_BATCH = (
+    64  # problems that Newton's method solves together, few enough to stay in the processor's cache
+)
+
+Found = tuple[Tensor, Tensor, Tensor]
+"""Coefficients (P, n), biases (P,) and whether the answer came without SMO (P,)."""
 
 
 @dataclass(frozen=True)
@@ -89,101 +94,53 @@ def solve_width(task: Task, width: float, generator: torch.Generator) -> Cells:
 
 
 def _solve_tube(task: Task, kernel: Gram, tube: Tensor, generator: torch.Generator) -> Cells:
-    """All cells at one gamma and epsilon.
+    """All cells at one gamma and epsilon: by splitting, and by Newton's method what that leaves."""
+    axes = len(task.costs), len(task.targets), len(task.weight) - 1
+    index = torch.cartesian_prod(*(torch.arange(size) for size in axes)).to(task.folds.device)
+    index[:, 2] += 1
+    problems = task.problems(index, tube)
+    found = split(kernel, problems, TOLERANCE)
+    beta, bias = found.beta, found.bias
+    direct = torch.ones_like(bias, dtype=torch.bool)
+    rest = (found.violation > TOLERANCE).nonzero().flatten()
+    if len(rest):
+        beta[rest], bias[rest], direct[rest] = _newton(task, kernel, tube, index[rest], generator)
+    product = kernel.times(beta)
+    bias = middle_bias(problems, beta, bias, product)
+    return _cells(task, index, problems, (beta, bias, direct), product)
 
-    The folds start from the same problem on all rows, solved roughly. Above the highest cost that
-    this makes worth trying, the solution of a fold either holds or starts the next cost; where it
-    may have to hold for them, it is as exact as they ask for.
+
+def _newton(
+    task: Task, kernel: Gram, tube: Tensor, index: Tensor, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Coefficients (P, n), biases and directness (P,) of the problems of `index` (P, 3).
+
+    The folds start from the same problems on all rows, solved roughly.
     """
-    costs, blocks = len(task.costs), len(task.weight) - 1
-    cells = _no_cells(task)
-    index, start = _whole(task, kernel, tube, generator)
-    top = index.new_zeros(len(task.targets)).scatter_reduce(0, index[:, 1], index[:, 0], "amax")
-    index = index.repeat_interleave(blocks, 0)
-    index[:, 2] = torch.arange(1, blocks + 1, device=index.device).repeat(len(index) // blocks)
-    start = _each(start, lambda part: part.repeat_interleave(blocks, 0))
-    while len(index):
-        more = torch.zeros(len(index), dtype=torch.bool, device=index.device)
-        for rows in torch.arange(len(index), device=index.device).split(_BATCH):
-            part, begin = index[rows], _each(start, lambda tensor: tensor[rows])  # noqa: B023
-            highest = part[:, 0] >= top[part[:, 1]]
-            share = torch.where(highest, task.costs[part[:, 0]] / task.costs[-1], 1.0)
-            problems = task.problems(part, tube)
-            found = solve(kernel, problems, generator, begin, last=GRID_RIDGE * share)
-            until = torch.where(highest & _loose(found.status), costs, part[:, 0] + 1)
-            _record(task, tube, cells, part, found, until)
-            more[rows] = highest & (until < costs)
-            start[0][rows], start[1][rows], start[2][rows] = found.beta, found.bias, found.status
-        index, start = index[more], _each(start, lambda tensor: tensor[more])  # noqa: B023
-        index[:, 0] += 1
-    return cells
+    pairs, place = index[:, :2].unique(dim=0, return_inverse=True)
+    whole = task.problems(torch.nn.functional.pad(pairs, (0, 1)), tube)
+    rough = descend(kernel, whole, quarter_start(kernel, whole, generator))
+    parts = []
+    for rows in torch.arange(len(index), device=index.device).split(_BATCH):
+        at = place[rows]
+        start = rough.beta[at], rough.bias[at], rough.status[at]
+        problems = task.problems(index[rows], tube)
+        part = solve(kernel, problems, generator, start, last=GRID_RIDGE)
+        parts.append((part.beta, part.bias, part.direct))
+    beta, bias, direct = (torch.cat(column) for column in zip(*parts, strict=True))
+    return beta, bias, direct
 
 
-def _each(start: Start, change: Callable[[Tensor], Tensor]) -> Start:
-    beta, bias, status = start
-    return change(beta), change(bias), change(status)
-
-
-def _no_cells(task: Task) -> Cells:
-    shape = len(task.costs), len(task.targets)
-    rows = task.rows
+def _cells(task: Task, index: Tensor, problems: Problems, found: Found, product: Tensor) -> Cells:
+    """Solutions of `index` (P, 3), in its order, as cells."""
+    beta, bias, direct = found
+    shape = len(task.costs), len(task.targets), -1
+    value = (product + bias[:, None]).reshape(*shape, len(task.rows))
+    gap = duality_gap(problems, beta, bias, product)
+    gap = gap / dual_objective(problems, beta, product).abs().clamp_min(1e-12)
+    place = task.folds.to(value.device).expand(*shape[:2], 1, -1)
     return Cells(
-        rows.new_zeros(*shape, len(rows)),
-        rows.new_zeros(shape),
-        torch.ones(shape, dtype=torch.bool, device=rows.device),
+        value.gather(2, place).squeeze(2),
+        gap.reshape(shape).amax(-1),
+        direct.reshape(shape).all(-1),
     )
-
-
-def _record(
-    task: Task, tube: Tensor, cells: Cells, index: Tensor, found: Solutions, until: Tensor
-) -> None:
-    """Write solutions to their cells and to those of larger costs below `until` (P,)."""
-    value = found.product + found.bias[:, None]
-    for cost in range(len(task.costs)):
-        rows = ((index[:, 0] <= cost) & (cost < until)).nonzero().flatten()
-        if len(rows) == 0:
-            continue
-        here = index[rows].clone()
-        here[:, 0] = cost
-        at = found.take(rows)
-        gap = duality_gap(task.problems(here, tube), at.beta, at.bias, at.product)
-        relative = gap / at.objective.abs().clamp_min(1e-12)
-        for row, (_, output, block), error in zip(rows, here.tolist(), relative, strict=True):
-            inside = task.folds == block - 1
-            cells.held_out[cost, output, inside] = value[row, inside]
-            cells.gap[cost, output] = torch.maximum(cells.gap[cost, output], error)
-            cells.direct[cost, output] &= found.direct[row]
-
-
-def _whole(
-    task: Task, kernel: Gram, tube: Tensor, generator: torch.Generator
-) -> tuple[Tensor, Start]:
-    """Problems on all rows, (P, 3), that start the folds, and their rough solutions.
-
-    They are tried on a quarter of the rows first, and either way for every output those are left
-    out that have a larger C than one that touches no bound.
-    """
-    axes = [torch.arange(size) for size in (len(task.costs), len(task.targets), 1)]
-    index = torch.cartesian_prod(*axes).to(task.folds.device)
-    start = quarter_start(kernel, task.problems(index, tube), generator)
-    index, start = _needed(index, start)
-    rough = descend(kernel, task.problems(index, tube), start)
-    return _needed(index, (rough.beta, rough.bias, rough.status))
-
-
-def _needed(index: Tensor, start: Start) -> tuple[Tensor, Start]:
-    """Those problems (P, 3) and solutions whose C is at most the first that touches no bound."""
-    loose = _loose(start[2])
-    keep = torch.ones_like(loose)
-    for output in index[:, 1].unique():
-        mine = index[:, 1] == output
-        costs = index[mine & loose, 0]
-        if len(costs):
-            keep[mine] = index[mine, 0] <= costs.min()
-    beta, bias, status = (part[keep] for part in start)
-    return index[keep], (beta, bias, status)
-
-
-def _loose(status: Tensor) -> Tensor:
-    """Whether solutions with statuses (P, n) touch no bound of their boxes (P,)."""
-    return (status != 0).any(1) & (status.abs() != 2).all(1)

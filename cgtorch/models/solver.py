@@ -160,7 +160,7 @@ def solve(
             tolerance,
         )
     product = gram.times(beta)
-    bias = _middle_bias(problems, beta, bias, product)
+    bias = middle_bias(problems, beta, bias, product)
     status = found.status.clone()
     if len(failed):
         status[failed] = classify(beta[failed], problems.lower[failed], problems.upper[failed])
@@ -194,7 +194,7 @@ def _small_gap(problems: Problems, found: Active, last: float | Tensor) -> Tenso
     return gap <= allowed + 1e-9 * box.sum(1)
 
 
-def _middle_bias(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
+def middle_bias(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
     """Biases (P,), in the middle of what is optimal where no free coefficient fixes them.
 
     That is libsvm's rule (Chang & Lin 2011, section 4.1.5).
