@@ -26,7 +26,7 @@ def _slow(matrix: torch.Tensor, problems: Problems, number: int) -> torch.Tensor
 def test_solutions_equal_those_of_smo(seed, exponent, regress):
     n = 60
     x = _rows(seed, n)
-    kernel = gram("rbf", x, 0.5)
+    kernel = gram("rbf", x, 2.0)
     weight = (torch.arange(n) % 3 != torch.arange(3)[:, None]).double()
     cap = torch.full((3,), 2.0**exponent, dtype=torch.float64)
     z = (2 * x[:, 0]).sin() + 0.3 * x[:, 1]
@@ -49,7 +49,7 @@ def test_problems_with_many_free_coefficients_are_solved():
     targets = (2 * x[:, 0]).sin().expand(3, 300)
     tube = torch.full_like(cap, 0.02)
     problems = regression(targets, cap, tube, torch.ones(3, 300, dtype=torch.float64))
-    found = split(gram("rbf", x, 0.5), problems, 1e-3)
+    found = split(gram("rbf", x, 2.0), problems, 1e-3)
     assert float(found.violation.max()) <= 1e-3
 
 
