@@ -1,9 +1,9 @@
-"""Cross-validated choice of C, gamma and epsilon in one batched exact solve.
+"""Cross-validated choice of C, gamma and epsilon in one batched solve, as exact as libsvm's.
 
 One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
 only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
-Along C each solution starts from the one before, and a solution that touches no bound holds for
-every larger C unchanged.
+Where many coefficients are free, all problems of a gamma are split on one inverse; the others are
+solved by Newton's method, folds from the solution on all rows (`cgtorch.models.cells`).
 """
 
 import itertools
