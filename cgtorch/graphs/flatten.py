@@ -1,121 +1,150 @@
-"""Flattening: a skill with all skills in it as one graph of primitive actions."""
+"""Flattening: a skill with all skills in it as one graph of primitive actions.
+
+A sub-skill that has run out of its transitions hands back to the skill it is in. One graph has no
+counts to tell that by, so it has a copy of a node for every count that matters: each of its nodes
+is a stack of frames (`cgtorch.graphs.levels`).
+"""
 
 import torch
 
-from cgtorch.actions import Action, ActionSet
+from cgtorch.actions import Action, ActionSet, BranchingNN
 from cgtorch.errors import GraphError
-from cgtorch.graphs.graphs import NO_NODE, Graphs, resized
+from cgtorch.graphs.files import MAX_NODES
+from cgtorch.graphs.graphs import NO_NODE, Graphs
+from cgtorch.graphs.levels import Level, Stack, entered, followed, levels_of, settled
+from cgtorch.graphs.merge import merged
 from cgtorch.graphs.skill import Skill, SubSkill
-from cgtorch.graphs.validity import pruned
 
 
-def flattened(skill: Skill) -> Skill:
+def flattened(skill: Skill, max_transitions: int) -> Skill:
     """The same skill without skills in it.
 
-    Every node that is a sub-skill gives way to the sub-skill's own graph: what led to the node
-    leads to its start. Message and memory belong to the lane, so nodes find them as before. A
-    sub-skill hands back in two cases only. Where an action ends it without success, one graph
-    cannot say the same, because a terminal outcome has no edge. Where it runs out of its own
-    transitions, one graph has no count to tell that by: it stays in the sub-skill's graph.
+    On any scenario it does what the nested skill does if that may execute `max_transitions`
+    actions on all levels together: the same actions with the same outcomes, percepts and end, also
+    by timeout. Message and memory belong to the lane, so nodes find them as before. One thing
+    differs: where the nested skill runs out of the transitions of its outermost level, the flat one
+    idles until it has made all of its own, at a `BranchingNN` that leads to itself.
 
-    So a run is the same, in its actions, outcomes, percepts and their number, up to where any
-    skill, or the whole, runs out of its transitions for the first time; in particular a run that
-    ends before is the same altogether. A run that would go on from there may succeed with one and
-    not with the other. What sub-skills have never handed back from is the same everywhere.
+    The fewer actions, the fewer nodes: a count is left out where its skill cannot run out before
+    the whole does, so with `max_transitions` of no more than every skill's own, no node has a copy.
+    Nodes that behave the same are merged.
+
+    Args:
+        skill: with skills in it, at any depth.
+        max_transitions: of the flat skill; what `max_steps` of `cgtorch.simulation.rollout` is to
+            the nested one.
 
     Returns:
         A skill of the same name, over the primitive actions of all levels, those of the outermost
-        first. It may make as many transitions as a run can before any skill runs out.
+        first.
 
     Raises:
-        GraphError: an action ends a sub-skill without success, or a name stands for different
-            actions at different levels.
+        GraphError: an action ends a sub-skill without success, after which the nested skill goes
+            on, but a terminal outcome has no edge; a name stands for different actions at
+            different levels; the graph would have more nodes than a file may; or it would have to
+            idle without a `BranchingNN` among its actions.
     """
-    parts = _innermost_first(skill, {})
-    actions = _primitives(list(parts.values()))
-    kinds = {id(action): i for i, action in enumerate(actions.actions)}
-    tables: list[Graphs] = []
-    entry: dict[int, int] = {}  # first row of each skill, by identity
-    rows = 0
-    for part in parts.values():
-        if part is not skill:
-            _check_ends(part)
-        table, entry[id(part)] = _table(part, rows, kinds, entry)
-        n = part.graph.capacity
-        tables.append(resized(table, n, actions.outcome_capacity, actions.parameter_capacity))
-        rows += n
-    graph = Graphs(
-        torch.cat([t.action for t in tables], 1),
-        torch.cat([t.edges for t in tables], 1),
-        torch.cat([t.parameters for t in tables], 1),
-        skill.graph.start.new_tensor([entry[id(skill)]]),
-    )
-    return Skill(skill.name, pruned(graph), actions, _transitions(skill))
+    levels = levels_of(skill, max_transitions)
+    for level in levels[:-1]:
+        _check_ends(level.skill)
+    actions = _primitives(levels)
+    nodes = _nodes(levels, max_transitions)
+    graph = _graph(nodes, levels, actions, skill)
+    return Skill(skill.name, merged(graph), actions, max_transitions)
 
 
-def _innermost_first(skill: Skill, found: dict[int, Skill]) -> dict[int, Skill]:
-    """The skill and all skills in it by identity, each once and after those in it."""
-    for sub in skill.sub_skills.values():
-        if id(sub) not in found:
-            _innermost_first(sub, found)
-    found[id(skill)] = skill
+def _nodes(levels: list[Level], most: int) -> dict[Stack | None, list[int]]:
+    """All stacks that a run of `most` actions can meet, and where their outcomes lead.
+
+    None stands for a run that has run out of the outermost level's transitions.
+    """
+    outermost = len(levels) - 1, levels[-1].start, levels[-1].limit
+    begin = settled(entered((outermost,), levels), 0, most, levels)
+    row: dict[Stack | None, int] = {begin: 0}
+    nodes: dict[Stack | None, list[int]] = {}
+    wave: list[Stack | None] = [begin]
+    for done in range(1, most + 1):
+        for stack in wave:
+            after = _after(stack, done, most, levels)
+            for other in after:
+                if other != () and row.setdefault(other, len(row)) >= MAX_NODES:
+                    raise GraphError(
+                        f"flat skill {levels[-1].skill.name!r} would have more than {MAX_NODES} "
+                        "nodes; give fewer transitions or leave it nested"
+                    )
+            nodes[stack] = [NO_NODE if other == () else row[other] for other in after]
+        wave = list(row)[len(nodes) :]
+    return nodes
+
+
+def _after(stack: Stack | None, done: int, most: int, levels: list[Level]) -> list[Stack | None]:
+    """Where each outcome leads with the action number `done`, () where it is terminal."""
+    if stack is None:
+        return [None, None]
+    level, slot, _ = stack[-1]
+    found: list[Stack | None] = []
+    for head in levels[level].heads[slot]:
+        after: Stack | None = ()
+        if head != NO_NODE and done == most:
+            after = stack  # no matter where, as nothing is executed any more
+        elif head != NO_NODE:
+            after = followed(stack, head, levels)
+            after = after and settled(after, done, most, levels)
+        found.append(after)
     return found
 
 
-def _primitives(parts: list[Skill]) -> ActionSet:
+def _graph(
+    nodes: dict[Stack | None, list[int]], levels: list[Level], actions: ActionSet, skill: Skill
+) -> Graphs:
+    """The nodes as one graph that starts with the first."""
+    action = torch.full((1, len(nodes)), NO_NODE)
+    edges = torch.full((1, len(nodes), actions.outcome_capacity), NO_NODE)
+    parameters = skill.graph.parameters.new_zeros(1, len(nodes), actions.parameter_capacity)
+    for i, (stack, heads) in enumerate(nodes.items()):
+        edges[0, i, : len(heads)] = torch.tensor(heads, dtype=torch.long)
+        if stack is None:
+            action[0, i] = _idle(actions)
+            continue
+        inner, slot = levels[stack[-1][0]].skill, stack[-1][1]
+        action[0, i] = kind = actions.index(inner.actions.names[inner.graph.action[0, slot]])
+        count = int(actions.num_parameters[kind])
+        parameters[0, i, :count] = inner.graph.parameters[0, slot, :count]
+    return Graphs(action, edges, parameters, torch.zeros(1, dtype=torch.long))
+
+
+def _idle(actions: ActionSet) -> int:
+    """An action that changes nothing."""
+    for i, action in enumerate(actions.actions):
+        if isinstance(action, BranchingNN):
+            return i
+    raise GraphError(
+        f"no BranchingNN among {', '.join(actions.names)} for a flat skill to idle at; give no "
+        "more transitions than the nested skill has at its outermost level"
+    )
+
+
+def _primitives(levels: list[Level]) -> ActionSet:
     """The actions of all levels that are no skills."""
     found: dict[str, Action] = {}
-    for part in reversed(parts):
-        for name, action in zip(part.actions.names, part.actions.actions, strict=True):
-            if isinstance(action, SubSkill):
-                continue
-            if found.setdefault(name, action) is not action:
+    for skill in (level.skill for level in reversed(levels)):
+        for name, action in zip(skill.actions.names, skill.actions.actions, strict=True):
+            if not isinstance(action, SubSkill) and found.setdefault(name, action) is not action:
                 raise GraphError(
-                    f"skill {part.name!r} has another action {name!r} than the skill that it is "
+                    f"skill {skill.name!r} has another action {name!r} than the skill that it is "
                     "in; make both with the same actions"
                 )
     return ActionSet(tuple(found), tuple(found.values()))
 
 
-def _check_ends(part: Skill) -> None:
+def _check_ends(skill: Skill) -> None:
     """Refuse a sub-skill that an action can end without success."""
-    for i in part.graph.action[0].unique().tolist():
-        terminal = part.actions.actions[i].terminal if i != NO_NODE else {}
+    for i in skill.graph.action[0].unique().tolist():
+        terminal = skill.actions.actions[i].terminal if i != NO_NODE else {}
         for outcome, success in terminal.items():
             if not success:
                 raise GraphError(
-                    f"{part.actions.names[i]} ends sub-skill {part.name!r} with outcome "
+                    f"{skill.actions.names[i]} ends sub-skill {skill.name!r} with outcome "
                     f"{outcome!r} and the skill that it is in goes on, which one graph cannot say; "
                     "leave it nested"
                 )
-
-
-def _table(
-    part: Skill, rows: int, kinds: dict[int, int], entry: dict[int, int]
-) -> tuple[Graphs, int]:
-    """The nodes of one skill from row `rows` on, without its sub-skills, and its first row."""
-    graph, modules = part.graph, part.actions.actions
-    kind = graph.action.clone()
-    row = rows + torch.arange(graph.capacity, device=kind.device)
-    for i, module in enumerate(modules):
-        here = graph.action[0] == i
-        if isinstance(module, SubSkill):
-            kind[0, here] = NO_NODE
-            if here.any():
-                row[here] = entry[id(module.skill)]
-        else:
-            kind[0, here] = kinds[id(module)]
-    gone = (kind == NO_NODE)[..., None]
-    edges = torch.where(graph.edges == NO_NODE, NO_NODE, row[graph.edges.clamp_min(0)])
-    parameters = graph.parameters.masked_fill(gone, 0.0)
-    table = Graphs(kind, edges.masked_fill(gone, NO_NODE), parameters, graph.start)
-    return table, int(row[graph.start])
-
-
-def _transitions(skill: Skill) -> int:
-    """The most actions of a run in which no skill runs out of its own transitions.
-
-    Such a run enters one sub-skill on each level at most, since none hands back.
-    """
-    inner = max((_transitions(s) for s in skill.sub_skills.values()), default=1)
-    return skill.max_transitions - 1 + inner
