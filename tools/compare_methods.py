@@ -16,11 +16,11 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import click
 import torch
+from comparison.table import summary, table
 
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.experiments.auto import ENOUGH, act, train_until
@@ -37,7 +37,6 @@ from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import Budget
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
-TARGETS = (0.85, 0.99)
 
 
 @dataclass
@@ -125,12 +124,7 @@ METHODS: dict[str, Callable[[Run, Meter, float], None]] = {
     "paper-here": paper_here,
 }
 DEFAULTS = ("stages", "auto")  # their cost is the others' budget
-LABELS = {
-    "stages": "default, `--stage S3`",
-    "auto": "default, `--stage auto`",
-    "paper": "paper, its settings",
-    "paper-here": "paper, our settings",
-}
+USUAL = ("stages", "auto", "paper")
 
 
 def grow_all(run: Run, setup: Setup, meter: Meter, budget: float) -> None:
@@ -191,7 +185,7 @@ def compare(
 
     Args:
         folder: of the comparison.
-        settings: of all runs, also their seed.
+        settings: of all runs, also their seed; the method is that of each.
         methods: keys of `METHODS`.
         budget: transitions of the paper's method; 0 for those of the default with more of them.
         placements: that skills are measured on.
@@ -214,7 +208,7 @@ def compare(
             limit = math.inf if name in DEFAULTS else budget
         place = folder / f"seed-{seed}" / name
         shutil.rmtree(place, ignore_errors=True)  # one that was interrupted
-        run = begun(place, settings)
+        run = begun(place, replace(settings, method="compose" if name in DEFAULTS else "paper"))
         shutil.copytree(common.folder / "start", place / "start")
         meter, failure = Meter(run, placements), None
         try:
@@ -230,7 +224,7 @@ def compare(
                 **limited,
                 **meter.cost,
                 "points": meter.points,
-                "settings": asdict(settings),
+                "settings": asdict(run.settings),
             },
         )
         click.echo(f"seed {seed}, {name}: {summary(read_json(made[name]))}", err=True)
@@ -241,60 +235,6 @@ def begun(folder: Path, settings: RunSettings) -> Run:
     if (folder / "run.json").is_file():
         return open_run(folder, settings.actions)
     return create_run(folder, settings)
-
-
-def summary(result: dict[str, Any]) -> str:
-    """One line on one seed and method."""
-    way = ", ".join(f"{p['stage']} {share(result, p):.1%}" for p in result["points"])
-    return f"{way or 'nothing'}; {result['transitions'] / 1e6:.1f} M, {result['seconds']:.0f} s"
-
-
-def share(result: dict[str, Any], point: dict[str, Any]) -> float:
-    """Success on fresh placements."""
-    return float(point["succeeded"] / result["placements"])
-
-
-def cost_of(result: dict[str, Any], target: float, what: str) -> float:
-    """What the first accepted skill that reaches the target had cost; infinity if none does."""
-    reached = (p[what] for p in result["points"] if share(result, p) >= target)
-    return float(next(reached, math.inf))
-
-
-def table(results: list[dict[str, Any]]) -> str:
-    """Medians and ranges over seeds, one row per method."""
-    heads = ["method", "seeds", "success at the end", "evaluations, M", "CPU s (search)"]
-    for target in TARGETS:
-        heads += [f"{target:.0%}: seeds", "evaluations, M", "CPU s (search)"]
-    lines = [heads, ["---"] * len(heads)]
-    for name in METHODS:
-        if of := [r for r in results if r["method"] == name]:
-            last = [share(r, r["points"][-1]) if r["points"] else 0.0 for r in of]
-            row = [LABELS[name], str(len(of)), spread([100 * x for x in last], "{:.1f} %")]
-            row += _costs([{k: r[k] for k in COSTS} for r in of])
-            for target in TARGETS:
-                costs = [{k: cost_of(r, target, k) for k in COSTS} for r in of]
-                row.append(f"{sum(math.isfinite(c['seconds']) for c in costs)} of {len(of)}")
-                row += _costs(costs)
-            lines.append(row)
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-
-COSTS = ("transitions", "seconds", "search_seconds")
-
-
-def _costs(costs: list[dict[str, float]]) -> list[str]:
-    transitions, seconds, search = ([c[k] for c in costs] for k in COSTS)
-    both = f"{spread(seconds, '{:.0f}')} ({spread(search, '{:.0f}')})"
-    return [spread([t / 1e6 for t in transitions], "{:.1f}"), both]
-
-
-def spread(values: list[float], form: str) -> str:
-    """The median and the extremes; infinity is what was never reached."""
-    middle, low, high = (
-        form.format(v) if math.isfinite(v) else "never"
-        for v in (median(values), min(values), max(values))
-    )
-    return middle if low == high else f"{middle}, {low}–{high}"
 
 
 def seeds_in(text: str) -> list[int]:
@@ -310,7 +250,7 @@ def seeds_in(text: str) -> list[int]:
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--seeds", default="0-9", show_default=True, help="Such as 0-9 or 0,2,5-7.")
 @click.option(
-    "--methods", multiple=True, type=click.Choice(list(METHODS)), help="All if not given."
+    "--methods", multiple=True, type=click.Choice(list(METHODS)), default=USUAL, show_default=True
 )
 @click.option(
     "--budget", default=0.0, help="Transitions of the paper's method; else what the default took."
@@ -324,7 +264,7 @@ def main(
     numbers = seeds_in(seeds)
     folder.mkdir(parents=True, exist_ok=True)
     for seed in numbers:
-        compare(folder, RunSettings(seed=seed), methods or tuple(METHODS), budget, placements)
+        compare(folder, RunSettings(seed=seed), methods, budget, placements)
     results = [read_json(path) for path in sorted(folder.glob("seed-*.json"))]
     text = table(results)
     write_bytes(folder / "table.md", text.encode())

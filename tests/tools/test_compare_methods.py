@@ -14,8 +14,8 @@ from trained import SMALL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-import compare_methods
-from compare_methods import compare, cost_of, published, seeds_in, spread, table
+from compare_methods import METHODS, compare, published, seeds_in
+from comparison.table import LABELS, cost_of, spread, table
 
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.train import make_setup
@@ -53,6 +53,7 @@ def check_costs(found: Result) -> None:
     assert found["search_seconds"] <= found["seconds"]
     assert all(0 <= p["succeeded"] <= 20 for p in found["points"])
     assert found["settings"]["seed"] == 2
+    assert found["settings"]["method"] == ("compose" if found["method"] == "stages" else "paper")
 
 
 def test_every_skill_of_the_default_is_measured(folder: Path) -> None:
@@ -146,4 +147,4 @@ def test_seeds_and_spreads() -> None:
     with pytest.raises(click.BadParameter, match="give seeds such as"):
         seeds_in("0-x")
     assert spread([1.0, 1.0], "{:.0f}") == "1"
-    assert set(compare_methods.LABELS) == set(compare_methods.METHODS)
+    assert set(LABELS) == set(METHODS)

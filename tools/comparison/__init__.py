@@ -1,0 +1,1 @@
+"""What `tools/compare_methods.py` makes of its results."""
