@@ -14,3 +14,16 @@ def sigmoid(x: Tensor) -> Tensor:
     The bound, past which the result is 0 in all but name, keeps gradients finite.
     """
     return 1 / (1 + torch.exp((-x).clamp_max(80)))
+
+
+_FILLED = 32  # numbers that torch computes together at most
+
+
+def atan2(y: Tensor, x: Tensor) -> Tensor:
+    """The angle of vectors (x, y), of the same shape, bit for bit the same in whatever company.
+
+    On one thread of torch's; where more share the numbers out, each of them has a last few.
+    """
+    missing = -y.numel() % _FILLED
+    flat = [torch.nn.functional.pad(part.flatten(), (0, missing)) for part in (y, x)]
+    return torch.atan2(*flat)[: y.numel()].view(y.shape)

@@ -1,11 +1,11 @@
-"""The logistic function, and that no neighbour changes it."""
+"""The logistic function and the angle of a vector, and that no neighbour changes them."""
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.numerics import sigmoid
+from cgtorch.numerics import atan2, sigmoid
 
 
 def test_sigmoid_is_the_logistic_function() -> None:
@@ -30,3 +30,14 @@ def test_no_neighbour_changes_a_number(dtype: torch.dtype, first: int, count: in
     part = slice(first, first + count)
     assert torch.equal(sigmoid(x[part]), sigmoid(x)[part])
     assert torch.equal(sigmoid(x[part].clone()), sigmoid(x)[part])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@given(first=st.integers(0, 4999), count=st.integers(1, 100))
+def test_no_neighbour_changes_an_angle(dtype: torch.dtype, first: int, count: int) -> None:
+    y, x = torch.randn(2, 5100, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    part = slice(first, first + count)
+    whole = atan2(y, x)
+    torch.testing.assert_close(whole, torch.atan2(y, x))
+    assert torch.equal(atan2(y[part], x[part]), whole[part])
+    assert torch.equal(atan2(y[part][:, None], x[part][:, None])[:, 0], whole[part])

@@ -18,6 +18,7 @@ from cgtorch.models.success import SuccessClassifier
 from cgtorch.models.svc import SVC
 from cgtorch.models.svr import SVR
 from cgtorch.models.transition import TransitionModel
+from cgtorch.models.transition_fit import rim
 
 Machine = TypeVar("Machine", SVC, SVR)
 
@@ -46,9 +47,13 @@ class CompactReport:
 def compact_transition_model(
     model: TransitionModel, centres: int, percept: Tensor, motion: Tensor
 ) -> tuple[TransitionModel, CompactReport]:
-    """`compact` for Γ on percepts (n, 7) and motions (n, 3); `metres` is on all of them."""
-    smaller = deepcopy(model)
-    smaller.machine, report = compact(model.machine, centres, model.features(percept))
+    """`compact` for Γ on percepts (n, D) and motions (n, 3); `metres` is on all of them.
+
+    Few centres lie further apart, so what counts as novel is found again.
+    """
+    smaller, features = deepcopy(model), model.features(percept)
+    smaller.machine, report = compact(model.machine, centres, features)
+    smaller.reach = rim(smaller.machine, features)
     with torch.no_grad():
         metres = (smaller(percept, motion) - model(percept, motion)).abs().mean(0)
     return smaller, replace(report, metres=tuple(metres.tolist()))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.errors import DataError
+from cgtorch.numerics import atan2
 from cgtorch.world.percepts import parted, table_seen
 
 COORDINATES = (
@@ -156,7 +157,7 @@ def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
     u, v = parts[..., 4] - parts[..., 0], parts[..., 5] - parts[..., 1]
     a2, b2 = sides.square().unbind()
     sin = ((w2 + h2 - a2 - b2) / (2 * sides.prod())).clamp_min(0)
-    size = torch.atan2(sin, (h2 - w2) / (b2 - a2).clamp_min(1e-9)) / 2
+    size = atan2(sin, (h2 - w2) / (b2 - a2).clamp_min(1e-9)) / 2
     first = torch.where(u * v < 0, -size, size)
     return torch.stack([first, -first], dim=-1)
 

@@ -8,6 +8,9 @@ sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is f
 `cgtorch.models.transition_fit`.
 """
 
+import math
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 
@@ -16,6 +19,7 @@ from cgtorch.models.svr import SVR
 from cgtorch.world.percepts import parted
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
+LN2 = math.log(2)
 
 
 class TransitionModel(nn.Module):
@@ -52,8 +56,9 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
-        value, _ = self._asked(percept, motion)
-        return self.following(percept, motion, value)
+        scene = self._scene(percept, motion)
+        value = self.machine.values(self._features(scene))[..., 0]
+        return _following(scene, motion, value.to(percept), self.trust)
 
     def novelty(self, percept: Tensor, motion: Tensor) -> Tensor:
         """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
@@ -66,43 +71,72 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
-        value, distance = self._asked(percept, motion)
-        following = self.following(percept, motion, value)
-        beyond = self._beyond(percept, motion).to(distance)
-        return following, (1 - torch.exp2(-distance / self.reach - beyond)).to(percept.dtype)
-
-    def _asked(self, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
-        """What the machine says (...) and the distance (...)."""
-        geometry.check_percept(percept, motion)
-        value, distance = self.machine.values_and_distance(self.features(percept))
-        return value[..., 0].to(percept), distance
+        scene = self._scene(percept, motion)
+        value, distance = self.machine.values_and_distance(self._features(scene))
+        following = _following(scene, motion, value[..., 0].to(percept), self.trust)
+        # By how much it exceeds the data, 1 where that is half novel.
+        beyond = (_extremes(scene, motion) / self.most.to(percept) - 1).clamp_min(0).sum(-1)
+        exponent = distance / self.reach + beyond.to(distance) / _NOVEL_SHARE
+        return following, (1 - torch.exp(-LN2 * exponent)).to(percept.dtype)
 
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., 4) that the machine sees; no motion changes them."""
-        yaws, _ = geometry.tables_seen(percept, self.sides.to(percept))
-        places = geometry.places_on_table(geometry.to_parts(percept), yaws).to(self.mean)
-        return (places - self.mean) / self.scale
+        return self._features(self._scene(percept))
 
     def following(self, percept: Tensor, motion: Tensor, value: Tensor) -> Tensor:
         """Next percept (..., D) if the machine says `value` (...) about the two yaws."""
-        _, side, boxes = parted(percept)
-        parts = geometry.to_parts(percept)
-        moved = geometry.move_rigidly(parts, motion)
-        yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
-        first, second = geometry.boxes_after(yaws, motion, sides).unbind(-2)
-        # Sharper than the value itself, which the width of the kernel has smoothed.
-        weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
-        extents = (first + second) / 2 + weight * (first - second)
-        loose = geometry.loosely_turned(parts[..., 2:4], motion[..., 2])
-        extents = loose + self.trust.to(parts) * (extents - loose)
-        after = torch.cat([moved[..., :2], extents, moved[..., 4:]], dim=-1)
-        others = geometry.boxes_moved(boxes, motion).flatten(-2)
-        return torch.cat(
-            [geometry.from_parts(after), geometry.side_turned(side, motion), others], dim=-1
-        )
+        return _following(self._scene(percept, motion), motion, value, self.trust)
 
-    def _beyond(self, percept: Tensor, motion: Tensor) -> Tensor:
-        """By how much (...) percept and motion exceed the data, 1 where that is half novel."""
+    def extremes(self, percept: Tensor, motion: Tensor) -> Tensor:
+        """What tells how unusual transitions are (..., 4), in the order of `most`."""
+        return _extremes(self._scene(percept, motion), motion)
+
+    def _scene(self, percept: Tensor, motion: Tensor | None = None) -> "_Scene":
+        """What percepts (..., D) show; motions are only checked."""
+        if motion is not None:
+            geometry.check_percept(percept, motion)
+        _, side, boxes = parted(percept)
         yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
-        seen = geometry.extremes(geometry.to_parts(percept), motion, yaws, sides)
-        return (seen / self.most.to(percept) - 1).clamp_min(0).sum(-1) / _NOVEL_SHARE
+        return _Scene(geometry.to_parts(percept), side, boxes, yaws, sides)
+
+    def _features(self, scene: "_Scene") -> Tensor:
+        places = geometry.places_on_table(scene.parts, scene.yaws).to(self.mean)
+        return (places - self.mean) / self.scale
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is read off percepts once, for all that is asked of them.
+
+    Attributes:
+        parts: (..., 7) as of `geometry.to_parts`.
+        side: (..., 2 or 0) and
+        boxes: (..., K, 4) as of `cgtorch.world.percepts.parted`.
+        yaws: (..., 2) that the table may have.
+        sides: (2,) or (..., 2) of the table.
+    """
+
+    parts: Tensor
+    side: Tensor
+    boxes: Tensor
+    yaws: Tensor
+    sides: Tensor
+
+
+def _following(scene: _Scene, motion: Tensor, value: Tensor, trust: Tensor) -> Tensor:
+    """Next percepts (..., D) if the machine says `value` (...) about the two yaws."""
+    moved = geometry.move_rigidly(scene.parts, motion)
+    first, second = geometry.boxes_after(scene.yaws, motion, scene.sides).unbind(-2)
+    # Sharper than the value itself, which the width of the kernel has smoothed.
+    weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
+    extents = (first + second) / 2 + weight * (first - second)
+    loose = geometry.loosely_turned(scene.parts[..., 2:4], motion[..., 2])
+    extents = loose + trust.to(loose) * (extents - loose)
+    after = torch.cat([moved[..., :2], extents, moved[..., 4:]], dim=-1)
+    others = geometry.boxes_moved(scene.boxes, motion).flatten(-2)
+    side = geometry.side_turned(scene.side, motion)
+    return torch.cat([geometry.from_parts(after), side, others], dim=-1)
+
+
+def _extremes(scene: _Scene, motion: Tensor) -> Tensor:
+    return geometry.extremes(scene.parts, motion, scene.yaws, scene.sides)

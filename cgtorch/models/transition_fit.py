@@ -253,7 +253,7 @@ def _settle(
 def rim(machine: KernelMachine, features: Tensor) -> Tensor:
     """Squared distance () that 95 % of training rows have a centre other than themselves within."""
     some = features[:: max(1, len(features) // 1024)]
-    distance = torch.cdist(some, machine.centres).square()
+    distance = torch.cdist(some.double(), machine.centres.double()).square()
     distance = torch.where(distance < 1e-16, torch.inf, distance)
     nearest = distance.amin(1)
     nearest = nearest[torch.isfinite(nearest)]

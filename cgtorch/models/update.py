@@ -47,6 +47,7 @@ def update_transition_model(
     fresh = deepcopy(model).double().to(p.device)
     old = fresh.machine
     old._check_fitted()
+    fresh.most = torch.maximum(fresh.most, fresh.extremes(p, u).amax(0))
     if float(old.cost) == 0:
         return fresh.to(kind)
     target, tells = which_yaw(fresh, p, u, q)

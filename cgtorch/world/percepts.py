@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.errors import DataError
+from cgtorch.numerics import atan2
 from cgtorch.world.geometry import bounding_box, box_rectangle, rectangle_in_frame, to_frame
 
 PERCEPTS = {"box": 7, "yaw": 9}
@@ -85,7 +86,7 @@ def table_seen(seven: Tensor, side: Tensor) -> Tensor:
     box = box_rectangle(seven[..., :BOX])
     if not side.shape[-1]:
         return box
-    length, yaw = side.norm(dim=-1), torch.atan2(side[..., 1], side[..., 0]) / 2
+    length, yaw = side.norm(dim=-1), atan2(side[..., 1], side[..., 0]) / 2
     c, s = yaw.cos().abs(), yaw.sin().abs()
     other = s * (box[..., 3] - length * c) + c * (box[..., 4] - length * s)
     return torch.cat([box[..., :2], torch.stack([yaw, length, other.clamp_min(0)], -1)], -1)

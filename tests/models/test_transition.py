@@ -158,6 +158,38 @@ def test_novelty_tells_what_is_off_the_data(fitted):
         assert float(novelty.quantile(0.1)) > float(known.quantile(0.9))
 
 
+def test_a_row_is_answered_alike_in_every_batch(fitted):
+    """Bit for bit, or a threshold on novelty could fall out otherwise beside other rows."""
+    model, _ = fitted
+    p, u, _ = _torch(transitions(300, 8))
+    following, novelty = model.predict_with_novelty(p, u)
+    for begin, rows in ((0, 1), (1, 2), (7, 3), (20, 13), (50, 31), (99, 64), (200, 100)):
+        part = slice(begin, begin + rows)
+        one, how = model.predict_with_novelty(p[part], u[part])
+        assert torch.equal(one, following[part])
+        assert torch.equal(how, novelty[part])
+
+
+def test_what_was_learnt_on_is_no_longer_beyond_the_data():
+    p, u, q = _torch(transitions(400, 1), torch.float64)
+    start, _ = fit_transition_model(p, u, q, dtype=torch.float64, **GRID)
+    far = 3 * u * torch.tensor([1.0, 1, 0])
+    assert float(start.novelty(p, far).median()) > 0.8
+    after = update_transition_model(
+        start, torch.cat([p, p]), torch.cat([u, far]), torch.cat([q, start(p, far)])
+    )
+    assert float(after.novelty(p, far).median()) < 0.5
+    assert (after.most >= start.most).all()
+
+
+def test_a_compact_model_knows_its_own_rim(fitted):
+    model, _ = fitted
+    p, u, _ = _torch(transitions(900, 1))
+    for centres in (16, 64):
+        small = compact_transition_model(model, centres, p, u)[0]
+        assert float((small.novelty(p, u) <= 0.5).float().mean()) == pytest.approx(0.95, abs=0.02)
+
+
 def test_novelty_costs_no_further_kernel_evaluation(fitted, monkeypatch):
     model, _ = fitted
     calls = []
