@@ -104,10 +104,10 @@ def world(
 def model(seed: int, count: int, dtype: torch.dtype = torch.float32) -> ModelEnvironment:
     """Γ, C and obstacles as simple formulas."""
 
-    def gamma(percept: Tensor, control: Tensor) -> Tensor:
+    def gamma(percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         shift = control[:, [0, 0, 1, 1, 0, 1]]
         turned = torch.cat([percept[:, :6] - shift, percept[:, 6:]], 1)
-        return turned + 0.1 * torch.sin(control[:, 2:])
+        return turned + 0.1 * torch.sin(control[:, 2:]), torch.zeros_like(control[:, 0])
 
     def classifier(percept: Tensor) -> Tensor:
         return torch.sigmoid(4 * (1.4 - percept[:, 4:6].norm(dim=1)))

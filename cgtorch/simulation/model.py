@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeAlias
 
+import torch
 from torch import Tensor
 
 from cgtorch.environment import Lanes
 
-Gamma: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Percepts (n, D) and controls (n, U) to the next percepts (n, D)."""
+Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""Percepts (n, D) and controls (n, U) to the next percepts (n, D) and how novel (n,) each is."""
 
 Classifier: TypeAlias = Callable[[Tensor], Tensor]
 """Percepts (n, D) to the probability of success (n,)."""
@@ -22,7 +23,8 @@ class ModelEnvironment:
     """An `Environment` that consists of percepts only; nothing in it touches the world.
 
     Perceiving again changes nothing, since Γ predicts what would be perceived. A lane's state
-    (n, 1) counts its motions.
+    (n, 2) counts its motions and says whether it is lost: whether one of them was too novel to Γ.
+    Nobody knows where such a lane is, so it neither moves nor succeeds any more.
     """
 
     def __init__(
@@ -33,20 +35,23 @@ class ModelEnvironment:
         possible: Possible,
         control_size: int = 3,
         errors: Tensor | None = None,
+        most_novel: float = 1.0,
     ):
         """Set up the models on the first percepts of B scenarios.
 
         Args:
             percepts: (B, D).
-            gamma: the transition model Γ.
+            gamma: the transition model Γ, which says how novel a motion is to it, in [0, 1].
             classifier: the success classifier C.
-            possible: whether a control can be carried out; where not, the percept stays.
+            possible: whether a control can be carried out; where it cannot, the percept stays.
             control_size: U.
             errors: (B, T, D) what to add to Γ's prediction at each motion of each scenario, so
                 that a skill is judged under what Γ may have got wrong; used in turn.
+            most_novel: where a motion is more novel, the lane is lost.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
+        self.most_novel = most_novel
 
     @property
     def num_scenarios(self) -> int:
@@ -61,28 +66,36 @@ class ModelEnvironment:
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
         percept = self.percepts[scenario]
-        return percept.new_zeros(len(percept), 1), percept
+        return percept.new_zeros(len(percept), 2), percept
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """The percepts that Γ predicts; where the control is not possible they stay.
 
         A control that is not finite, such as that of a lane without a message, never is.
         """
-        free = self.possible(lanes.percept, control) & control.isfinite().all(1)
-        rows = free.nonzero()[:, 0]
-        predicted = self.gamma(lanes.percept[rows], control[rows])
+        asked = (control.isfinite().all(1) & ~self.lost(lanes)).nonzero()[:, 0]
+        rows = asked[self.possible(lanes.percept[asked], control[asked])]
+        percept, state = lanes.percept.clone(), lanes.state.clone()
+        predicted, novelty = self.gamma(lanes.percept[rows], control[rows])
         if self.errors is not None:
             turn = lanes.state[rows, 0].long() % self.errors.shape[1]
             predicted = predicted + self.errors[lanes.scenario[rows], turn]
-        percept, state = lanes.percept.clone(), lanes.state.clone()
         percept[rows] = predicted
-        state[rows] += 1
-        return replace(lanes, percept=percept, state=state), free
+        state[rows, 0] += 1
+        state[rows, 1] = (novelty > self.most_novel).to(state)
+        moved = torch.zeros_like(lanes.has_message)
+        moved[rows] = True
+        return replace(lanes, percept=percept, state=state), moved
+
+    @staticmethod
+    def lost(lanes: Lanes) -> Tensor:
+        """(n,) bool, the lanes about which the models know nothing any more."""
+        return lanes.state[:, 1] > 0
 
     def observe(self, lanes: Lanes) -> Lanes:
         """See `Environment.observe`."""
         return lanes
 
     def success(self, lanes: Lanes) -> Tensor:
-        """C(p), the probability that the task succeeds from here."""
-        return self.classifier(lanes.percept)
+        """C(p), the probability that the task succeeds from here; 0 for lanes that are lost."""
+        return self.classifier(lanes.percept) * ~self.lost(lanes)

@@ -98,6 +98,24 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
         assert possible(percept, torch.tensor([forwards, aside, back])).tolist() == free
 
 
+def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
+    """Driving back, again and again, the robot comes to where no data are."""
+    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    lanes = start_lanes(place, torch.arange(4), 0, 0)
+    back = torch.tensor([-1.2, 0.0, 0.0]).repeat(4, 1)
+    lost = [place.lost(lanes)]
+    for _ in range(6):
+        before = lanes
+        lanes, moved = place.step(lanes, back)
+        lost.append(place.lost(lanes))
+        assert (lost[-1] | ~lost[-2]).all()  # for good
+        assert torch.equal(lanes.percept[lost[-2]], before.percept[lost[-2]])
+        assert not moved[lost[-2]].any()
+        assert (place.success(lanes)[lost[-1]] == 0).all()
+    assert not lost[0].any()
+    assert lost[-1].all()
+
+
 def test_obstacles_that_are_not_there_are_never_imagined() -> None:
     def seeing_yaw(scenarios: Scenarios) -> TabletopWorld:
         return TabletopWorld(scenarios, reachable, FOOTPRINT, percept="yaw")
@@ -119,7 +137,7 @@ def test_obstacles_that_are_not_there_are_never_imagined() -> None:
 def test_imagining_leaves_the_models_alone(knowledge: Knowledge) -> None:
     before = {k: v.clone() for k, v in knowledge.gamma.state_dict().items()}
     place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
-    assert place.gamma is not knowledge.swift
+    assert place.classifier is not knowledge.classifier
     assert all(torch.equal(v, before[k]) for k, v in knowledge.gamma.state_dict().items())
 
 
