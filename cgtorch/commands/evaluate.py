@@ -9,7 +9,11 @@ import click
 from cgtorch.commands.command import import_from_here, run_command
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cgtorch.experiments.evaluate import Score
+    from cgtorch.graphs import Skill
+    from cgtorch.world import Scenarios, TabletopWorld
 
 EXAMPLES = """\b
 Examples:
@@ -47,48 +51,91 @@ PICTURED = 24
 def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
+    Of a run it also prints how often the skill succeeded where the run's models promise it, and
+    how W did under other noise when the skill was accepted.
+
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
     skill file, which is tried on the built-in PR2 with the default noise.
     """
     import torch
 
-    from cgtorch.experiments.evaluate import evaluate_skill
-    from cgtorch.experiments.ledger import read_entry
-    from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
-    from cgtorch.kinematics import load_robot
-    from cgtorch.world import LAB_NOISE
+    from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
+    from cgtorch.experiments.ledger import read_index
+    from cgtorch.experiments.storage import load_knowledge
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    if rest["skill"] is not None:
-        run = open_run(path, rest["actions"])
-        skill, world_of = read_entry(path, rest["skill"], run.actions).skill, run.world_of
-    elif path.is_file():
-        percept, skill = lone_skill(path, rest["actions"], scenarios)
-        world_of = tabletop_of(load_robot(), LAB_NOISE, percept)
-    else:
-        run, skill = last_skill(path, rest["actions"])
-        world_of = run.world_of
+    skill, world_of, stage = _chosen(path, rest["skill"], rest["actions"], scenarios)
     score = evaluate_skill(skill, world_of, scenarios, count, seed)
     if rest["picture"]:
         _draw(rest["picture"], score, skill.name)
-    low, high = score.interval
+    kept, again = None, None
+    if stage is not None:
+        world = world_of(score.scenarios)
+        kept = kept_promises(score, skill, load_knowledge(stage), world, seed)
+        index = {line["name"]: line for line in read_index(stage.absolute().parent)}
+        again = index.get(skill.name, {}).get("w_other_noise")
     if as_json:
         result = {
             "skill": skill.name,
             "scenarios": scenarios,
             "seed": seed,
-            "tried": score.tried,
-            "succeeded": score.successes,
-            "rate": score.rate,
-            "interval": [low, high],
+            **_share(score.successes, score.tried),
+            "promised": None if kept is None else _share(kept.successes, kept.tried),
+            "w_other_noise": None if again is None else _share(again["succeeded"], again["tried"]),
         }
         click.echo(json.dumps(result))
         return
     click.echo(
         f"{skill.name} on {scenarios}: {score.successes} / {score.tried} succeeded, "
-        f"{score.rate:.1%} (95 % confidence {low:.1%} to {high:.1%})"
+        f"{_as_text(score.successes, score.tried)}"
     )
+    if kept is not None:
+        click.echo(
+            f"the models promised {kept.tried} of {score.tried}, of which {kept.successes} "
+            f"succeeded in the world, {_as_text(kept.successes, kept.tried)}"
+        )
+    if again is not None:
+        click.echo(
+            f"of W, met by other noise when it was accepted, {again['succeeded']} / "
+            f"{again['tried']} succeeded, {_as_text(again['succeeded'], again['tried'])}"
+        )
+
+
+def _chosen(
+    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str
+) -> tuple["Skill", "Callable[[Scenarios], TabletopWorld]", Path | None]:
+    """The skill to try, its world, and the folder of the stage that made it, if that is known."""
+    from cgtorch.experiments.ledger import read_entry
+    from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
+    from cgtorch.kinematics import load_robot
+    from cgtorch.world import LAB_NOISE
+
+    if name is not None:
+        run = open_run(path, actions)
+        skill = read_entry(path, name, run.actions).skill
+        return skill, run.world_of, path / name if (path / name).is_dir() else None
+    if path.is_file():
+        percept, skill = lone_skill(path, actions, scenarios)
+        return skill, tabletop_of(load_robot(), LAB_NOISE, percept), None
+    run, skill = last_skill(path, actions)
+    return skill, run.world_of, path if (path / "skill.json").is_file() else path / run.stages[-1]
+
+
+def _share(succeeded: int, tried: int) -> dict[str, Any]:
+    """A counted share with its interval, for programs."""
+    from cgtorch.experiments.interval import wilson
+
+    interval = list(wilson(succeeded, tried, 0.95))
+    rate = succeeded / max(1, tried)
+    return {"tried": tried, "succeeded": succeeded, "rate": rate, "interval": interval}
+
+
+def _as_text(succeeded: int, tried: int) -> str:
+    """The same for people."""
+    share = _share(succeeded, tried)
+    low, high = share["interval"]
+    return f"{share['rate']:.1%} (95 % confidence {low:.1%} to {high:.1%})"
 
 
 def _draw(path: Path, score: "Score", name: str) -> None:

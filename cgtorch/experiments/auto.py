@@ -15,7 +15,7 @@ from torch import Generator
 
 from cgtorch.experiments.evaluate import Score
 from cgtorch.experiments.goal import Goal, holds, worth_deciding
-from cgtorch.experiments.ledger import enter, entry_of
+from cgtorch.experiments.ledger import enter
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import round_name, stage_generator
 from cgtorch.experiments.storage import load_result
@@ -25,6 +25,7 @@ from cgtorch.experiments.train import (
     Working,
     beginning,
     counts,
+    evidence,
     load_progress,
     make_setup,
     not_improved,
@@ -144,7 +145,8 @@ def _round(
     with working(f"testing {name} on fresh placements"):
         progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
     if tally.accepted is not None:
-        enter(run.folder, entry_of(tally.accepted, parent, progress))
+        with working(f"trying {name} under other noise"):
+            enter(run.folder, evidence(run, tally.accepted, parent, progress))
     result = _result(name, placement, skill, tally, tests, earlier, len(missed), seconds)
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)

@@ -3,14 +3,21 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import BranchingNN, ContinuousNN
 from cgtorch.errors import SettingsError
 from cgtorch.experiments.interval import wilson
 from cgtorch.graphs import Skill
-from cgtorch.improvement.trial import try_skill
+from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.improvement.promise import promised
+from cgtorch.improvement.team import with_noise
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, TabletopWorld, draw_of
+
+OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
+FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the members
 
 
 @dataclass(frozen=True)
@@ -26,6 +33,12 @@ class Score:
     scenarios: Scenarios
     succeeded: Tensor
     transitions: Tensor
+
+    def of(self, rows: Tensor) -> "Score":
+        """The score on some of the scenarios, a mask (B,)."""
+        return Score(
+            self.scenarios[rows.nonzero()[:, 0]], self.succeeded[rows], self.transitions[rows]
+        )
 
     @property
     def tried(self) -> int:
@@ -71,6 +84,51 @@ def evaluate_skill(
     world = world_of(scenarios)
     check_percepts(skill, world.percept_size, placement)
     trial = try_skill(skill, world)
+    return Score(scenarios, trial.succeeded, trial.transitions)
+
+
+def kept_promises(
+    score: Score, skill: Skill, knowledge: Knowledge, world: TabletopWorld, seed: int
+) -> Score | None:
+    """How a skill did in the world where it succeeds in the models.
+
+    Args:
+        score: in the world.
+        skill: what was tried.
+        knowledge: the models.
+        world: the world of the score's scenarios.
+        seed: of the errors that are imagined.
+
+    Returns:
+        The score on what the models promise (`cgtorch.improvement.promise`); None where they were
+        learned from percepts of another length.
+    """
+    percepts = first_percepts(world)
+    if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
+        return None
+    generator = Generator().manual_seed(seed)
+    return score.of(promised(skill, knowledge, percepts, world.footprint, generator))
+
+
+def under_other_noise(
+    skill: Skill,
+    world_of: Callable[[Scenarios], TabletopWorld],
+    solved: Scenarios,
+    seed: int,
+    most: int = OTHER_NOISE,
+) -> Score:
+    """How a skill does on what it solved, W, when it meets other noise than it did.
+
+    Args:
+        skill: what to try.
+        world_of: makes the world.
+        solved: W.
+        seed: of the choice where W is larger than `most`.
+        most: scenarios at most, a random choice of W.
+    """
+    pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
+    scenarios = with_noise(solved[pick], FRESH_COPY)
+    trial = try_skill(skill, world_of(scenarios))
     return Score(scenarios, trial.succeeded, trial.transitions)
 
 

@@ -4,7 +4,9 @@ RUN/ledger/index.json   the whole history, a few numbers for each skill, in the 
 RUN/ledger/NAME.json    one skill, with what the world said of it on every scenario, one a line
 
 A scenario was in "W", in "M" or "new" when the skill was tried on it; `succeeded` says where it
-went. Eq. 1a holds if none that was in W failed, eq. 1b if one that was in M succeeded.
+went. Eq. 1a holds if none that was in W failed, eq. 1b if one that was in M succeeded. Noise is
+part of a scenario (`cgtorch.improvement.trial`), so this holds exactly. What it is worth when the
+same scenarios are met by other noise is counted beside it: `w_other_noise`.
 """
 
 import json
@@ -29,6 +31,7 @@ from cgtorch.world import Scenarios, concatenate_scenarios
 FOLDER, FORMAT, VERSION = "ledger", "cgtorch-ledger", 1
 WAS = ("W", "M", "new")
 _COUNTS = ("w_before", "w_lost", "m_before", "m_solved", "new", "new_solved", "nodes", "depth")
+_OTHER = ("tried", "succeeded")
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class Entry:
         scenarios: B of them, all that it was tried on.
         was: (B,) long, index into `WAS`: where each was before.
         succeeded: (B,) bool, in the world, on the scenario's own noise.
+        other_noise: of W, how many were tried again under other noise and how many of these
+            succeeded; None if that was not tried.
     """
 
     skill: Skill
@@ -48,6 +53,7 @@ class Entry:
     scenarios: Scenarios
     was: Tensor
     succeeded: Tensor
+    other_noise: tuple[int, int] | None = None
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -65,16 +71,25 @@ class Entry:
             "new_solved": int((new & self.succeeded).sum()),
             "nodes": self.skill.num_nodes,
             "depth": self.skill.depth,
+            "w_other_noise": None
+            if self.other_noise is None
+            else dict(zip(_OTHER, self.other_noise, strict=True)),
         }
 
 
-def entry_of(accepted: SkillAccepted, parent: Skill | None, after: Progress) -> Entry:
+def entry_of(
+    accepted: SkillAccepted,
+    parent: Skill | None,
+    after: Progress,
+    other_noise: tuple[int, int] | None = None,
+) -> Entry:
     """The entry of a skill that was just accepted.
 
     Args:
         accepted: what was told of it, with its result on W and M.
         parent: the skill that it improved.
         after: where the stage ended; scenarios that are in its W or M only were new.
+        other_noise: see `Entry`.
     """
     known = set(_keys(accepted.scenarios))
     parts, was, succeeded = [accepted.scenarios], [(~accepted.keep).long()], [accepted.succeeded]
@@ -85,7 +100,9 @@ def entry_of(accepted: SkillAccepted, parent: Skill | None, after: Progress) -> 
         succeeded.append(torch.full((len(fresh),), solved))
     name = None if parent is None else parent.name
     everything = concatenate_scenarios(parts)
-    return Entry(accepted.skill, name, everything, torch.cat(was), torch.cat(succeeded))
+    return Entry(
+        accepted.skill, name, everything, torch.cat(was), torch.cat(succeeded), other_noise
+    )
 
 
 def _keys(scenarios: Scenarios) -> list[str]:
@@ -160,10 +177,11 @@ def read_entry(folder: Path, name: str, actions: ActionSet) -> Entry:
     path = folder / FOLDER / f"{name}.json"
     data = _of_version(path)
     skill = skill_from_dict(data.get("skill"), actions)
-    rows, parent = data.get("scenarios"), data.get("parent")
+    rows, parent, again = data.get("scenarios"), data.get("parent"), data.get("w_other_noise")
     if (
         skill.name != name
         or not (parent is None or isinstance(parent, str))
+        or not (again is None or _is_share(again))
         or not isinstance(rows, list)
         or not all(isinstance(r, dict) and _is_evidence(r) for r in rows)
     ):
@@ -175,6 +193,7 @@ def read_entry(folder: Path, name: str, actions: ActionSet) -> Entry:
         scenarios_from_list(plain, f"scenarios of {str(path)!r}"),
         torch.tensor([WAS.index(r["was"]) for r in rows], dtype=torch.long),
         torch.tensor([r["succeeded"] for r in rows], dtype=torch.bool),
+        None if again is None else (again["tried"], again["succeeded"]),
     )
 
 
@@ -197,6 +216,15 @@ def _is_summary(data: Any) -> bool:
         and isinstance(data.get("name"), str)
         and re.fullmatch(r"\w[\w.-]{0,100}", data["name"]) is not None
         and all(type(data.get(key)) is int for key in _COUNTS)
+        and (data.get("w_other_noise") is None or _is_share(data["w_other_noise"]))
+    )
+
+
+def _is_share(data: Any) -> bool:
+    return (
+        isinstance(data, dict)
+        and all(type(data.get(key)) is int for key in _OTHER)
+        and 0 <= data["succeeded"] <= data["tried"]
     )
 
 

@@ -13,9 +13,9 @@ from torch import Generator
 from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
-from cgtorch.experiments.ledger import enter, entry_of
+from cgtorch.experiments.ledger import Entry, enter, entry_of
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import (
     PERIMETER,
@@ -36,7 +36,7 @@ from cgtorch.experiments.storage import (
 )
 from cgtorch.experiments.views import networks_of
 from cgtorch.files import write_json
-from cgtorch.graphs import load_skill, save_skill
+from cgtorch.graphs import Skill, load_skill, save_skill
 from cgtorch.improvement.events import (
     Event,
     GenerationDone,
@@ -187,11 +187,18 @@ def _stage(
         raise not_improved(run, name)
     with working(f"testing {name} on fresh placements"):
         result = _result(run, name, tally.accepted, earlier, tally)
-    enter(run.folder, entry_of(tally.accepted, parent, progress))
+    with working(f"trying {name} under other noise"):
+        enter(run.folder, evidence(run, tally.accepted, parent, progress))
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, progress, run.settings.seed)
         write_json(folder / "result.json", result)
     return progress
+
+
+def evidence(run: Run, accepted: SkillAccepted, parent: Skill | None, after: Progress) -> Entry:
+    """The ledger's entry of a skill that was just accepted; see `entry_of`."""
+    again = under_other_noise(accepted.skill, run.world_of, after.solved, run.settings.seed)
+    return entry_of(accepted, parent, after, (again.tried, again.successes))
 
 
 def not_improved(run: Run, name: str) -> NotImprovedError:

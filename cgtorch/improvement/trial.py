@@ -1,4 +1,12 @@
-"""Trying a skill in the world (Algorithm 1, line 2)."""
+"""Trying a skill in the world (Algorithm 1, line 2), and what it means that it succeeds.
+
+A scenario is a placement and the noise that is met there, drawn from the scenario's seed. A skill
+succeeds on it if one run reaches a terminal outcome with success; run again it does the same, so W
+and eq. 1a are statements without a confidence. What is said of placements, whatever the noise, is
+a share with Wilson's 95 % interval: of fresh scenarios (`cgtorch-evaluate`, the tests of a round),
+and of W when it is met by other noise (`w_other_noise` in the ledger). A specialist counts as
+solving a scenario only if it does so under `Setup.trials` draws of noise.
+"""
 
 from dataclasses import dataclass
 

@@ -7,8 +7,11 @@ import pytest
 from command_line import Shell, in_a_shell, listing
 from trained import Trained, copied
 
-from cgtorch.experiments.evaluate import evaluate_skill
+from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
+from cgtorch.experiments.interval import wilson
+from cgtorch.experiments.ledger import read_entry
 from cgtorch.experiments.run import last_skill
+from cgtorch.experiments.storage import load_knowledge
 
 EVALUATE = "cgtorch-evaluate"
 
@@ -39,6 +42,11 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     run, skill = last_skill(trained.folder / place)
     assert skill.name == name
     score = evaluate_skill(skill, run.world_of, "near", 12, 4)
+    knowledge = load_knowledge(run.folder / name)
+    kept = kept_promises(score, skill, knowledge, run.world_of(score.scenarios), 4)
+    again = read_entry(run.folder, name, run.actions).other_noise
+    assert kept is not None
+    assert again is not None
     assert found == {
         "skill": name,
         "scenarios": "near",
@@ -47,9 +55,23 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
         "succeeded": score.successes,
         "rate": score.successes / 12,
         "interval": list(score.interval),
+        "promised": {
+            "tried": kept.tried,
+            "succeeded": kept.successes,
+            "rate": kept.rate,
+            "interval": list(kept.interval),
+        },
+        "w_other_noise": {
+            "tried": again[0],
+            "succeeded": again[1],
+            "rate": again[1] / again[0],
+            "interval": list(wilson(again[1], again[0], 0.95)),
+        },
     }
     ended = shell(EVALUATE, *words)
     assert f"{name} on near: {score.successes} / 12 succeeded" in ended.out
+    assert f"the models promised {kept.tried} of 12, of which {kept.successes} " in ended.out
+    assert f"met by other noise when it was accepted, {again[1]} / {again[0]}" in ended.out
     assert listing(trained.folder) == before
 
 
@@ -67,7 +89,11 @@ def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> N
         shell(EVALUATE, place, "--count", 10, "--json") for place in (path, trained.folder)
     )
     assert alone.code == 0
-    assert alone.out == in_run.out  # the run has the built-in robot and noise, too
+    one, other = json.loads(alone.out), json.loads(in_run.out)
+    for name in ("promised", "w_other_noise"):  # a file has neither models nor a ledger
+        assert one.pop(name) is None
+        assert other.pop(name) is not None
+    assert one == other  # the run has the built-in robot and noise, too
 
 
 def test_in_a_process_of_its_own(trained: Trained, tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from support import graspable, random_skill, seeded
 
 from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
 from cgtorch.errors import SettingsError
-from cgtorch.experiments.evaluate import Score, evaluate_skill
+from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.graphs import SubSkill
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios, TabletopWorld, random_scenarios
@@ -64,6 +66,25 @@ def test_scenarios_come_from_the_seed() -> None:
     alone = try_skill(skill, world_of(first.scenarios))
     assert torch.equal(alone.succeeded, first.succeeded)
     assert torch.equal(alone.transitions, first.transitions)
+
+
+def test_the_score_on_some() -> None:
+    mask = torch.tensor([True, False, True, True])
+    some = score(2, 4).of(mask)
+    assert (some.tried, some.successes) == (3, 1)
+    assert torch.equal(some.scenarios.object, score(2, 4).scenarios.object[mask])
+    assert score(2, 4).of(~mask).interval == score(1, 1).interval
+
+
+@given(successes=st.integers(0, 30), tried=st.integers(30, 60), seed=st.integers(0, 9))
+def test_what_is_met_again_is_what_was_solved(successes: int, tried: int, seed: int) -> None:
+    solved = score(successes, tried).scenarios
+    skill = random_skill(4, "some", paper_actions())
+    again = under_other_noise(skill, world_of, solved, seed, most=40)
+    assert again.tried == min(40, tried)
+    places = {tuple(row) for row in solved.object.tolist()}
+    assert {tuple(row) for row in again.scenarios.object.tolist()} <= places
+    assert not set(again.scenarios.seed.tolist()) & set(solved.seed.tolist())
 
 
 @pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])

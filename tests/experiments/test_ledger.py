@@ -12,6 +12,7 @@ import torch
 from trained import Trained
 
 from cgtorch.errors import CgtorchError, RunError
+from cgtorch.experiments.evaluate import under_other_noise
 from cgtorch.experiments.ledger import WAS, enter, read_entry, read_index
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.train import load_progress
@@ -53,6 +54,32 @@ def test_the_evidence_is_what_the_world_says(trained: Trained) -> None:
         assert torch.equal(again, entry.succeeded)
         assert again[entry.was == W].all()  # eq. 1a
         assert again[entry.was == M].any()  # eq. 1b
+
+
+def test_w_under_other_noise(trained: Trained) -> None:
+    """All of W, which is small here, was met by other noise than its own and mostly holds."""
+    run = open_run(trained.folder)
+    for name in ("S0", "S1"):
+        entry = read_entry(run.folder, name, run.actions)
+        solved = load_progress(run, run.folder / name).solved
+        again = under_other_noise(entry.skill, run.world_of, solved, run.settings.seed)
+        assert entry.other_noise == (again.tried, again.successes)
+        assert entry.summary["w_other_noise"]["tried"] == len(solved)
+        assert again.successes > len(solved) / 2
+        assert not set(again.scenarios.seed.tolist()) & set(solved.seed.tolist())
+
+
+def test_a_ledger_from_before_other_noise_was_tried(trained: Trained, tmp_path: Path) -> None:
+    shutil.copytree(trained.folder / "ledger", tmp_path / "ledger")
+    for path in (tmp_path / "ledger").iterdir():
+        data = json.loads(path.read_text())
+        for line in data.get("skills", [data]):
+            del line["w_other_noise"]
+        path.write_text(json.dumps(data))
+    assert [s["name"] for s in read_index(tmp_path)] == ["S0", "S1"]
+    entry = read_entry(tmp_path, "S1", open_run(trained.folder).actions)
+    assert entry.other_noise is None
+    assert entry.summary["w_other_noise"] is None
 
 
 def test_w_and_m_before_and_after(trained: Trained) -> None:
@@ -105,6 +132,8 @@ CHANGES: list[Callable[[dict[str, Any]], object]] = [
     lambda d: d.update(version=2),
     lambda d: d.update(format="other"),
     lambda d: d.update(parent=3),
+    lambda d: d.update(w_other_noise=3),
+    lambda d: d.update(w_other_noise={"tried": 3, "succeeded": 4}),
     lambda d: d.update(skill=None),
     lambda d: d["skill"].update(name="S0"),
     lambda d: d.update(scenarios={}),
