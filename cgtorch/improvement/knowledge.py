@@ -29,7 +29,10 @@ from cgtorch.world.percepts import BOX
 from cgtorch.world.percepts import parted as parts_of
 
 SWIFT_CENTRES = 128
-FAMILIAR = 0.999
+FAMILIAR = 0.999  # share of the training transitions that are not novel
+LEAST_NOVEL = (
+    0.75  # novelty that is allowed in any case: where few data are all centres, theirs is 0
+)
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
@@ -130,7 +133,7 @@ def imagine(
         copy.deepcopy(knowledge.classifier).to(device),
         possible_with(footprint.to(device)),
         errors=errors.to(device),
-        most_novel=float(novelty.quantile(FAMILIAR)),
+        most_novel=max(LEAST_NOVEL, float(novelty.quantile(FAMILIAR))),
     )
 
 

@@ -98,6 +98,15 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
         assert possible(percept, torch.tensor([forwards, aside, back])).tolist() == free
 
 
+def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: Knowledge) -> None:
+    """The training data alone would say otherwise: each is a centre and not novel at all."""
+    fresh = collect(world_of, 400, 120, seeded(8))
+    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    with torch.no_grad():
+        _, novelty = place.gamma(fresh.percept, fresh.motion)
+    assert float((novelty <= place.most_novel).float().mean()) > 0.9
+
+
 def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
     """Driving back, again and again, the robot comes to where no data are."""
     place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
