@@ -22,7 +22,7 @@ import click
 import torch
 from comparison.table import summary, table
 
-from cgtorch.evolution import EvolutionSettings
+from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.experiments.auto import ENOUGH, act, train_until
 from cgtorch.experiments.evaluate import evaluate_skill
 from cgtorch.experiments.goal import Goal
@@ -101,7 +101,11 @@ def published(setup: Setup) -> Setup:
     generations, and no other end than success.
     """
     evolution = EvolutionSettings(
-        population=200, tournament=20, elite=1, capacity=128, initial_nodes=(100, 100)
+        population=200,
+        selection=tournament(20),
+        elite=1,
+        capacity=128,
+        initial_nodes=(100, 100),
     )
     budget = Budget(generations=10_000, stall=10_000)
     return replace(setup, evolution=evolution, budget=budget, max_transitions=20)

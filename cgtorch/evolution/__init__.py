@@ -12,3 +12,6 @@ from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve
+from cgtorch.evolution.selection import Selection as Selection
+from cgtorch.evolution.selection import lexicase as lexicase
+from cgtorch.evolution.selection import tournament as tournament

@@ -15,7 +15,9 @@ from cgtorch.evolution.population import (
     random_population,
     seeded_population,
 )
-from cgtorch.evolution.selection import ranking, tournament
+from cgtorch.evolution.selection import Selection, lexicase, ranking
+
+WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class EvolutionSettings:
 
     Attributes:
         population: number of individuals.
-        tournament: individuals in each tournament.
+        selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
@@ -35,7 +37,7 @@ class EvolutionSettings:
     """
 
     population: int = 400
-    tournament: int = 5
+    selection: Selection = lexicase
     elite: int = 1
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
@@ -45,8 +47,6 @@ class EvolutionSettings:
         """Check the values."""
         if self.population < 2:
             raise SettingsError(f"population is {self.population}; give at least 2")
-        if self.tournament < 1:
-            raise SettingsError(f"tournament is {self.tournament}; give at least 1")
         if not 0 <= self.elite < self.population:
             raise SettingsError(f"elite is {self.elite}; give 0 to {self.population - 1}")
         low, high = self.initial_nodes
@@ -96,14 +96,26 @@ def tell(
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
+    scores: Tensor | None = None,
 ) -> EvolutionState:
-    """The next generation, given the fitness (P,) of this one; NaN counts as the worst."""
+    """The next generation, given how this one did; NaN counts as the worst.
+
+    Args:
+        state: with the generation that was evaluated.
+        fitness: (P,).
+        settings: of the evolution.
+        actions: what nodes can do.
+        generator: of all random choices.
+        scores: (P, B) on each scenario, for selection; the fitness as of one if not given.
+    """
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
+    scores = fitness[:, None] if scores is None else scores
+    scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
     population = state.population
     order = ranking(fitness, population.graphs.num_nodes)
     children = settings.population - settings.elite
     pairs = (children + 1) // 2
-    parents = tournament(order, 2 * pairs, settings.tournament, generator)
+    parents = settings.selection(order, scores, 2 * pairs, generator)
     first, second = population[parents[:pairs]], population[parents[pairs:]]
     offspring = crossover(first, second, generator)
     offspring = mutate(offspring, actions, generator, settings.tau)

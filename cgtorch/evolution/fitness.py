@@ -17,11 +17,14 @@ class Evaluation:
 
     Attributes:
         fitness: (P,), in [0, 1].
+        scores: (P, B), what `fitness` is the mean of: C(p_t), half of it without success, and all
+            0 where W is lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
         transitions: actions executed in all.
     """
 
     fitness: Tensor
+    scores: Tensor
     succeeded: Tensor
     transitions: int
 
@@ -65,14 +68,16 @@ def evaluate(
         )
         transitions += int(runs.transitions.sum())
         succeeded[alive[:, None], part] = runs.succeeded
-        score[alive[:, None], part] = _last_success(runs, environment, part)
+        score[alive[:, None], part] = last_success(runs, environment, part)
         alive = alive[succeeded[alive][:, keep].all(1)]
-    fitness = torch.zeros(p, device=device)
-    fitness[alive] = score[alive].mean(1)
-    return Evaluation(torch.nan_to_num(fitness).to(home), succeeded.to(home), transitions)
+    lost = torch.ones(p, dtype=torch.bool, device=device)
+    lost[alive] = False
+    score[lost] = 0
+    fitness = score.mean(1)
+    return Evaluation(fitness.to(home), score.to(home), succeeded.to(home), transitions)
 
 
-def _last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:
+def last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:
     """(P, B) C(p_t) where each lane ended, half of it where the lane did not succeed."""
     p, b = runs.succeeded.shape
     lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)

@@ -78,4 +78,4 @@ def evolve(
             succeeded=result.succeeded[best],
             transitions=result.transitions,
         )
-        state = tell(state, result.fitness, settings, actions, generator)
+        state = tell(state, result.fitness, settings, actions, generator, result.scores)

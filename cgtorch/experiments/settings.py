@@ -38,7 +38,7 @@ class RunSettings:
     population: int = option(400, "Individuals in a population.")
     generations: int = option(150, "Most generations of one evolution.")
     attempts: int = option(24, "Most evolutions in one stage.")
-    tournament: int = option(5, "Individuals in a tournament.")
+    tournament: int = option(5, "Individuals in a tournament, by which --method paper selects.")
     max_transitions: int = option(20, "Transitions after which a skill has failed.")
     practice: int = option(150, "Random placements practised in each stage beside the five tests.")
     transitions: int = option(2000, "Random transitions collected for the transition model.")

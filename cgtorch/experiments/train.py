@@ -12,11 +12,12 @@ from torch import Generator
 
 from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
-from cgtorch.evolution import EvolutionSettings
+from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.ledger import Entry, enter, entry_of
 from cgtorch.experiments.run import Run, whole_folder
+from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import (
     PERIMETER,
     STAGES,
@@ -209,6 +210,15 @@ def not_improved(run: Run, name: str) -> NotImprovedError:
     )
 
 
+def evolution_of(settings: RunSettings) -> EvolutionSettings:
+    """How populations evolve: as published for the method of the paper, else the default way."""
+    size = settings.population
+    if settings.method == "paper":
+        published = tournament(settings.tournament)
+        return EvolutionSettings(population=size, selection=published)
+    return EvolutionSettings(population=size)
+
+
 def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
     """The run's settings in the terms of improvement."""
     s, networks = run.settings, networks_of(run.settings)
@@ -216,7 +226,7 @@ def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
         actions=run.actions,
         world_of=run.world_of,
         footprint=torch.tensor(run.robot.description.footprint),
-        evolution=EvolutionSettings(population=s.population, tournament=s.tournament),
+        evolution=evolution_of(s),
         budget=Budget(generations=s.generations, stall=networks.stall),
         group_of=networks.group_of,
         group=networks.group,

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -13,11 +15,11 @@ from cgtorch.evolution import (
     evaluate,
     evolve,
     initial_state,
+    lexicase,
     tell,
 )
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
 from cgtorch.evolution.sampling import bernoulli, choose, choose_many
-from cgtorch.evolution.selection import ranking, tournament
 from cgtorch.graphs import compacted
 from cgtorch.simulation import rollout
 
@@ -26,24 +28,6 @@ ACTIONS = custom_actions()
 
 def same_population(first: Population, second: Population) -> bool:
     return same(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
-
-
-@given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 3)), min_size=1))
-def test_ranking_is_by_fitness_then_size_then_place(pairs: list[tuple[float, int]]) -> None:
-    fitness, size = (torch.tensor(x) for x in zip(*pairs, strict=True))
-    wanted = sorted(range(len(pairs)), key=lambda i: (-pairs[i][0], pairs[i][1], i))
-    assert ranking(fitness, size).tolist() == wanted
-
-
-@pytest.mark.parametrize("rounds", [1, 2, 5])
-def test_tournament_pressure(rounds: int) -> None:
-    """The best of t draws from P is within the best r with probability 1 - (1 - r/P)^t."""
-    order = torch.randperm(20, generator=seeded(0))
-    winners = tournament(order, 40_000, rounds, seeded(1))
-    place = torch.argsort(order)[winners]
-    for r in range(1, 20):
-        wanted = 1 - (1 - r / 20) ** rounds
-        assert (place < r).float().mean().item() == pytest.approx(wanted, abs=0.013)
 
 
 def test_choices_are_uniform_and_only_where_allowed() -> None:
@@ -113,6 +97,19 @@ def test_the_elite_goes_on_unchanged() -> None:
     assert len(after.population) == 30
 
 
+def test_parents_are_chosen_by_their_scores() -> None:
+    """With one scenario that only one individual solves, all children are its own."""
+    settings = replace(SETTINGS, elite=0, selection=lexicase)
+    state = initial_state(settings, ACTIONS, seeded(0))
+    population = state.population
+    still = replace(population, strategy=torch.zeros_like(population.strategy))
+    scores = torch.zeros(30, 1)
+    scores[7] = 1
+    state = replace(state, population=still)
+    after = tell(state, torch.zeros(30), settings, ACTIONS, seeded(1), scores).population
+    assert same(after.graphs, population.graphs[torch.full((30,), 7)])
+
+
 def test_fitness_that_is_not_a_number_is_the_worst() -> None:
     fitness = torch.full((30,), torch.nan)
     fitness[[7, 3]] = torch.tensor([-5.0, -6.0])
@@ -156,7 +153,6 @@ def test_selection_makes_what_is_rewarded_common() -> None:
     ("values", "message"),
     [
         ({"population": 1}, "population is 1"),
-        ({"tournament": 0}, "tournament is 0"),
         ({"population": 4, "elite": 4}, "elite is 4; give 0 to 3"),
         ({"elite": -1}, "elite is -1"),
         ({"initial_nodes": (0, 3)}, "initial nodes are 0 to 3"),

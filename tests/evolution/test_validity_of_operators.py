@@ -7,7 +7,16 @@ from support import all_valid, custom_actions, nested_actions, same, seeded
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.evolution import STRATEGY, EvolutionSettings, Population, initial_state, tell
+from cgtorch.evolution import (
+    STRATEGY,
+    EvolutionSettings,
+    Population,
+    Selection,
+    initial_state,
+    lexicase,
+    tell,
+    tournament,
+)
 from cgtorch.evolution import mutation as m
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.population import random_population, seeded_population
@@ -114,17 +123,23 @@ def test_mutate(
         assert same(mutated.graphs, population.graphs)
 
 
-@given(seeds, action_sets, sizes(), st.integers(0, 7), st.integers(1, 5))
+@given(
+    seeds,
+    action_sets,
+    sizes(),
+    st.integers(0, 7),
+    st.sampled_from([lexicase, tournament(1), tournament(5)]),
+)
 def test_generations(
     seed: int,
     actions: ActionSet,
     size: tuple[int, tuple[int, int]],
     elite: int,
-    tournament: int,
+    selection: Selection,
 ) -> None:
     settings = EvolutionSettings(
         population=SIZE,
-        tournament=tournament,
+        selection=selection,
         elite=elite,
         capacity=size[0],
         initial_nodes=size[1],
@@ -135,5 +150,5 @@ def test_generations(
         check(state.population, actions, size[0])
         assert state.generation == generation
         assert len(state.population) == SIZE
-        fitness = torch.rand(SIZE, generator=generator)
-        state = tell(state, fitness, settings, actions, generator)
+        scores = torch.rand(SIZE, 3, generator=generator)
+        state = tell(state, scores.mean(1), settings, actions, generator, scores)

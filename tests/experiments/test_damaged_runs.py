@@ -52,7 +52,7 @@ def used(folder: Path, file: str) -> None:
         final_table([load_result(folder / file)])
     elif file.endswith("specialists.safetensors"):
         seeds = load_population(folder / file, run.actions)
-        settings = EvolutionSettings(population=8, tournament=2)
+        settings = EvolutionSettings(population=8)
         search = evolve(world(0, 2), run.actions, settings, seeded(0), seeds=seeds)
         next(search), next(search)
     else:
