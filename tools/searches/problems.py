@@ -1,0 +1,60 @@
+"""Search problems: placements of the paper's table, met in the models of a finished run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Generator
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment
+from cgtorch.experiments.run import open_run
+from cgtorch.experiments.storage import load_knowledge
+from cgtorch.experiments.views import NETWORKS
+from cgtorch.improvement.knowledge import imagine
+from cgtorch.improvement.trial import first_percepts
+from cgtorch.world import random_scenarios
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What one graph shall solve.
+
+    Attributes:
+        networks: what nodes can be, and which of the placements a graph is for.
+        placement: where the objects stand.
+        drawn: how many placements are drawn.
+        group: how many of them the graph is for.
+        replicas: how often each is met, with different errors of Γ.
+        cap: transitions after which a search is stopped.
+    """
+
+    networks: str
+    placement: str
+    drawn: int
+    group: int
+    replicas: int
+    cap: int
+
+
+PROBLEMS = {
+    "broad": Problem("edge", "perimeter", 150, 16, 2, 2_500_000),
+    "local": Problem("percept", "perimeter", 150, 12, 2, 2_500_000),
+    "far": Problem("percept", "far", 30, 30, 1, 3_000_000),
+    "perimeter": Problem("percept", "perimeter", 40, 40, 1, 2_000_000),
+}
+"""A specialist's group for networks in the edge's frame and for those of the paper; and for the
+latter a whole edge, and the paper's forty placements."""
+
+
+def pose(problem: Problem, run_folder: Path, seed: int) -> tuple[Environment, ActionSet]:
+    """The problem of a seed in the models that a run began with, and what nodes can be."""
+    run, knowledge = open_run(run_folder), load_knowledge(run_folder / "start")
+    networks = NETWORKS[problem.networks]
+    generator = Generator().manual_seed(1_000_003 * (seed + 1))
+    world = run.world_of(random_scenarios(problem.placement, problem.drawn, generator))
+    percepts = first_percepts(world)
+    everyone = torch.ones(problem.drawn, dtype=torch.bool)
+    rows = networks.group_of(percepts, everyone, problem.group, generator)
+    models = imagine(knowledge, percepts[rows], world.footprint, problem.replicas, generator)
+    return models, networks.actions(world.percept_size)
