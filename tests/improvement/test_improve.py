@@ -10,6 +10,7 @@ from support import FOOTPRINT, seeded
 from torch import Tensor
 
 from cgtorch.data import Dataset
+from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.improvement.events import (
     Event,
     GenerationDone,
@@ -17,6 +18,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
+from cgtorch.improvement.gate import train_branches
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
@@ -226,14 +228,16 @@ def test_a_team_that_would_lose_something_is_not_accepted(
 ) -> None:
     """Even where the members are believed to solve everything, the world has the last word."""
     scenarios = random_scenarios("near", 40, seeded(5))
-    member = nearly(0.3)
-    solved = try_skill(member, setup.world_of(scenarios)).succeeded
-    assert 0 < int(solved.sum()) < 40
+    idle, member = nearly(0.0), nearly(0.3)
     percepts = first_percepts(setup.world_of(scenarios))
+    rates = torch.tensor([[0.0, 1.0]]).repeat(40, 1)
+    _, branch = branching_action(setup.actions)
+    always, _ = train_branches(branch, percepts, rates.flip(1), torch.ones(40), seeded(0))
+    whole = compose("S1", [member, idle], always, setup.actions, setup.max_transitions)
+    solved = try_skill(whole, setup.world_of(scenarios)).succeeded
+    assert 0 < int(solved.sum()) < 40
     nobody = torch.zeros(40, dtype=torch.bool)
-    team = Team(
-        (nearly(0.0), member), torch.tensor([[0.0, 1.0]]).repeat(40, 1), None, nothing_yet.knowledge
-    )
+    team = Team((idle, member), rates, None, nothing_yet.knowledge)
     for keep, accepted in (
         (~solved, False),
         (solved, False),
