@@ -7,7 +7,7 @@ from torch import Tensor
 
 from cgtorch.actions import paper_actions
 from cgtorch.data import collect
-from cgtorch.evolution import EvolutionSettings, Population
+from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.improvement.events import (
@@ -63,22 +63,19 @@ def events() -> list[Event]:
     judged = success_quality(_world_of, knowledge.classifier, 60, seeded(1))
     told.append(ModelsFitted("S1", knowledge, 1.5, classifier_quality=judged))
     members: list[Skill] = []
-    seeds: Population | None = None
     kept = torch.zeros(11, dtype=torch.bool)
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):
         champion, solved = evolve_candidate(
             world,
             actions,
             EvolutionSettings(population=60, capacity=12),
-            Budget(generations=limit, enough=2.0, patience=10**6),
+            Budget(limit, patience=10**6, stall=10**6, enough=2.0),
             generator,
             told.append,
             "S1",
             name,
             keep=kept,
-            seeds=seeds,
         )
-        seeds = champion
         members.append(Skill(name, champion.graphs, actions))
         result = try_skill(members[-1], world).succeeded
         kept = result & keep

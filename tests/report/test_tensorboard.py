@@ -87,7 +87,7 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
         scalars = written.Scalars(tag)
         assert [s.step for s in scalars] == list(range(47)), tag
         assert [s.value for s in scalars] == pytest.approx(values, rel=1e-5), tag
-    assert len(set(best)) > 2  # the evolution has got somewhere
+    assert len(set(best)) > 1  # the evolution has got somewhere
 
 
 def test_models_and_world(written: EventAccumulator, events: list[Event]) -> None:
