@@ -79,7 +79,7 @@ def improve(
         solved = torch.cat([succeeded, try_skill(skill, setup.world_of(fresh)).succeeded])
         task, team = with_fresh(setup, task, team, solved, fresh)
         result = skill, task.scenarios, solved
-        if solved.all():
+        if solved.all() or not len(fresh):
             break
     progress = replace(progress, knowledge=team.knowledge, specialists=team.population)
     if result is None:

@@ -45,7 +45,7 @@ class Setup:
     budget: Budget = field(default_factory=Budget)
     attempts: int = 24
     idle: int = 4
-    rounds: int = 1
+    rounds: int = 3
     group_of: Grouping = local_group
     group: int = 12
     lanes: int = 24
