@@ -7,7 +7,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent / "runs" / "reference"
 KEPT = ("run.json", "summary.json", "robot", "ledger", "by_rows", "S0", "S1", "S2", "S3")
-"""What is kept, beside the TensorBoard files: what evaluating needs, not the data it came from."""
+"""What is kept, beside the TensorBoard files: what evaluating needs; of models, the last ones."""
 
 
 def main() -> None:
@@ -19,7 +19,8 @@ def main() -> None:
         if path.name not in KEPT and not path.name.startswith("events.out"):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     for path in FOLDER.glob("S?/*.safetensors"):
-        path.unlink()
+        if path.parent.name != "S3" or path.stem == "specialists":
+            path.unlink()
     for path in FOLDER.rglob("events.out.*"):
         path.rename(path.with_name("events.out.tfevents.0.reference"))
 

@@ -71,8 +71,9 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         _draw(rest["picture"], score, skill.name)
     kept, again = None, None
     if stage is not None:
-        world = world_of(score.scenarios)
-        kept = kept_promises(score, skill, load_knowledge(stage), world, seed)
+        if (stage / "gamma.safetensors").is_file():  # a run may be passed on without its models
+            knowledge = load_knowledge(stage)
+            kept = kept_promises(score, skill, knowledge, world_of(score.scenarios), seed)
         index = {line["name"]: line for line in read_index(stage.absolute().parent)}
         again = index.get(skill.name, {}).get("w_other_noise")
     if as_json:

@@ -137,3 +137,15 @@ def test_a_picture_of_the_scenes(shell: Shell, trained: Trained, tmp_path: Path)
     assert ended.code == 2
     assert ended.err.count("\n") == 1
     assert "nowhere" in ended.err
+
+
+def test_a_run_that_was_passed_on_without_its_models(
+    shell: Shell, trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run")
+    words = (folder, "--count", 3, "--json")
+    whole = json.loads(shell(EVALUATE, *words).out)
+    assert whole["promised"] is not None
+    for path in folder.glob("*/*.safetensors"):
+        path.unlink()
+    assert json.loads(shell(EVALUATE, *words).out) == {**whole, "promised": None}
