@@ -78,13 +78,14 @@ def improve(
         fresh = draw(generator)
         solved = torch.cat([succeeded, try_skill(skill, setup.world_of(fresh)).succeeded])
         task, team = with_fresh(setup, task, team, solved, fresh)
-        result = skill, task.scenarios, solved
+        # A further try that fails has moved parts of the rest into its task.
+        result = skill, task.scenarios, solved, rest
         if solved.all() or not len(fresh):
             break
     progress = replace(progress, knowledge=team.knowledge, specialists=team.population)
     if result is None:
         return progress
-    skill, everything, solved = result
+    skill, everything, solved, rest = result
     return replace(
         progress,
         skill=skill,

@@ -1,6 +1,7 @@
 """The coreset of W: what stays covers what goes, and what goes is not forgotten."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -8,13 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
 from support import seeded
+from torch import Generator, Tensor
 
+from cgtorch.graphs import Skill
 from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.team import Task, Team, compose_team
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import random_scenarios
+from cgtorch.world import Scenarios, random_scenarios
 
 
 @given(st.integers(0, 2**31), st.integers(0, 60), st.integers(1, 70))
@@ -86,3 +90,41 @@ def test_acceptance_is_checked_on_all_of_w(setup: Setup, nothing_yet: Progress) 
     again = try_skill(accepted.skill, small.world_of(accepted.scenarios)).succeeded
     assert torch.equal(again, accepted.succeeded)
     assert again[accepted.keep].all()
+
+
+def test_no_scenario_is_dropped_where_a_further_try_fails(
+    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a failed try had lost of the rest of W is still W under the skill accepted before."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world = setup.world_of(scenarios)
+    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
+    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
+    solved, missed = (scenarios[rows.nonzero()[:, 0]] for rows in (first, second & ~first))
+    progress = replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
+    accepted: list[SkillAccepted] = []
+    losing: list[Skill] = []
+
+    def watch(event: object) -> None:
+        if isinstance(event, SkillAccepted):
+            accepted.append(event)
+
+    def forgetful(setup: Setup, team: Team, task: Task, *rest: Any) -> tuple[Skill, Tensor] | None:
+        """A team that loses something, and then none, once a skill was accepted."""
+        if not accepted:
+            return compose_team(setup, team, task, *rest)
+        losing.append(nearly(1.5))
+        return (losing[0], task.keep) if len(losing) == 1 else None
+
+    def draw(generator: Generator) -> Scenarios:
+        return random_scenarios("perimeter", 20, generator)
+
+    monkeypatch.setattr("cgtorch.improvement.improve.compose_team", forgetful)
+    few = replace(setup, core=2, attempts=0, rounds=2)
+    everything = torch.ones(len(missed), dtype=torch.bool)
+    after = improve(few, progress, "S1", missed, everything, draw, seeded(0), watch)
+    assert len(accepted) == 1
+    assert len(losing) == 2
+    assert len(after.solved) + len(after.missed) == len(solved) + len(missed) + 20
+    assert after.skill is accepted[0].skill
+    assert try_skill(after.skill, setup.world_of(after.solved)).succeeded.all()
