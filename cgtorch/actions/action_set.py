@@ -20,7 +20,6 @@ class ActionSet:
     Attributes:
         names: unique names, as they appear in graphs and files.
         actions: the torch modules.
-        num_outcomes: (A,) long.
         terminal: (A, O) bool, outcomes that end the computation, O the largest outcome count.
         succeeds: (A, O) bool, terminal outcomes with which the skill succeeded.
         has_edge: (A, O) bool, outcomes that must lead to a node.
@@ -34,7 +33,6 @@ class ActionSet:
 
     names: tuple[str, ...]
     actions: tuple[Action, ...]
-    num_outcomes: Tensor = field(init=False, repr=False, compare=False)
     terminal: Tensor = field(init=False, repr=False, compare=False)
     succeeds: Tensor = field(init=False, repr=False, compare=False)
     has_edge: Tensor = field(init=False, repr=False, compare=False)
@@ -54,7 +52,6 @@ class ActionSet:
                 terminal[i, j] = outcome in action.terminal
                 succeeds[i, j] = action.terminal.get(outcome, False)
         tables = {
-            "num_outcomes": counts,
             "terminal": terminal,
             "succeeds": succeeds,
             "has_edge": (torch.arange(width) < counts[:, None]) & ~terminal,

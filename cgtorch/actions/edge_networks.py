@@ -8,9 +8,16 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from cgtorch.actions.networks import BranchingNN, ContinuousNN
+from cgtorch.actions.networks import BranchingNN, ContinuousNN, one_hidden_layer
 from cgtorch.environment import Environment, Lanes
-from cgtorch.world.edge_frame import SCENE, edge_frame, motion_to, scene, scene_size
+from cgtorch.world.edge_frame import (
+    SCENE,
+    edge_frame,
+    motion_to,
+    scene,
+    scene_size,
+    table_scene,
+)
 
 
 class EdgeNN(ContinuousNN):
@@ -24,17 +31,15 @@ class EdgeNN(ContinuousNN):
         super().__init__(SCENE, hidden)
         self.percept_size = percept_size
 
-    def sees(self, percept: Tensor) -> Tensor:
-        """The scene without obstacles (n, inputs)."""
-        return scene(percept)[:, :SCENE]
-
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
-        pose = self.network(lanes, parameters)
+        frame = edge_frame(lanes.percept)
+        seen = table_scene(frame, lanes.percept)
+        pose = one_hidden_layer(seen, parameters, self.hidden, self.outputs)
         message = lanes.message.clone()
-        message[:, : self.outputs] = motion_to(edge_frame(lanes.percept), pose)
+        message[:, : self.outputs] = motion_to(frame, pose)
         lanes = replace(lanes, message=message, has_message=lanes.has_message | True)
         return lanes, lanes.step.new_zeros(len(lanes))
 

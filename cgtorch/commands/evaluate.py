@@ -61,7 +61,7 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
 
     from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
     from cgtorch.experiments.ledger import read_index
-    from cgtorch.experiments.storage import load_knowledge
+    from cgtorch.experiments.storage import holds_models, load_knowledge
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
@@ -71,7 +71,7 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
         _draw(rest["picture"], score, skill.name)
     kept, again = None, None
     if stage is not None:
-        if (stage / "gamma.safetensors").is_file():  # a run may be passed on without its models
+        if holds_models(stage):
             knowledge = load_knowledge(stage)
             kept = kept_promises(score, skill, knowledge, world_of(score.scenarios), seed)
         index = {line["name"]: line for line in read_index(stage.absolute().parent)}

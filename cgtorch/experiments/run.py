@@ -24,9 +24,9 @@ import torch
 import cgtorch
 from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.errors import ActionError, GraphError, RunError
+from cgtorch.experiments.perception import NETWORKS, networks_of, percept_of, usual_percept
 from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES, round_name
-from cgtorch.experiments.views import NETWORKS, networks_of, percept_of, usual_percept
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder

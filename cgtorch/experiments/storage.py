@@ -28,6 +28,7 @@ from cgtorch.models import (
 )
 from cgtorch.world import Scenarios
 
+GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
 MAX_BYTES = 2**30
 T = TypeVar("T", Dataset, Graphs)
 
@@ -85,14 +86,19 @@ def load_dataset(path: Path) -> Dataset:
     return data
 
 
+def holds_models(folder: Path) -> bool:
+    """Whether a folder of a run has Γ or C: a run may be passed on without them."""
+    return any((folder / name).exists() for name in (GAMMA, CLASSIFIER))
+
+
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
     """Write data, Γ and C into a folder."""
     save_dataset(folder / "data.safetensors", knowledge.dataset, notes)
     said = [] if knowledge.verdicts is None else [v.reason for v in knowledge.verdicts]
     learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
     save_dataset(folder / "aside.safetensors", knowledge.aside, {**notes, **learned})
-    save_model(folder / "gamma.safetensors", knowledge.gamma, knowledge.gamma_report)
-    save_model(folder / "classifier.safetensors", knowledge.classifier, knowledge.classifier_report)
+    save_model(folder / GAMMA, knowledge.gamma, knowledge.gamma_report)
+    save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
 
 def load_knowledge(folder: Path) -> Knowledge:
@@ -102,8 +108,8 @@ def load_knowledge(folder: Path) -> Knowledge:
         RunError: a file holds another kind of model, or a report that is none.
         ModelError: a model file is damaged.
     """
-    gamma, first_report = load_model_and_report(folder / "gamma.safetensors")
-    classifier, second_report = load_model_and_report(folder / "classifier.safetensors")
+    gamma, first_report = load_model_and_report(folder / GAMMA)
+    classifier, second_report = load_model_and_report(folder / CLASSIFIER)
     if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
         raise RunError(f"{str(folder)!r} holds other models than Γ and C; restore the files")
     try:

@@ -16,6 +16,7 @@ from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.ledger import Entry, enter, entry_of
+from cgtorch.experiments.perception import networks_of
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import (
@@ -35,7 +36,6 @@ from cgtorch.experiments.storage import (
     save_population,
     save_scenarios,
 )
-from cgtorch.experiments.views import networks_of
 from cgtorch.files import write_json
 from cgtorch.graphs import Skill, load_skill, save_skill
 from cgtorch.improvement.events import (

@@ -30,9 +30,7 @@ from cgtorch.world.percepts import parted as parts_of
 
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
-LEAST_NOVEL = (
-    0.75  # novelty that is allowed in any case: where few data are all centres, theirs is 0
-)
+LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000

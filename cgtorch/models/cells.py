@@ -24,9 +24,8 @@ from cgtorch.models.splitting import split
 
 GRID_RIDGE = 1e-3
 TOLERANCE = 1e-3  # violation of the optimality conditions, as libsvm's default
-_BATCH = (
-    64  # problems that Newton's method solves together, few enough to stay in the processor's cache
-)
+_BATCH = 64
+"""Problems that Newton's method solves together, few enough to stay in the processor's cache."""
 
 Found = tuple[Tensor, Tensor, Tensor]
 """Coefficients (P, n), biases (P,) and whether the answer came without SMO (P,)."""

@@ -75,17 +75,26 @@ def scene(percept: Tensor) -> Tensor:
         DataError: as for `cgtorch.world.percepts.parted`.
     """
     frame = edge_frame(percept)
+    return torch.cat([table_scene(frame, percept), obstacles(frame, percept)], -1)
+
+
+def table_scene(frame: EdgeFrame, percept: Tensor) -> Tensor:
+    """The scene without its obstacles (n, SCENE)."""
     robot = into(frame, torch.zeros_like(frame.origin))
     heading = -frame.mirror * frame.yaw
+    turned = [heading.cos()[..., None], heading.sin()[..., None]]
+    return torch.cat([robot, *turned, frame.extent, percept[..., 6:7]], -1)
+
+
+def obstacles(frame: EdgeFrame, percept: Tensor) -> Tensor:
+    """The scene's obstacles (n, OBSTACLE each)."""
     _, _, boxes = parted(percept)
     there = (boxes != 0).any(-1, keepdim=True)
     low, high = boxes[..., 0::2], boxes[..., 1::2]
     centre = into(frame, (low + high) / 2)
     obstacle = torch.cat([centre, (high - low).mean(-1, keepdim=True) / 2], -1)
     nothing = obstacle.new_tensor([-NOWHERE, 0.0, 0.0])
-    obstacle = torch.where(there, obstacle, nothing)
-    about = [robot, heading.cos()[..., None], heading.sin()[..., None], frame.extent]
-    return torch.cat([*about, percept[..., 6:7], obstacle.flatten(-2)], -1)
+    return torch.where(there, obstacle, nothing).flatten(-2)
 
 
 def into(frame: EdgeFrame, point: Tensor) -> Tensor:

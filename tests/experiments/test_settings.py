@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.errors import SettingsError
+from cgtorch.experiments.perception import NETWORKS as KINDS_OF_NETWORKS
 from cgtorch.experiments.settings import (
     CHOICES,
     LATER,
@@ -19,7 +20,6 @@ from cgtorch.experiments.settings import (
     RunSettings,
     settings_from_dict,
 )
-from cgtorch.experiments.views import NETWORKS as KINDS_OF_NETWORKS
 from cgtorch.world import DRAWS
 from cgtorch.world import PERCEPTS as SIZES_OF_PERCEPTS
 

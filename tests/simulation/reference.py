@@ -60,19 +60,6 @@ def run(
     scenario: int,
     max_transitions: int,
     max_steps: int,
-) -> tuple[End, list[float], int]:
-    """How the first graph ends on a scenario, its last percept, and the actions it executed."""
-    end, robot = live(graphs, actions, environment, scenario, max_transitions, max_steps)
-    return end, robot.percept.tolist(), robot.steps
-
-
-def live(
-    graphs: Graphs,
-    actions: ActionSet,
-    environment: Environment,
-    scenario: int,
-    max_transitions: int,
-    max_steps: int,
 ) -> tuple[End, Robot]:
     """How the first graph ends on a scenario, and the robot afterwards."""
     state, percept = environment.start(torch.tensor([scenario]))

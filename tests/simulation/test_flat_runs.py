@@ -33,7 +33,7 @@ def test_every_action_sees_the_same() -> None:
         for place in (world(seed, 5, dtype=torch.float64), model(seed, 5, dtype=torch.float64)):
             for i in range(5):
                 (end, was), (flat_end, now) = (
-                    reference.live(s.graph, s.actions, place, i, s.max_transitions, STEPS)
+                    reference.run(s.graph, s.actions, place, i, s.max_transitions, STEPS)
                     for s in (nested, flat)
                 )
                 assert flat_end == end

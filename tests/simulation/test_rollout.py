@@ -48,10 +48,10 @@ def compare(
     for i in range(len(graphs)):
         for j in range(environment.num_scenarios):
             one = graphs[i : i + 1]
-            end, percept, executed = reference.run(one, actions, environment, j, limit, steps)
+            end, robot = reference.run(one, actions, environment, j, limit, steps)
             assert ends(result)[i][j] == end
-            assert int(result.transitions[i, j]) == executed
-            assert result.percept[i, j].tolist() == pytest.approx(percept, abs=1e-9)
+            assert int(result.transitions[i, j]) == robot.steps
+            assert result.percept[i, j].tolist() == pytest.approx(robot.percept.tolist(), abs=1e-9)
             found[end] += 1
     return found
 

@@ -8,9 +8,9 @@ from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
+from cgtorch.experiments.perception import NETWORKS
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.storage import load_knowledge
-from cgtorch.experiments.views import NETWORKS
 from cgtorch.improvement.knowledge import imagine
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.world import random_scenarios
