@@ -73,6 +73,7 @@ class Tally:
 
     generations: int = 0
     transitions: int = 0
+    searching: float = 0.0  # s
     accepted: SkillAccepted | None = None
 
     def count(self, event: Event) -> None:
@@ -80,6 +81,7 @@ class Tally:
         if isinstance(event, GenerationDone):
             self.generations += 1
             self.transitions += event.generation.transitions
+            self.searching += event.seconds
         elif isinstance(event, SkillAccepted):
             self.accepted = event
 
@@ -261,6 +263,7 @@ def _result(
         "generations": tally.generations,
         "transitions": tally.transitions,
         "seconds": round(accepted.seconds, 1),
+        "search_seconds": round(tally.searching, 1),
         "fresh": counts(edge, fresh),
         "perimeter": counts(PERIMETER, around),
     }

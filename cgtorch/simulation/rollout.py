@@ -13,7 +13,9 @@ from cgtorch.graphs import Graphs
 from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
 
 MAX_TRANSITIONS = 20
-MAX_STEPS = 60
+MAX_STEPS = MAX_TRANSITIONS**2
+"""What a skill of skills can execute if each of its transitions is a sub-skill that runs out of its
+own."""
 TIMEOUT = -3
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]

@@ -98,7 +98,8 @@ def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
     results = train_until(open_run(folder), GOAL, ignore, quietly)
-    assert [{**r, "seconds": 0} for r in results] == [{**r, "seconds": 0} for r in made[2]]
+    timed = {"seconds": 0, "search_seconds": 0}
+    assert [r | timed for r in results] == [r | timed for r in made[2]]
     for name in ("skill.json", "scenarios.json", "data.safetensors"):
         was = (made[0].folder / "auto-2" / name).read_bytes()
         assert (folder / "auto-2" / name).read_bytes() == was
