@@ -27,7 +27,7 @@ _ROUND = 20  # iterations between two checks
 _ROUNDS = 60
 _EARLY, _NEAR, _FREE = 4, 0.1, 0.125  # who violates more after so many rounds with so few free
 _LATE, _FAR = 15, 0.1  # and who violates more after so many, is left
-_DIMENSION, _MANY = 0.16, 50  # least effective dimension for so many problems, in rows
+_DIMENSION, _MANY = 0.15, 50  # least mean effective dimension for so many problems, in rows
 _UNEVEN = 8.0  # rho changes where one residual is so many times the other
 _CONDITION = 1e6  # of the largest inverse, so that float32 holds it
 _KEPT = 5  # inverses kept, of n^2 numbers each
@@ -79,7 +79,8 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     level = level.round().clamp_min(least)
     # An iteration reads the whole inverse, so it pays for many problems sooner than for few.
     least_dimension = len(gram) * min(_DIMENSION, _DIMENSION * _MANY / len(zero))
-    live = (_dimension(gram, _LADDER**level) >= least_dimension).nonzero().flatten()
+    pays = bool(_dimension(gram, _LADDER**level).mean() >= least_dimension)
+    live = torch.arange(len(zero) if pays else 0, device=zero.device)
     kept: dict[float, _Inverse] = {}
     for number in range(_ROUNDS + 1):
         rest = []
