@@ -1,14 +1,16 @@
 """The hot path: values of an RBF machine with the fewest passes over memory.
 
-With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2): one product of the rows
-(x, |x|^2, 1) with the matrix 2 s [C'; -1/2; -|c|^2 / 2], one exp2 in place, and one product with
-the weights, in chunks whose buffer stays in cache. Both x and c are taken from the centres' mean,
-so that an offset of the features costs no digits.
+With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2): one product of the matrix
+2 s [C, -1/2, -|c|^2 / 2] with the columns (x, |x|^2, 1)', one exp2 in place, and one product of the
+weights with that, in chunks whose buffer stays in cache. Both x and c are taken from the centres'
+mean, so that an offset of the features costs no digits.
+
+Rows are columns in here, because a product of few outputs and many rows is faster that way round.
 
 A row has the same values, bit for bit, in whatever batch it comes and on however many threads:
-the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 4 and
-centres to multiples of 16, with weight 0 (docs/decisions.md). Weights are filled up to 16 columns
-because narrower products run at a fraction of the peak.
+the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 4,
+centres to multiples of 16 and outputs to 2, with weight 0, and sums over features are products
+(docs/decisions.md).
 """
 
 import math
@@ -23,7 +25,7 @@ from torch.nn.functional import pad
 from cgtorch.models.threads import one_thread_each, side_by_side
 
 LOG2E = math.log2(math.e)
-_ROWS, _COLUMNS = 4, 16
+_ROWS, _CENTRES, _OUTPUTS = 4, 16, 2
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
 _MOST_BYTES = 256 * 1024**2  # of a chunk, however many centres a stranger's model has
@@ -95,10 +97,10 @@ class _Folded:
     """A machine ready for products, M >= m and K >= k filled up as the module says.
 
     Attributes:
-        matrix: 2 s [C'; -1/2; -|c|^2 / 2] (d + 2, M).
-        weights: (M, K).
+        matrix: 2 s [C, -1/2, -|c|^2 / 2] (M, d + 2).
+        weights: (K, M).
         bias: (k,).
-        mean: What is subtracted from rows and centres (d,).
+        mean: What is subtracted from rows and centres (d, 1).
         centres: m.
         chunk: Rows that go through the kernel's buffer at once.
     """
@@ -113,19 +115,19 @@ class _Folded:
 
 def _fold(machine: Machine, rows: int) -> _Folded:
     centres, weights, bias, gamma = machine
-    (m, d), k = centres.shape, len(bias)
-    missing = -m % _COLUMNS
+    m, d = centres.shape
+    missing = -m % _CENTRES
     mean = centres.mean(0)
     others = centres - mean
-    matrix = centres.new_zeros(d + 2, m + missing)
-    matrix[:d, :m] = others.T
-    matrix[d] = -0.5
-    torch.sum(others * others, 1, out=matrix[d + 1, :m]).mul_(-0.5)
+    matrix = centres.new_zeros(m + missing, d + 2)
+    matrix[:m, :d] = others
+    matrix[:, d] = -0.5
+    matrix[:m, d + 1] = -0.5 * (others * others).sum(1)
     return _Folded(
         matrix=matrix.mul_(gamma * (2 * LOG2E)),
-        weights=pad(weights, (0, -k % _COLUMNS if k > 1 else 0, 0, missing)),
+        weights=pad(weights.T, (0, missing, 0, max(0, _OUTPUTS - len(bias)))),
         bias=bias,
-        mean=mean,
+        mean=mean[:, None],
         centres=m,
         chunk=min(chunk_rows(m + missing, centres.element_size()), max(rows, 1) + -rows % _ROWS),
     )
@@ -154,29 +156,28 @@ def _compute(x: Tensor, machine: Machine, values: Tensor, nearest: Tensor | None
 def _work_off(todo: "SimpleQueue[Block]", folded: _Folded, most: int) -> None:
     """Take blocks of at most `most` rows off `todo` until there are none, in the same buffers."""
     matrix, weights, chunk = folded.matrix, folded.weights, folded.chunk
-    rows = matrix.new_zeros(most, len(matrix))
-    rows[:, -1] = 1
-    kernel = matrix.new_empty(chunk, matrix.shape[1])
-    sums = matrix.new_empty(most, weights.shape[1])
+    rows = matrix.new_zeros(matrix.shape[1], most)
+    below = matrix.new_tensor([[0.0], [1.0]])
+    total = torch.zeros_like(folded.mean.T).repeat(2, 1)
+    total[0] = 1
+    kernel = matrix.new_empty(len(matrix), chunk)
+    sums = matrix.new_empty(len(weights), most)
     while True:
         try:
             x, values, nearest = todo.get_nowait()
         except Empty:
             return
         n, d = x.shape
-        near = torch.sub(x, folded.mean, out=rows[:n, :d])
-        torch.sum(near * near, 1, out=rows[:n, d])
+        torch.sub(x.T, folded.mean, out=rows[:d, :n])
+        near = rows[:d, : n + -n % _ROWS]
+        torch.addmm(below, total, near * near, out=rows[d:, : near.shape[1]])
         for begin in range(0, n, chunk):
             last = min(begin + chunk, n)
             end = last + (begin - last) % _ROWS
-            part = kernel[: end - begin]
-            torch.mm(rows[begin:end], matrix, out=part)
+            part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
+            torch.mm(matrix, rows[:, begin:end], out=part)
             if nearest is not None:
-                real = part[: last - begin, : folded.centres]
-                torch.amax(real, 1, out=nearest[begin:last])
+                torch.amax(part[: folded.centres, : last - begin], 0, out=nearest[begin:last])
             part.exp2_()
-            if weights.shape[1] == 1:
-                torch.mv(part, weights[:, 0], out=sums[begin:end, 0])
-            else:
-                torch.mm(part, weights, out=sums[begin:end])
-        torch.add(sums[:n, : len(folded.bias)], folded.bias, out=values)
+            torch.mm(weights, part, out=sums[:, begin:end])
+        torch.add(sums[: len(folded.bias), :n].T, folded.bias, out=values)
