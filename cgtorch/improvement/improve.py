@@ -34,7 +34,7 @@ from cgtorch.world import Scenarios, concatenate_scenarios
 Draw: TypeAlias = Callable[[Generator], Scenarios]
 """Draws fresh scenarios of the kind a stage is about."""
 
-CHECKS = 4  # on all of W, before a stage gives up
+CHECKS = 8  # on all of W, before a team is given up
 
 
 def improve(
@@ -70,6 +70,10 @@ def improve(
     for _ in range(setup.rounds):
         team, tried = _recruit_all(setup, team, task, tried, generator, watch)
         work, composed = _compose(setup, (task, team, rest), progress, generator, watch)
+        if composed is None and tried < setup.attempts and not task.keep.all():
+            tried += 1
+            work = _with_one_more(setup, work, tried, generator, watch)
+            work, composed = _compose(setup, work, progress, generator, watch)
         task, team, rest = work
         if composed is None:
             break
@@ -126,6 +130,18 @@ def _compose(
         task, team = with_fresh(setup, task, team, keep, rest[(~held).nonzero()[:, 0]])
         rest = rest[held.nonzero()[:, 0]]
     return (task, team, rest), None
+
+
+def _with_one_more(
+    setup: Setup, work: Work, number: int, generator: Generator, watch: Watch
+) -> Work:
+    """The work with a specialist for all that the earlier skill misses, whoever else solves it.
+
+    Where no branches could tell the members apart, it makes that easier.
+    """
+    task, team, rest = work
+    name = f"{task.stage}.{number}"
+    return task, recruit(setup, team, task, name, ~task.keep, generator, watch), rest
 
 
 def _accepted(

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.improvement.coreset import cover
-from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.events import GenerationDone, SkillAccepted
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import Task, Team, compose_team
@@ -128,3 +128,58 @@ def test_no_scenario_is_dropped_where_a_further_try_fails(
     assert len(after.solved) + len(after.missed) == len(solved) + len(missed) + 20
     assert after.skill is accepted[0].skill
     assert try_skill(after.skill, setup.world_of(after.solved)).succeeded.all()
+
+
+def test_where_no_team_can_be_composed_one_more_is_recruited(
+    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though members solve all that is missed, so that nobody seemed to be needed."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world = setup.world_of(scenarios)
+    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
+    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
+    solved, missed = (scenarios[rows.nonzero()[:, 0]] for rows in (first, second & ~first))
+    progress = replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
+    teams: list[Team] = []
+    evolved: set[str] = set()
+
+    def failing_once(setup: Setup, team: Team, *rest: Any) -> tuple[Skill, Tensor] | None:
+        teams.append(team)
+        return compose_team(setup, team, *rest) if len(teams) > 1 else None
+
+    def watch(event: object) -> None:
+        if isinstance(event, GenerationDone):
+            evolved.add(event.candidate)
+
+    monkeypatch.setattr("cgtorch.improvement.improve.compose_team", failing_once)
+    everything = torch.ones(len(missed), dtype=torch.bool)
+    once = replace(
+        setup, trials=1, attempts=1, rounds=1, budget=replace(setup.budget, generations=3)
+    )
+    after = improve(
+        once, progress, "S1", missed, everything, lambda _: missed[:0], seeded(0), watch
+    )
+    assert len(teams) == 2
+    assert evolved == {"S1.1"}
+    assert after.skill is not None
+    assert after.skill.name == "S1"
+    nobody = replace(once, attempts=0)
+    teams.clear()
+    same = improve(
+        nobody, progress, "S1", missed, everything, lambda _: missed[:0], seeded(0), watch
+    )
+    assert len(teams) == 1
+    assert same.skill is earlier
+
+
+def test_with_nothing_missed_all_stays(setup: Setup, nothing_yet: Progress) -> None:
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    earlier = replace(nearly(0.25), name="S0")
+    solved = scenarios[try_skill(earlier, setup.world_of(scenarios)).succeeded.nonzero()[:, 0]]
+    progress = replace(nothing_yet, skill=earlier, solved=solved, missed=solved[:0])
+    none = torch.zeros(0, dtype=torch.bool)
+    after = improve(
+        setup, progress, "S1", solved[:0], none, lambda _: solved[:0], seeded(0), lambda _: None
+    )
+    assert after.skill is earlier
+    assert len(after.solved) == len(solved)
