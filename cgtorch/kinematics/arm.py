@@ -36,6 +36,7 @@ class ArmModel:
         upper: (n,) upper limits.
         continuous: (n,) whether a joint turns without end.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
+        reach: How far from its base link's origin the tool frame's can be at most, m.
         capsules: The arm's shapes.
         closed_form: What the closed form of inverse kinematics needs, or None for arms without.
     """
@@ -46,6 +47,7 @@ class ArmModel:
     upper: Tensor
     continuous: Tensor
     mount: Tensor
+    reach: float
     capsules: Capsules
     closed_form: SphericalArm | None
     _xml: bytes

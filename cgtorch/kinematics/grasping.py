@@ -128,7 +128,8 @@ def _grasp(
     position, table = position[rows], table[rows]
     slab, body = table_slab(table), robot.body.to(position)
     approaches = position.new_tensor(APPROACHES)
-    open_rows = (~_standing_in_table(robot, table)).nonzero().squeeze(1)
+    possible = ~_standing_in_table(robot, table) & _within_reach(robot, position)
+    open_rows = possible.nonzero().squeeze(1)
     start = 0
     while start < len(APPROACHES) and len(open_rows):
         group = torch.arange(start, len(APPROACHES), device=position.device)
@@ -265,6 +266,13 @@ def table_slab(table: Tensor) -> Boxes:
     centre = torch.cat([table[:, :2], height], dim=1)
     half = torch.cat([table[:, 3:5], thickness], dim=1) / 2
     return Boxes(centre[:, None], rotation[:, None], half[:, None])
+
+
+def _within_reach(robot: Robot, position: Tensor) -> Tensor:
+    """(B,) whether an arm is long enough, which it is not for most that a skill tries."""
+    grasp = position + position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
+    away = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) for arm in robot.arms]
+    return torch.stack([a <= arm.reach for a, arm in zip(away, robot.arms, strict=True)]).any(0)
 
 
 def _standing_in_table(robot: Robot, table: Tensor) -> Tensor:

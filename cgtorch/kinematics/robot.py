@@ -173,11 +173,20 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
         upper=limits[:, 1],
         continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
         mount=_transform(urdf, arm.base_link, words.base_frame),
+        reach=_reach(joints),
         capsules=_capsules(urdf, words, arm, joints, probe.frame_to_idx),
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
         _links=(arm.base_link, arm.tool_frame),
     )
+
+
+def _reach(joints: tuple[Any, ...]) -> float:
+    """The length of a chain with all its links in one line and its slides drawn out."""
+    slides = [_limits(joint) for joint in joints if joint.type == "prismatic"]
+    drawn = sum(max(-lower, upper, 0.0) for lower, upper in slides)
+    offsets = [joint.origin[:3, 3] for joint in joints if joint.origin is not None]
+    return drawn + sum(math.hypot(*offset) for offset in offsets)
 
 
 def _limits(joint: Any) -> tuple[float, float]:

@@ -62,3 +62,11 @@ def test_unknown_arm_and_wrong_joint_count(pr2):
         pr2.forward_kinematics("third", torch.zeros(1, 7))
     with pytest.raises(RobotError, match=r"shape \(1, 6\).*takes \(\.\.\., 7\)"):
         pr2.forward_kinematics("left", torch.zeros(1, 6))
+
+
+def test_no_posture_reaches_further_than_the_arm_is_long(pr2, random_joints, generator):
+    for arm in pr2.arms:
+        tool = pr2.forward_kinematics(arm.name, random_joints(arm, 20_000, generator))[:, :3, 3]
+        away = (tool - arm.mount[:3, 3]).norm(dim=1)
+        assert (away <= arm.reach).all()
+        assert away.max() > 0.9 * arm.reach

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from cgtorch.errors import RobotError
-from cgtorch.kinematics import grasp_solution, graspable
+from cgtorch.kinematics import grasp_solution, graspable, grasping
 from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches, waypoints
 
 HEIGHT = 0.74
@@ -192,3 +192,19 @@ def test_no_rows(pr2):
 def test_bad_input(pr2, position, table, message):
     with pytest.raises(RobotError, match=message):
         graspable(pr2, position, table)
+
+
+def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
+    position, table = random_scene(4000, 7)
+    stretch = torch.linspace(1, 1.8, 4000)[:, None]
+    position[:, :2] *= stretch
+    table[:, :2] *= stretch
+    near = grasping._within_reach(pr2, position)
+    assert 500 < int(near.sum()) < 3500
+    found = graspable(pr2, position, table)
+    monkeypatch.setattr(
+        grasping, "_within_reach", lambda robot, at: torch.ones_like(near[: len(at)])
+    )
+    assert torch.equal(graspable(pr2, position, table), found)
+    assert (found & ~near).sum() == 0
+    assert found.any()
