@@ -31,6 +31,10 @@ class EdgeNN(ContinuousNN):
         super().__init__(SCENE, hidden)
         self.percept_size = percept_size
 
+    def sees(self, percept: Tensor) -> Tensor:
+        """The scene without obstacles (n, inputs)."""
+        return table_scene(edge_frame(percept), percept)
+
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:

@@ -25,6 +25,7 @@ def test_they_are_the_papers_networks_on_the_scene(size: int) -> None:
     after, outcome = edge(lanes, parameters, here)
     meant, _ = plain(seen, parameters, here)
     assert torch.equal(after.message, motion_to(edge_frame(here.percepts), meant.message))
+    assert torch.equal(edge.sees(here.percepts), scene(here.percepts)[:, :SCENE])
     assert after.has_message.all()
     assert not outcome.any()
     assert torch.equal(after.percept, lanes.percept)

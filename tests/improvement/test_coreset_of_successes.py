@@ -92,16 +92,22 @@ def test_acceptance_is_checked_on_all_of_w(setup: Setup, nothing_yet: Progress) 
     assert again[accepted.keep].all()
 
 
-def test_no_scenario_is_dropped_where_a_further_try_fails(
-    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What a failed try had lost of the rest of W is still W under the skill accepted before."""
+def two_members(setup: Setup, nothing_yet: Progress) -> Progress:
+    """A skill with what it solves as W, what it misses as M, and a member who solves all of M."""
     scenarios = random_scenarios("perimeter", 60, seeded(5))
     world = setup.world_of(scenarios)
     earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
     first, second = (try_skill(m, world).succeeded for m in (earlier, far))
     solved, missed = (scenarios[rows.nonzero()[:, 0]] for rows in (first, second & ~first))
-    progress = replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
+    return replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
+
+
+def test_no_scenario_is_dropped_where_a_further_try_fails(
+    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a failed try had lost of the rest of W is still W under the skill accepted before."""
+    progress = two_members(setup, nothing_yet)
+    solved, missed = progress.solved, progress.missed
     accepted: list[SkillAccepted] = []
     losing: list[Skill] = []
 
@@ -134,12 +140,8 @@ def test_where_no_team_can_be_composed_one_more_is_recruited(
     setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though members solve all that is missed, so that nobody seemed to be needed."""
-    scenarios = random_scenarios("perimeter", 60, seeded(5))
-    world = setup.world_of(scenarios)
-    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
-    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
-    solved, missed = (scenarios[rows.nonzero()[:, 0]] for rows in (first, second & ~first))
-    progress = replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
+    progress = two_members(setup, nothing_yet)
+    missed = progress.missed
     teams: list[Team] = []
     evolved: set[str] = set()
 
@@ -169,17 +171,16 @@ def test_where_no_team_can_be_composed_one_more_is_recruited(
         nobody, progress, "S1", missed, everything, lambda _: missed[:0], seeded(0), watch
     )
     assert len(teams) == 1
-    assert same.skill is earlier
+    assert same.skill is progress.skill
 
 
 def test_with_nothing_missed_all_stays(setup: Setup, nothing_yet: Progress) -> None:
-    scenarios = random_scenarios("perimeter", 60, seeded(5))
-    earlier = replace(nearly(0.25), name="S0")
-    solved = scenarios[try_skill(earlier, setup.world_of(scenarios)).succeeded.nonzero()[:, 0]]
-    progress = replace(nothing_yet, skill=earlier, solved=solved, missed=solved[:0])
+    progress = two_members(setup, nothing_yet)
+    nothing = progress.missed[:0]
+    progress = replace(progress, members=(), missed=nothing)
     none = torch.zeros(0, dtype=torch.bool)
     after = improve(
-        setup, progress, "S1", solved[:0], none, lambda _: solved[:0], seeded(0), lambda _: None
+        setup, progress, "S1", nothing, none, lambda _: nothing, seeded(0), lambda _: None
     )
-    assert after.skill is earlier
-    assert len(after.solved) == len(solved)
+    assert after.skill is progress.skill
+    assert len(after.solved) == len(progress.solved)
