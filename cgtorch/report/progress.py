@@ -77,7 +77,9 @@ class ProgressDisplay:
             self._estimate.stage_started(event)
             self._plain(wording.stage_started(event))
         elif isinstance(event, ModelsFitted):
-            self._plain(wording.models_fitted(event))
+            # What Γ and C are worth before all learning on is a result and stays.
+            tell = self._plain if event.gamma_quality is None else self.say
+            tell(wording.models_fitted(event))
         elif isinstance(event, WorldTested):
             self._estimate.evolution_over()
             self._world = wording.world_tested(event)

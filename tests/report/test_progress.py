@@ -19,6 +19,9 @@ from cgtorch.report.estimate import Estimate
 from cgtorch.report.wording import models_fitted
 
 
+QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
+
+
 def console(terminal: bool, width: int = 100) -> Console:
     return Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
 
@@ -38,8 +41,7 @@ def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
 
 def test_models_are_told_with_what_no_model_can_better(events: list[Event]) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
-    quality = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
-    line = models_fitted(replace(fitted, gamma_quality=quality))
+    line = models_fitted(replace(fitted, gamma_quality=QUALITY))
     assert line.startswith(
         "S1: on 2000 fresh transitions Γ errs by 1.06 cm on the object (floor 1.07; without the "
         "noise of the motion 0.40) and 2.11 cm on the table (floor 1.97 ± 0.05), C's balanced "
@@ -156,6 +158,17 @@ def test_accepted_skills_stay_above_the_live_lines(events: list[Event]) -> None:
     assert shown.count("S1: accepted; ") == 1
     assert "\x1b[?25l" in shown  # there was a live display
     assert "S1: stage 2" not in shown
+
+
+def test_how_good_the_first_models_are_stays_above_the_live_lines(events: list[Event]) -> None:
+    later = next(e for e in events if isinstance(e, ModelsFitted))
+    assert later.stage == "S1"
+    with ProgressDisplay(console(terminal=True)) as display:
+        for event in (replace(later, stage="start", gamma_quality=QUALITY), later):
+            display(event)
+    shown = text_of(display)
+    assert "start: on 2000 fresh transitions" in shown
+    assert "S1: " not in shown
 
 
 def test_the_display_is_taken_away_when_a_run_fails(events: list[Event]) -> None:
