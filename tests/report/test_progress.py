@@ -18,7 +18,6 @@ from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
 from cgtorch.report.wording import models_fitted
 
-
 QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
 
 
