@@ -9,8 +9,9 @@ from torch import Generator, Tensor
 
 from cgtorch.world import PLACEMENTS, Scenarios, TabletopWorld, concatenate_scenarios, draw_of
 from cgtorch.world.draws import Draw
-from cgtorch.world.geometry import rectangle_in_frame, rotate, sweep_blocked
+from cgtorch.world.geometry import rectangle_in_frame, rotate
 from cgtorch.world.percepts import present
+from cgtorch.world.sweep import sweep_blocked
 
 ARENA = 2.2  # m from the table's centre within which the robot is driven around the paper's
 WIDE_ARENA = 3.5  # the same around other tables, from which robots start further away

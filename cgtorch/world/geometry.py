@@ -1,15 +1,12 @@
-"""Planar geometry of the tabletop: frames, boxes, and what a driving footprint sweeps over.
+"""Planar geometry of the tabletop: frames and boxes.
 
-A pose is (x, y, θ) in m and rad. A rectangle is (centre x, centre y, yaw, size x, size y). A
-footprint is (x min, x max, y min, y max) in the robot base frame.
+A pose is (x, y, θ) in m and rad. A rectangle is (centre x, centre y, yaw, size x, size y).
 """
 
 import math
 
 import torch
 from torch import Tensor
-
-TURN_STEP = math.radians(15)  # a corner of the PR2 protrudes 4 mm between two such steps
 
 
 def wrap(angle: Tensor) -> Tensor:
@@ -77,62 +74,3 @@ def polygons_overlap(a: Tensor, b: Tensor, axes: Tensor) -> Tensor:
     pa, pb = a @ axes.mT, b @ axes.mT
     apart = (pa.amax(-2) < pb.amin(-2)) | (pb.amax(-2) < pa.amin(-2))
     return ~apart.any(-1)
-
-
-def _footprint_corners(footprint: Tensor, clearance: float) -> Tensor:
-    x0, x1, y0, y1 = (footprint + footprint.new_tensor([-1, 1, -1, 1]) * clearance).unbind(-1)
-    return torch.stack(
-        [torch.stack([x, y], -1) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], -2
-    )
-
-
-def sweep_blocked(
-    motion: Tensor, rectangle: Tensor, footprint: Tensor, clearance: float = 0.0
-) -> Tensor:
-    """Whether a footprint that drives straight and then turns would touch a rectangle.
-
-    Args:
-        motion: (n, 3) dx, dy (m), dθ (rad), in the frame of the robot before it moves.
-        rectangle: (n, 5) the obstacle in the same frame.
-        footprint: (4,) the robot seen from above.
-        clearance: m, added to the footprint on every side.
-
-    Returns:
-        (n,) bool. A motion that is not finite counts as blocked.
-    """
-    body = _footprint_corners(footprint, clearance).expand(len(motion), 4, 2)
-    table = corners(rectangle)
-    end = body + motion[:, None, :2]
-    unit = torch.eye(2, dtype=motion.dtype, device=motion.device).expand(len(motion), 2, 2)
-    direction = motion[:, None, [1, 0]] * motion.new_tensor([-1, 1])
-    sides = table[:, 1:3] - table[:, 0:2]
-    blocked = polygons_overlap(
-        torch.cat([body, end], 1), table, torch.cat([unit, direction, sides], 1)
-    )
-    return blocked | _turn_blocked(motion, table, body, sides) | ~motion.isfinite().all(1)
-
-
-def _turn_blocked(motion: Tensor, table: Tensor, body: Tensor, sides: Tensor) -> Tensor:
-    """(n,) bool; only lanes whose turning circle touches the obstacle are looked at closely."""
-    blocked = torch.zeros(len(motion), dtype=torch.bool, device=motion.device)
-    pivot = motion[:, :2]
-    # Distance from the pivot to the rectangle, in the rectangle's own frame.
-    size = sides.norm(dim=-1)
-    axes = sides / size[..., None].clamp_min(1e-12)
-    local = ((pivot - table.mean(1))[:, None] * axes).sum(-1).abs()
-    gap = (local - size / 2).clamp_min(0).norm(dim=-1)
-    radius = body[0].norm(dim=-1).amax() if len(body) else 0.0
-    near = ((gap < radius) & (motion[:, 2] != 0)).nonzero()[:, 0]
-    if not len(near):
-        return blocked
-    steps = math.ceil(math.pi / TURN_STEP)
-    angle = wrap(motion[near, 2:]) * torch.linspace(
-        1 / steps, 1, steps, dtype=motion.dtype, device=motion.device
-    )
-    turned = rotate(body[near, None], angle[..., None]) + pivot[near, None, None]
-    normals = turned[:, :, 1:3] - turned[:, :, 0:2]
-    fixed = sides[near, None].expand_as(normals)
-    other = table[near, None].expand_as(turned)
-    hit = polygons_overlap(turned, other, torch.cat([normals, fixed], 2))
-    blocked[near] = hit.any(1)
-    return blocked

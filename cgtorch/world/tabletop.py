@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes
 from cgtorch.errors import SettingsError
-from cgtorch.world.geometry import moved, rectangle_in_frame, sweep_blocked, to_frame
+from cgtorch.world.geometry import moved, rectangle_in_frame, to_frame
 from cgtorch.world.percepts import (
     BOX,
     PERCEPTS,
@@ -20,6 +20,7 @@ from cgtorch.world.percepts import (
     side_seen,
 )
 from cgtorch.world.scenarios import Scenarios
+from cgtorch.world.sweep import sweep_blocked
 
 MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
 CLEARANCE = 0.02  # m kept between base and table, four times the odometry noise
