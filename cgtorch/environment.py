@@ -40,7 +40,7 @@ class Lanes:
 
     def rows(self, index: Tensor) -> Self:
         """The lanes at `index` (k,)."""
-        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
+        return type(self)(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
 
     def differs(self, other: "Lanes") -> Tensor:
         """(n,) bool, whether anything but the step count differs from lanes of the same rows."""
@@ -56,7 +56,7 @@ class Lanes:
         for f in fields(self):
             value = getattr(after, f.name)
             if value is not getattr(before, f.name):
-                getattr(self, f.name)[index] = value
+                getattr(self, f.name).index_copy_(0, index, value)
 
 
 @runtime_checkable

@@ -98,7 +98,7 @@ class ActionSet:
             if k := module.num_parameters:
                 drawn = module.initial_parameters(len(flat), generator)
                 out[:, :k] = torch.where((flat == i)[:, None], drawn, out[:, :k])
-        return out.reshape(*action.shape, -1)
+        return out.view(*action.shape, self.parameter_capacity)
 
 
 def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:

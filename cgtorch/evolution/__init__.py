@@ -6,6 +6,7 @@ from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
 from cgtorch.evolution.fitness import Evaluation as Evaluation
 from cgtorch.evolution.fitness import evaluate as evaluate
+from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy
@@ -13,5 +14,4 @@ from cgtorch.evolution.population import join as join
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve
 from cgtorch.evolution.selection import Selection as Selection
-from cgtorch.evolution.selection import lexicase as lexicase
 from cgtorch.evolution.selection import tournament as tournament

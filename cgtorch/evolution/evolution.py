@@ -1,6 +1,6 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -8,6 +8,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.errors import SettingsError
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.mutation import TAU, mutate
 from cgtorch.evolution.population import (
     Population,
@@ -15,7 +16,8 @@ from cgtorch.evolution.population import (
     random_population,
     seeded_population,
 )
-from cgtorch.evolution.selection import Selection, lexicase, ranking
+from cgtorch.evolution.selection import Selection, ranking
+from cgtorch.graphs import compacted, widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -111,18 +113,21 @@ def tell(
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
-    population = state.population
+    # Operators look at every slot, so those that nobody needs go meanwhile.
+    capacity = state.population.graphs.capacity
+    population = replace(state.population, graphs=compacted(state.population.graphs, spare=1))
     order = ranking(fitness, population.graphs.num_nodes)
-    children = settings.population - settings.elite
-    pairs = (children + 1) // 2
+    count = settings.population - settings.elite
+    pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
     first, second = population[parents[:pairs]], population[parents[pairs:]]
     offspring = crossover(first, second, generator)
     offspring = mutate(offspring, actions, generator, settings.tau)
-    elite = population[order[: settings.elite]]
+    graphs = widened(offspring.graphs[:count], capacity)
+    children = Population(graphs, offspring.strategy[:count])
     return EvolutionState(
-        population=join(elite, offspring[:children]),
+        population=join(state.population[order[: settings.elite]], children),
         generation=state.generation + 1,
-        best=population[order[:1]],
+        best=state.population[order[:1]],
         best_fitness=float(fitness[order[0]]),
     )

@@ -42,14 +42,6 @@ def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:
     return drifted.clamp(min=STRATEGY_MIN).minimum(upper)
 
 
-def _random_edges(
-    graphs: Graphs, action: Tensor, actions: ActionSet, generator: Generator
-) -> Tensor:
-    """(P, N, O) random heads wherever an outcome of `action` (P, N) needs one."""
-    heads = choose_many(graphs.used, graphs.edges.shape[1:], generator)
-    return torch.where(actions.has_edge[action.clamp_min(0)], heads, NO_NODE)
-
-
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, generator: Generator) -> Graphs:
     """A random node takes over one incoming edge of a node that has at least two.
 
@@ -98,15 +90,14 @@ def delete_node(graphs: Graphs, rate: Tensor, generator: Generator) -> Graphs:
 def replace_nodes(graphs: Graphs, actions: ActionSet, rate: Tensor, generator: Generator) -> Graphs:
     """Each node may turn into a new one: action, parameters and edges."""
     at = bernoulli(rate, graphs.action.shape[1:], generator) & graphs.used
-    action = torch.randint(len(actions), graphs.action.shape, generator=generator)
-    edges = _random_edges(graphs, action, actions, generator)
-    parameters = actions.initial_parameters(action, generator)
-    return replace(
-        graphs,
-        action=torch.where(at, action, graphs.action),
-        edges=torch.where(at[..., None], edges, graphs.edges),
-        parameters=torch.where(at[..., None], parameters, graphs.parameters),
-    )
+    row, slot = at.nonzero(as_tuple=True)
+    action = torch.randint(len(actions), row.shape, generator=generator)
+    heads = choose_many(graphs.used[row], graphs.edges.shape[2:], generator)
+    out = Graphs(*(x.clone() for x in vars(graphs).values()))
+    out.action[row, slot] = action
+    out.edges[row, slot] = torch.where(actions.has_edge[action], heads, NO_NODE)
+    out.parameters[row, slot] = actions.initial_parameters(action, generator)
+    return out
 
 
 def change_edges(graphs: Graphs, rate: Tensor, generator: Generator) -> Graphs:
@@ -123,12 +114,15 @@ def perturb_parameters(
     graphs: Graphs, actions: ActionSet, rate: Tensor, sigma: Tensor, generator: Generator
 ) -> Graphs:
     """Each parameter may change by a Gaussian of the individual's own standard deviation."""
-    shape = graphs.parameters.shape
-    count = actions.num_parameters[graphs.action.clamp_min(0)]
-    real = (torch.arange(shape[2]) < count[..., None]) & graphs.used[..., None]
-    at = bernoulli(rate, shape[1:], generator) & real
-    step = torch.randn(shape, generator=generator) * sigma[:, None, None]
-    return replace(graphs, parameters=torch.where(at, graphs.parameters + step, graphs.parameters))
+    count = actions.num_parameters[graphs.action.clamp_min(0)] * graphs.used
+    row, slot = count.nonzero(as_tuple=True)
+    before = graphs.parameters[row, slot]
+    at = bernoulli(rate[row], before.shape[1:], generator)
+    at &= torch.arange(before.shape[1]) < count[row, slot][:, None]
+    step = torch.randn(before.shape, generator=generator) * sigma[row, None]
+    parameters = graphs.parameters.clone()
+    parameters[row, slot] = torch.where(at, before + step, before)
+    return replace(graphs, parameters=parameters)
 
 
 def new_start(graphs: Graphs, rate: Tensor, generator: Generator) -> Graphs:

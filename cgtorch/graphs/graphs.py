@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.errors import GraphError
 
@@ -52,6 +53,8 @@ class Graphs:
 
     def __getitem__(self, index: Tensor | slice) -> "Graphs":
         """The graphs at `index`."""
+        if isinstance(index, Tensor) and index.dtype == torch.long:  # three times as fast
+            return Graphs(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
         return Graphs(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def to(self, device: torch.device | str) -> "Graphs":
@@ -90,15 +93,40 @@ def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graph
     )
 
 
-def compacted(graphs: Graphs) -> Graphs:
-    """The same graphs with their nodes moved to the first slots, in order."""
+def compacted(graphs: Graphs, spare: int | None = None) -> Graphs:
+    """The same graphs with their nodes moved to the first slots, in order.
+
+    Args:
+        graphs: P of them.
+        spare: slots to leave after the nodes of the largest graph, where the capacity allows; all
+            that there are if not given.
+    """
     order = torch.argsort((~graphs.used).long(), dim=1, stable=True)
     slot = torch.argsort(order, dim=1)
-    heads = torch.gather(slot, 1, graphs.edges.clamp_min(0).flatten(1)).view_as(graphs.edges)
-    heads = torch.where(graphs.edges == NO_NODE, graphs.edges, heads)
+    if spare is not None:
+        order = order[:, : int(graphs.num_nodes.max()) + spare]
+
+    def taken(x: Tensor) -> Tensor:
+        """Rows (P, n, ...) of x (P, N, ...) in the new order."""
+        index = order.view(*order.shape, *[1] * (x.dim() - 2))
+        return x.gather(1, index.expand(*order.shape, *x.shape[2:]))
+
+    tails = taken(graphs.edges)
+    heads = slot.gather(1, tails.clamp_min(0).flatten(1)).view_as(tails)
     return Graphs(
-        torch.gather(graphs.action, 1, order),
-        torch.gather(heads, 1, order[..., None].expand_as(heads)),
-        torch.gather(graphs.parameters, 1, order[..., None].expand_as(graphs.parameters)),
-        torch.gather(slot, 1, graphs.start[:, None])[:, 0],
+        taken(graphs.action),
+        torch.where(tails == NO_NODE, NO_NODE, heads),
+        taken(graphs.parameters),
+        slot.gather(1, graphs.start[:, None])[:, 0],
+    )
+
+
+def widened(graphs: Graphs, nodes: int) -> Graphs:
+    """The same graphs with unused slots at their end, `nodes` in all."""
+    more = nodes - graphs.capacity
+    return Graphs(
+        pad(graphs.action, (0, more), value=NO_NODE),
+        pad(graphs.edges, (0, 0, 0, more), value=NO_NODE),
+        pad(graphs.parameters, (0, 0, 0, more)),
+        graphs.start,
     )

@@ -119,12 +119,13 @@ def rollout(
         done = (ended != 0) | out_of_steps
         if done.any():
             gone, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
+            last = lanes.rows(gone)
             status[active[gone]] = ended[gone]
-            percept[active[gone]] = lanes.percept[gone]
-            state[active[gone]] = lanes.state[gone]
-            transitions[active[gone]] = lanes.step[gone].clamp_max(max_steps)
+            percept[active[gone]] = last.percept
+            state[active[gone]] = last.state
+            transitions[active[gone]] = last.step.clamp_max(max_steps)
             active, lanes = active[stay], lanes.rows(stay)
-            frames = _Frames(*(x[stay] for x in vars(frames).values()))
+            frames = _Frames(*(x.index_select(0, stay) for x in vars(frames).values()))
         frames = _enter(program, frames)
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
@@ -150,9 +151,11 @@ def _act(
     for i, action in enumerate(program.primitives):
         here = (kind == i).nonzero()[:, 0]
         if len(here):
-            parameters = program.parameters[node[here], : action.num_parameters]
+            rows = node.index_select(0, here)
+            parameters = program.parameters[:, : action.num_parameters].index_select(0, rows)
             before = lanes.rows(here)
-            after, outcome[here] = action(before, parameters, environment)
+            after, out = action(before, parameters, environment)
+            outcome.index_copy_(0, here, out)
             lanes.write(here, before, after)
             changed[here] = after.differs(before) if action.deterministic else True
     return lanes, outcome, changed

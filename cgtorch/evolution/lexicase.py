@@ -1,0 +1,74 @@
+"""Epsilon-lexicase selection of a whole generation at once (La Cava et al. 2016)."""
+
+import torch
+from torch import Generator, Tensor
+
+POOL = 1024  # individuals that a parent is chosen from at most
+
+
+def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
+    """Parents that are among the best on one scenario after the other.
+
+    Each parent is chosen by itself: from all individuals those stay whose score on a random
+    scenario is the best of them, or less by no more than the scenario's median absolute
+    deviation, then of these those good on the next scenario, and so on through all in random
+    order; of what stays at the end, a random one. So who alone solves a hard scenario has
+    children, however little else it solves.
+
+    A population of more than `POOL` is parted at random into equal pools, each of which gives as
+    many parents, so that time and memory grow with the population and no faster. Arguments and
+    result are those of `cgtorch.evolution.selection.Selection`.
+    """
+    pools = -(-len(order) // POOL)
+    if pools == 1:
+        return _from_all(scores, count, generator)
+    members = torch.randperm(len(order), generator=generator).tensor_split(pools)
+    chosen = [
+        pool[_from_all(scores[pool], len(part), generator)]
+        for pool, part in zip(members, torch.arange(count).tensor_split(pools), strict=True)
+    ]
+    return torch.cat(chosen)[torch.randperm(count, generator=generator)]
+
+
+def deviation(scores: Tensor) -> Tensor:
+    """(B,) median absolute deviation from the median of scores (P, B)."""
+    return (scores - scores.median(0).values).abs().median(0).values
+
+
+def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
+    """(count,) parents from all P individuals of `scores` (P, B).
+
+    Individuals of equal scores stand or fall together, so they are one row here. Who still stands
+    for which parent is a list of pairs, sorted by parent: after the first scenarios few are left.
+    """
+    rows, row_of, size = torch.unique(scores, dim=0, return_inverse=True, return_counts=True)
+    epsilon, cases = deviation(scores), rows.T.contiguous()
+    turns = torch.rand(count, len(cases), generator=generator).argsort(1).T.contiguous()
+    parent, row = _good_at_first(cases, epsilon, turns[0])
+    for case in turns[1:]:
+        if len(row) == count:  # one for each parent
+            break
+        score = cases.view(-1).index_select(0, (case * len(rows)).index_select(0, parent) + row)
+        best = score.new_full((count,), float("-inf")).scatter_reduce_(0, parent, score, "amax")
+        enough = (best - epsilon[case]).index_select(0, parent)
+        stays = (score >= enough).nonzero()[:, 0]
+        parent, row = parent.index_select(0, stays), row.index_select(0, stays)
+    # A random individual: of a parent's rows each counts as often as there are of its kind.
+    number = size[row]
+    ends = number.cumsum(0)
+    total = torch.zeros(count, dtype=torch.long).scatter_add_(0, parent, number)
+    draw = torch.rand(count, generator=generator, dtype=torch.float64)
+    place = (draw * total).long() + total.cumsum(0) - total
+    pair = torch.searchsorted(ends, place, right=True)
+    first = size.cumsum(0) - size
+    return row_of.argsort(stable=True)[first[row[pair]] + place - (ends - number)[pair]]
+
+
+def _good_at_first(cases: Tensor, epsilon: Tensor, case: Tensor) -> tuple[Tensor, Tensor]:
+    """Pairs of parent (n,) and row (n,) that stand after each parent's first case (count,)."""
+    good = cases >= (cases.amax(1) - epsilon)[:, None]
+    number, rows = good.sum(1), good.nonzero()[:, 1]
+    mine = number[case]
+    parent = torch.repeat_interleave(mine)
+    within = torch.arange(len(parent)) - (mine.cumsum(0) - mine)[parent]
+    return parent, rows[(number.cumsum(0) - number)[case][parent] + within]
