@@ -10,13 +10,13 @@ from torch import Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.graphs import Graphs
+from cgtorch.simulation.frames import TIMEOUT, first_frames, follow
 from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
 
 MAX_TRANSITIONS = 20
 MAX_STEPS = MAX_TRANSITIONS**2
 """What a skill of skills can execute if each of its transitions is a sub-skill that runs out of its
 own."""
-TIMEOUT = -3
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
 
@@ -40,23 +40,6 @@ class Rollouts:
     transitions: Tensor
 
 
-@dataclass(frozen=True)
-class _Frames:
-    """Where each of L lanes stands: its node and, per level of sub-skills, what it returns to.
-
-    `level` (L,) is the innermost open level; `caller` (L, depth) the sub-skill node that opened
-    each, `left` (L, depth) the transitions it has left. `anchor` (L,) is a node the lane was at
-    `since` (L,) or fewer transitions ago with nothing having changed since then.
-    """
-
-    node: Tensor
-    level: Tensor
-    caller: Tensor
-    left: Tensor
-    anchor: Tensor
-    since: Tensor
-
-
 def rollout(
     graphs: Graphs,
     actions: ActionSet,
@@ -71,8 +54,8 @@ def rollout(
 
     A sub-skill counts as one transition of the skill it is in and has a limit of its own
     (`Skill.max_transitions`); `max_steps` bounds the actions a lane executes on all levels
-    together. A lane that has ended leaves the batch, and one that comes back to a node with
-    nothing changed can only run out of transitions, so these are counted but not executed.
+    together. A lane that has ended leaves the batch, and one that comes back to a node
+    with nothing changed can only run out of transitions, so these are counted but not executed.
 
     Args:
         graphs: P valid graphs.
@@ -86,47 +69,34 @@ def rollout(
             which the next step overwrites. Then every transition is executed.
     """
     program = compile_graphs(graphs, actions)
-    device = program.kind.device
     if scenarios is None:
-        scenarios = torch.arange(environment.num_scenarios, device=device)
+        scenarios = torch.arange(environment.num_scenarios, device=program.kind.device)
     p, b = len(graphs), len(scenarios)
     lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
-    frames = _enter(
-        program,
-        _Frames(
-            node=program.start.repeat_interleave(b),
-            level=torch.zeros(p * b, dtype=torch.long, device=device),
-            caller=torch.zeros(p * b, program.depth, dtype=torch.long, device=device),
-            left=torch.full((p * b, program.depth), max_transitions, device=device),
-            anchor=torch.full((p * b,), -1, device=device),
-            since=torch.zeros(p * b, dtype=torch.long, device=device),
-        ),
-    )
-    status = torch.zeros(p * b, dtype=torch.long, device=device)
+    frames = first_frames(program, b, max_transitions)
+    status, transitions = torch.zeros_like(frames.node), lanes.step.clone()
     percept, state = lanes.percept.clone(), lanes.state.clone()
-    transitions = lanes.step.clone()
-    active = torch.arange(p * b, device=device)
+    active = torch.arange(p * b, device=status.device)
     while len(active):
         node = frames.node
         lanes, outcome, changed = _act(program, lanes, node, environment)
         if trace:
             trace(active, node, outcome, lanes)
             changed = torch.ones_like(changed)
-        frames, ended, skipped = _follow(program, frames, outcome, changed)
+        frames, end, skipped = follow(program, frames, outcome, changed)
         lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
-        ended = torch.where(out_of_steps & (skipped > 0), TIMEOUT, ended)
-        done = (ended != 0) | out_of_steps
-        if done.any():
-            gone, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
-            last = lanes.rows(gone)
-            status[active[gone]] = ended[gone]
-            percept[active[gone]] = last.percept
-            state[active[gone]] = last.state
-            transitions[active[gone]] = last.step.clamp_max(max_steps)
-            active, lanes = active[stay], lanes.rows(stay)
-            frames = _Frames(*(x.index_select(0, stay) for x in vars(frames).values()))
-        frames = _enter(program, frames)
+        end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
+        over = (end != 0) | out_of_steps
+        if over.any():
+            gone, stay = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+            who, last = active.index_select(0, gone), lanes.rows(gone)
+            status.index_copy_(0, who, end.index_select(0, gone))
+            percept.index_copy_(0, who, last.percept)
+            state.index_copy_(0, who, last.state)
+            transitions.index_copy_(0, who, last.step.clamp_max(max_steps))
+            active = active.index_select(0, stay)
+            lanes, frames = lanes.rows(stay), frames.rows(stay)
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
@@ -145,77 +115,17 @@ def _act(
         The lanes, (n,) their outcomes, and (n,) bool whether anything about a lane has changed
         on which a later action could depend.
     """
-    kind = program.kind[node]
+    kind = program.kind.index_select(0, node)
     outcome = torch.empty_like(node)
-    changed = torch.zeros_like(node, dtype=torch.bool)
+    changed = torch.ones_like(node, dtype=torch.bool)
     for i, action in enumerate(program.primitives):
         here = (kind == i).nonzero()[:, 0]
         if len(here):
-            rows = node.index_select(0, here)
-            parameters = program.parameters[:, : action.num_parameters].index_select(0, rows)
-            before = lanes.rows(here)
+            nodes, before = node.index_select(0, here), lanes.rows(here)
+            parameters = program.parameters.index_select(0, nodes)[:, : action.num_parameters]
             after, out = action(before, parameters, environment)
             outcome.index_copy_(0, here, out)
             lanes.write(here, before, after)
-            changed[here] = after.differs(before) if action.deterministic else True
+            if action.deterministic:
+                changed.index_copy_(0, here, after.differs(before))
     return lanes, outcome, changed
-
-
-def _enter(program: Program, frames: _Frames) -> _Frames:
-    """Lanes at sub-skill nodes go to the start of the sub-skill, as deep as it takes."""
-    if program.depth == 1:
-        return frames
-    node, level = frames.node.clone(), frames.level.clone()
-    caller, left = frames.caller.clone(), frames.left.clone()
-    first = len(program.primitives)
-    for _ in range(program.depth):
-        here = (program.kind[node] >= first).nonzero()[:, 0]
-        if not len(here):
-            break
-        level[here] += 1
-        caller[here, level[here]] = node[here]
-        skill = program.kind[node[here]] - first
-        left[here, level[here]] = program.limit[skill]
-        node[here] = program.entry[skill]
-    return replace(frames, node=node, level=level, caller=caller, left=left)
-
-
-def _follow(
-    program: Program, frames: _Frames, outcome: Tensor, changed: Tensor
-) -> tuple[_Frames, Tensor, Tensor]:
-    """Follow each lane's edge, out of the sub-skills that end with it.
-
-    Args:
-        program: the node table.
-        frames: where the lanes stand.
-        outcome: (n,) of the action they have just executed.
-        changed: (n,) bool, whether it changed anything.
-
-    Returns:
-        The frames, (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on),
-        and (n,) the transitions of an endless loop that need not be executed.
-    """
-    row = torch.arange(len(outcome), device=outcome.device)
-    level, left = frames.level, frames.left.clone()
-    head = program.heads[frames.node, outcome]
-    left[row, level] -= 1
-    loops = ~changed & (head >= 0) & (head == frames.anchor)
-    skipped = torch.where(loops, left[row, level], 0)
-    left[row, level] -= skipped
-    for _ in range(program.depth):
-        head = torch.where((head >= 0) & (left[row, level] <= 0), TIMEOUT, head)
-        leaves = (head < 0) & (level > 0)
-        if not leaves.any():
-            break
-        # A sub-skill's first outcome is success, its second failure; a timeout is a failure.
-        returned = program.heads[frames.caller[row, level], (head != SUCCESS).long()]
-        head = torch.where(leaves, returned, head)
-        level = level - leaves.long()
-        left[row, level] -= leaves.long()
-    # Brent's cycle detection: anchors at growing distances meet a cycle of any length.
-    enters = program.kind[head.clamp_min(0)] >= len(program.primitives)
-    same = ~changed & (level == frames.level) & ~enters
-    since = torch.where(same, frames.since + 1, 0)
-    anchor = torch.where((since & (since - 1)) == 0, head, frames.anchor)
-    frames = _Frames(head.clamp_min(0), level, frames.caller, left, anchor, since)
-    return frames, head.clamp_max(0), skipped
