@@ -29,12 +29,18 @@ class Evaluation:
     transitions: int
 
 
+MOST_LANES = 2**16
+"""Runs that are evaluated at once, which bounds the memory whatever the population: about 2 kB each
+with the actions of section VI."""
+
+
 def evaluate(
     graphs: Graphs,
     actions: ActionSet,
     environment: Environment,
     keep: Tensor,
     max_transitions: int = MAX_TRANSITIONS,
+    most_lanes: int = MOST_LANES,
 ) -> Evaluation:
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
 
@@ -49,7 +55,27 @@ def evaluate(
         keep: (B,) bool, the scenarios of W; the others are those of M. Rollouts run on its
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
+        most_lanes: individuals times scenarios at once, B at least; it changes no result.
     """
+    size = max(1, most_lanes // max(1, len(keep)))
+    parts = [
+        _evaluate_at_once(graphs[i : i + size], actions, environment, keep, max_transitions)
+        for i in range(0, max(1, len(graphs)), size)
+    ]
+    scores, succeeded, transitions = (list(column) for column in zip(*parts, strict=True))
+    together = torch.cat(scores)
+    # The mean of all at once: that of some rows may round otherwise.
+    return Evaluation(together.mean(1), together, torch.cat(succeeded), sum(transitions))
+
+
+def _evaluate_at_once(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    keep: Tensor,
+    max_transitions: int,
+) -> tuple[Tensor, Tensor, int]:
+    """Scores, successes and transitions as in an `Evaluation`, of individuals in one batch."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
@@ -73,8 +99,7 @@ def evaluate(
     lost = torch.ones(p, dtype=torch.bool, device=device)
     lost[alive] = False
     score[lost] = 0
-    fitness = score.mean(1)
-    return Evaluation(fitness.to(home), score.to(home), succeeded.to(home), transitions)
+    return score.to(home), succeeded.to(home), transitions
 
 
 def last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:

@@ -185,6 +185,19 @@ def test_fitness_is_that_of_equation_3(seed: int, kept: list[bool]) -> None:
             assert torch.equal(found.succeeded[i], runs.succeeded[i])
 
 
+@pytest.mark.parametrize("most", [1, 4, 10, 39])
+def test_how_many_run_at_once_changes_nothing(most: int) -> None:
+    graphs = random_population(13, ACTIONS, 12, (2, 10), seeded(0)).graphs
+    environment, keep = model(0, 4), torch.tensor([True, False, False, False])
+    whole, parts = (
+        evaluate(graphs, ACTIONS, environment, keep, **limit)
+        for limit in ({}, {"most_lanes": most})
+    )
+    assert 0 < whole.succeeded.sum() < whole.succeeded.numel()
+    for name, value in vars(whole).items():
+        assert torch.equal(torch.as_tensor(getattr(parts, name)), torch.as_tensor(value)), name
+
+
 def test_evolve_yields_generations_that_improve() -> None:
     settings = EvolutionSettings(population=100, capacity=12)
     search = evolve(model(0, 3), ACTIONS, settings, seeded(0))
