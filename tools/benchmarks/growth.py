@@ -1,5 +1,6 @@
 """What more individuals cost, and what more room for nodes: time and memory."""
 
+import ctypes
 import itertools
 from dataclasses import replace
 from functools import partial
@@ -37,12 +38,16 @@ REPEATS = 5  # where one call takes long
 
 
 def growth_10x(effort: Effort) -> Line:
-    """What ten times the population costs: of rollouts, and of a whole generation."""
+    """What ten times the population costs: of rollouts, and of a whole generation.
+
+    Selection of 10,000 may take long, so a quick run leaves the generation out.
+    """
     work = workload()
     sizes = SIZES if effort.size == 1 else SIZES[:-1]
     with torch_threads(cores()):
         parts = [_rollouts(work, *pair, effort.repeats) for pair in itertools.pairwise(sizes)]
-        parts.append(_generations(work, POPULATION, 10 * POPULATION, effort.repeats))
+        if effort.size == 1:
+            parts.append(_generations(work, POPULATION, 10 * POPULATION, REPEATS))
     return Line(
         name="growth_10x",
         compared="seconds for ten times the population / for the population; of rollouts, for as "
@@ -115,7 +120,7 @@ def padding(effort: Effort) -> Line:
     with torch_threads(cores()):
         parts = _padded_rollouts(work, population.graphs, wide.graphs, effort.repeats)
         works: list[Work] = [partial(generation, work, each) for each in (wide, population)]
-        ours, other = in_turns(works, 3 * effort.repeats, WALL)
+        ours, other = in_turns(works, 2 * effort.repeats, WALL)
     label = f"generation, {POPULATION} x {work.environment.num_scenarios}"
     whole = Comparison(label, ours, other, ours.median / other.median, None)
     return Line(
@@ -145,7 +150,7 @@ def _padded_rollouts(work: Workload, graphs: Graphs, wide: Graphs, repeats: int)
         partial(rollout, g, work.actions, work.environment) for g in (wide, graphs)
     ]
     # A small difference of large numbers: more samples than elsewhere.
-    ours, other = in_turns(works, 3 * repeats, WALL)
+    ours, other = in_turns(works, 2 * repeats, WALL)
     label = f"rollouts, {len(graphs)} x {work.environment.num_scenarios}"
     return Comparison(label, ours, other, ours.median / other.median, 0.0)
 
@@ -157,11 +162,13 @@ def _arrow(memory: list[float]) -> str:
 def _peak(work: Work) -> float:
     """MiB by which a call raises the memory of this process at most; 0 where nobody tells."""
     try:
-        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+        # What the allocator only keeps for later goes back, and the peak begins anew.
+        ctypes.CDLL(None).malloc_trim(0)
+        Path("/proc/self/clear_refs").write_text("5")
         before = _memory("VmRSS")
         work()
         return _memory("VmHWM") - before
-    except OSError:
+    except (AttributeError, OSError):
         return 0.0
 
 

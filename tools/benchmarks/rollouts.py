@@ -1,11 +1,11 @@
 """Rollouts of the batched engine against other ways to do the same work."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from benchmarks import paper_way as paper
 from benchmarks import strong_cpu as strong
@@ -26,10 +26,14 @@ from benchmarks.workload import Workload, populations, workload
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, rollout
 
-SAMPLE = 10  # individuals that run the paper's way
+PAPER_SAMPLE = 40  # individuals that run the paper's way
+QUICK_SAMPLE = 200  # individuals that run the strong CPU way in a quick run
 CLOSE = 0.01  # m: networks turn the rounding of float32 into more with each of twenty motions
 EQUAL = 0.999
 """Share of lanes that must end alike: arithmetic in another order turns a decision now and then."""
+
+Way = Callable[[], tuple[Any, Any, Any]]
+"""Success, last percepts and transitions of some individuals on all scenarios."""
 
 Case = Callable[[Workload, Graphs, str, Effort], Comparison]
 
@@ -38,7 +42,7 @@ def paper_way(effort: Effort) -> Line:
     """A state machine that takes one row at a time, with scikit-learn's SVR and SVC."""
     return _line(
         "paper_way",
-        f"transitions per second, a population / {SAMPLE} of its individuals one row at a time in "
+        f"transitions per second, a population / {PAPER_SAMPLE} of its individuals one row at a time in "
         "a state machine with sklearn's SVR and SVC of the same support vectors, one thread",
         1000.0,
         _paper_way,
@@ -50,7 +54,8 @@ def strong_cpu(effort: Effort) -> Line:
     """NumPy over scenarios, scikit-learn's batched predictions, a process per core."""
     return _line(
         "strong_cpu",
-        "rollouts of a population / the same, NumPy and sklearn batched over the scenarios of each "
+        "transitions per second, a population / the same (quick: "
+        f"{QUICK_SAMPLE} of its individuals), NumPy and sklearn batched over the scenarios of each "
         "individual, a process per core",
         40.0,
         _strong_cpu,
@@ -81,32 +86,42 @@ def _line(name: str, compared: str, target: float, case: Case, effort: Effort) -
 
 
 def _paper_way(work: Workload, graphs: Graphs, label: str, effort: Effort) -> Comparison:
-    """The slow side runs a random sample of the individuals; compared are rates."""
-    pick = torch.randperm(len(graphs), generator=torch.Generator().manual_seed(4))[:SAMPLE]
-    simulation = paper.Simulation(plain_models(work))
-    machines = paper.state_machines(graphs[pick], work.actions)
-    b = work.environment.num_scenarios
-    engine = partial(rollout, graphs, work.actions, work.environment)
-    plainly = partial(paper.run_all, simulation, machines, b, MAX_TRANSITIONS)
-    runs = engine()
-    gap, differ = alike(taken(runs, pick), *plainly())
-    ours, other = in_turns([engine, plainly], effort.repeats, WALL, warm_up=0)
-    done, sampled = int(runs.transitions.sum()), int(runs.transitions[pick].sum())
-    found = _comparison(label, runs, ours, other, gap, differ)
-    found.sizes.update({"individuals of the other": SAMPLE, "transitions of the other": sampled})
-    ratio = (done / ours.median) / (sampled / other.median)
-    return _replaced(found, ratio, sampled / other.median)
+    simulation, b = paper.Simulation(plain_models(work)), work.environment.num_scenarios
+
+    def works_on(some: Graphs) -> Way:
+        machines = paper.state_machines(some, work.actions)
+        return partial(paper.run_all, simulation, machines, b, MAX_TRANSITIONS)
+
+    return _sampled(work, graphs, works_on, PAPER_SAMPLE, label, effort)
 
 
 def _strong_cpu(work: Workload, graphs: Graphs, label: str, effort: Effort) -> Comparison:
-    arrays, count = strong.array_graphs(graphs, work.actions), cores()
-    engine = partial(rollout, graphs, work.actions, work.environment)
+    count = cores()
     with strong.processes(plain_models(work), count) as pool:
-        batched = partial(strong.run_all, pool, count, arrays, MAX_TRANSITIONS)
-        runs = engine()
-        gap, differ = alike(runs, *batched())
-        ours, other = in_turns([engine, batched], effort.repeats, WALL, warm_up=0)
-    return _comparison(label, runs, ours, other, gap, differ)
+
+        def works_on(some: Graphs) -> Way:
+            arrays = strong.array_graphs(some, work.actions)
+            return partial(strong.run_all, pool, count, arrays, MAX_TRANSITIONS)
+
+        size = len(graphs) if effort.size == 1 else QUICK_SAMPLE
+        return _sampled(work, graphs, works_on, size, label, effort)
+
+
+def _sampled(
+    work: Workload,
+    graphs: Graphs,
+    works_on: Callable[[Graphs], Way],
+    size: int,
+    label: str,
+    effort: Effort,
+) -> Comparison:
+    """The engine on all individuals, the slow way on a random sample; compared are rates."""
+    pick = torch.randperm(len(graphs), generator=torch.Generator().manual_seed(4))[:size]
+    engine = partial(rollout, graphs, work.actions, work.environment)
+    slowly, runs = works_on(graphs[pick]), engine()
+    gap, differ = alike(taken(runs, pick), *slowly())
+    ours, other = in_turns([engine, slowly], effort.repeats, WALL, warm_up=0)
+    return _comparison(label, runs, ours, other, gap, differ, pick)
 
 
 def _tensor_way(work: Workload, graphs: Graphs, label: str, effort: Effort) -> Comparison:
@@ -139,40 +154,40 @@ def alike(runs: Rollouts, succeeded: Any, percept: Any, transitions: Any) -> tup
     return float(away[same].max()), 1 - share
 
 
-def taken(runs: Rollouts, rows: torch.Tensor) -> Rollouts:
+def taken(runs: Rollouts, rows: Tensor) -> Rollouts:
     """The rollouts of some individuals."""
     return Rollouts(**{name: value[rows] for name, value in vars(runs).items()})
 
 
 def _comparison(
-    label: str, runs: Rollouts, ours: Timing, other: Timing, gap: float, differ: float
+    label: str,
+    runs: Rollouts,
+    ours: Timing,
+    other: Timing,
+    gap: float,
+    differ: float,
+    pick: Tensor | None = None,
 ) -> Comparison:
+    """A case where the other side ran all individuals, or only those of `pick`."""
     (p, b), done = runs.succeeded.shape, int(runs.transitions.sum())
+    theirs = done if pick is None else int(runs.transitions[pick].sum())
+    rates = done / ours.median, theirs / other.median
     return Comparison(
         label=f"{label}, {p} x {b}",
         ours=ours,
         other=other,
-        ratio=other.median / ours.median,
+        ratio=rates[0] / rates[1],
         difference=gap,
         sizes={
             "population": p,
             "scenarios": b,
             "transitions": done,
-            "transitions_per_second": done / ours.median,
-            "transitions_per_second of the other": done / other.median,
+            "transitions of the other": theirs,
+            "individuals of the other": p if pick is None else len(pick),
+            "transitions_per_second": rates[0],
+            "transitions_per_second of the other": rates[1],
             "share of lanes that end otherwise": differ,
             "share of lanes that succeed": float(runs.succeeded.double().mean()),
         },
-        note=_rates(done / ours.median, done / other.median),
+        note=f"{rates[0]:.3g} / {rates[1]:.3g} transitions/s",
     )
-
-
-def _replaced(found: Comparison, ratio: float, rate: float) -> Comparison:
-    """The comparison where the other side did less work, at a rate in transitions per second."""
-    mine = found.sizes["transitions_per_second"]
-    sizes = found.sizes | {"transitions_per_second of the other": rate}
-    return replace(found, ratio=ratio, sizes=sizes, note=_rates(mine, rate))
-
-
-def _rates(ours: float, other: float) -> str:
-    return f"{ours:.3g} / {other:.3g} transitions/s"
