@@ -93,7 +93,7 @@ class ArrayModels:
             )
             axes = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -2)
             hit[rows] = overlap(at, box[:, rows, None], axes).any(1)
-        return free & ~(there & hit)
+        return np.asarray(free & ~(there & hit))
 
 
 def overlap(polygon: Array, box: Array, axes: Array) -> Mask:
@@ -109,7 +109,7 @@ def overlap(polygon: Array, box: Array, axes: Array) -> Mask:
     half = np.stack([x1 - x0, y1 - y0], -1)[..., None, :] / 2
     middle, reach = (axes * centre).sum(-1), (np.abs(axes) * half).sum(-1)
     aside = (along.max(-2) < middle - reach) | (middle + reach < along.min(-2))
-    return ~(apart | aside.any(-1))
+    return np.asarray(~(apart | aside.any(-1)))
 
 
 def turned(yaw: Array, a: float, b: float) -> Array:

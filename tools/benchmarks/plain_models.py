@@ -69,10 +69,11 @@ class PlainModels:
 def plain_models(work: Workload) -> PlainModels:
     """The numbers of the models that the workload's environment holds."""
     environment = work.environment
-    gamma: TransitionModel = environment.gamma.__self__  # type: ignore[union-attr]
-    classifier = environment.classifier
-    assert isinstance(classifier, SuccessClassifier)  # noqa: S101
-    assert environment.errors is not None  # noqa: S101
+    gamma, classifier = getattr(environment.gamma, "__self__", None), environment.classifier
+    if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
+        raise TypeError(f"{environment.gamma} and {classifier} are not Γ and C of this library")
+    if environment.errors is None:
+        raise TypeError("the environment has no errors of Γ")
     x0, x1, y0, y1 = work.footprint.double().tolist()
     room = MARGIN + CLEARANCE
     x0, x1, y0, y1 = x0 - room, x1 + room, y0 - room, y1 + room

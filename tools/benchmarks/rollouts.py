@@ -42,8 +42,8 @@ def paper_way(effort: Effort) -> Line:
     """A state machine that takes one row at a time, with scikit-learn's SVR and SVC."""
     return _line(
         "paper_way",
-        f"transitions per second, a population / {PAPER_SAMPLE} of its individuals one row at a time in "
-        "a state machine with sklearn's SVR and SVC of the same support vectors, one thread",
+        f"transitions per second, a population / {PAPER_SAMPLE} of its individuals one row at a "
+        "time in a state machine with sklearn's SVR and SVC, same support vectors, one thread",
         1000.0,
         _paper_way,
         effort,
