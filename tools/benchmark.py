@@ -76,11 +76,14 @@ def as_table(lines: list[Line]) -> Table:
                 f"{t.median:.3g} ({t.fastest:.3g}–{t.slowest:.3g})" for t in (part.ours, part.other)
             ]
             ratio = f"{part.ratio:.3g} {line.unit}"
-            target = f"{'≤' if line.at_most else '≥'} {line.target:g}"
-            table.add_row(line.name, part.label, *times, ratio, target, line.clock)
+            table.add_row(line.name, part.label, *times, ratio, _target(line), line.clock)
     notes = [f"{x.name}, {p.label}: {p.note}" for x in lines for p in x.parts if p.note]
     table.caption, table.caption_justify = Text("\n".join(notes)), "left"
     return table
+
+
+def _target(line: Line) -> str:
+    return f"{'≤' if line.at_most else '≥'} {line.target:g}"
 
 
 def _cpu() -> str:
@@ -110,11 +113,12 @@ def main(quick: bool, print_json: bool, only: tuple[str, ...]) -> None:
     for name in only or LINES:
         click.echo(f"{name} ...", err=True)
         try:
-            lines.append(LINES[name](effort))
+            lines.append(line := LINES[name](effort))
         except ModuleNotFoundError as e:
             raise click.ClickException(f"{e.name} is missing; pip install '.[test]'") from e
         except CgtorchError as e:
             raise click.ClickException(f"{name}: {e}") from e
+        click.echo(f"{name}: {line.ratio:.3g} {line.unit}, target {_target(line)}", err=True)
     if print_json:
         found = as_json(lines, effort, time.perf_counter() - begin)
         click.echo(json.dumps(found, indent=1, allow_nan=False))

@@ -113,10 +113,8 @@ def generation_split(
 ) -> dict[str, float]:
     """Seconds of each of `PARTS` in one generation that begins with this population."""
     watch, generator = timed.watch, torch.Generator().manual_seed(6)
-    settings = EvolutionSettings(population=len(population))
-    settings = EvolutionSettings(
-        population=len(population), selection=watch.around("selection", settings.selection)
-    )
+    select = watch.around("selection", EvolutionSettings().selection)
+    settings = EvolutionSettings(population=len(population), selection=select)
     keep = torch.zeros(timed.environment.num_scenarios, dtype=torch.bool)
     watch.taken()
     with watch.running("rollouts"):
