@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click.testing
@@ -30,6 +31,10 @@ def a_line(_) -> Line:
     return Line("a", "ours / theirs", "x faster", 10.0, "CPU", 1, parts)
 
 
+def an_upper_bound(_) -> Line:
+    return replace(a_line(_), name="b", unit="of it", at_most=True)
+
+
 def run(monkeypatch, lines, *arguments):
     monkeypatch.setattr(benchmark, "LINES", lines)
     monkeypatch.setattr(benchmark.main.params[-1], "type", click.Choice(list(lines)))
@@ -49,6 +54,23 @@ def test_the_table_has_a_row_per_case_and_only_chooses(monkeypatch) -> None:
     result = run(monkeypatch, lines, "--only", "a", "--quick")
     assert result.exit_code == 0
     assert result.stdout.count("x faster") == 2
+
+
+def test_where_less_is_better_the_worst_is_the_largest(monkeypatch) -> None:
+    lines = {"a": a_line, "b": an_upper_bound}
+    found = json.loads(run(monkeypatch, lines, "--json").stdout)
+    assert found["ratios"] == {"a": 20.0, "b": 30.0}
+    table = run(monkeypatch, lines).stdout
+    assert table.count("≥ 10") == 2
+    assert table.count("≤ 10") == 2
+
+
+def test_notes_stand_below_the_table(monkeypatch) -> None:
+    def noted(_) -> Line:
+        line = a_line(_)
+        return replace(line, parts=(replace(line.parts[0], note="7 rows/s [x]"), line.parts[1]))
+
+    assert "a, 30.0: 7 rows/s [x]" in run(monkeypatch, {"a": noted}).stdout
 
 
 def test_what_is_missing_or_differs_is_one_line(monkeypatch) -> None:

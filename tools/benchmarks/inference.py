@@ -1,22 +1,17 @@
 """Answers of kernel machines: against scikit-learn, and against what the machine can do."""
 
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.ceiling import Shape, against_ceiling
 from benchmarks.measure import (
     CPU,
-    WALL,
-    Clock,
     Comparison,
     Effort,
     Line,
-    Timing,
-    Work,
     cores,
     difference,
     in_turns,
@@ -27,8 +22,6 @@ from cgtorch.models import SVR
 INPUTS, OUTPUTS = 10, 7
 GAMMA = 0.1
 PADDED_OUTPUTS = 16
-CHUNKS = (256, 512, 1024, 2048, 4096)
-STEPS = ("first product", "exp2", "second product")
 
 
 def inference_vs_sklearn(effort: Effort) -> Line:
@@ -130,81 +123,5 @@ def _against_ceiling(centres: int, rows: int, repeats: int, count: int) -> Compa
     asked = torch.randn(rows, INPUTS, generator=generator)
     exact = torch.exp(-GAMMA * torch.cdist(asked.double(), machine.centres.double()).square())
     gap = difference(machine.predict(asked), exact @ weights.double(), most=1e-4)
-    with ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        steps = {name: _fastest(_ways(name, centres, rows, pool, count)) for name in STEPS}
-        works: list[Work] = [partial(machine.predict, asked), *steps.values()]
-        # A few milliseconds each, many times over: other programs disturb only some of them.
-        mine, *bounds = in_turns(works, 5 * repeats, WALL)
-    ceiling = Timing(
-        median=sum(t.median for t in bounds),
-        fastest=sum(t.fastest for t in bounds),
-        slowest=sum(t.slowest for t in bounds),
-        repeats=mine.repeats,
-    )
-    return Comparison(
-        label=f"{centres} centres",
-        ours=mine,
-        other=ceiling,
-        ratio=ceiling.median / mine.median,
-        difference=gap,
-        sizes={
-            "rows": rows,
-            "rows_per_second": rows / mine.median,
-            "share of the ceiling, fastest of both": ceiling.fastest / mine.fastest,
-            "share of one core's ceiling, CPU seconds": _alone(machine, asked, repeats),
-            **{f"{k} s": t.median for k, t in zip(steps, bounds, strict=True)},
-        },
-    )
-
-
-def _alone(machine: SVR, asked: Tensor, repeats: int) -> float:
-    """What one thread reaches of one core's ceiling, which a busy machine hardly disturbs."""
-    rows, centres = len(asked), len(machine.centres)
-    with torch_threads(1):
-        steps = [
-            _fastest([_step(name, centres, chunk, rows // chunk) for chunk in CHUNKS], CPU)
-            for name in STEPS
-        ]
-        mine, *bounds = in_turns([partial(machine.predict, asked), *steps], repeats, CPU)
-    return sum(t.median for t in bounds) / mine.median
-
-
-def _fastest(works: Iterable[Work], clock: Clock = WALL) -> Work:
-    """The one of `works` with the lowest median of seven; a lucky call says nothing of the rest."""
-    known = list(works)
-    times = in_turns(known, 7, clock)
-    return known[min(range(len(known)), key=lambda i: times[i].median)]
-
-
-def _ways(
-    step: str, centres: int, rows: int, pool: ThreadPoolExecutor, count: int
-) -> Iterator[Work]:
-    """Ways to do one step for all rows: with torch's own threads, and one thread per core."""
-    for chunk in CHUNKS:
-        yield _step(step, centres, chunk, rows // chunk)
-        if rows % (chunk * count) == 0:
-            share = [_step(step, centres, chunk, rows // chunk // count) for _ in range(count)]
-            yield partial(_together, pool, share)
-
-
-def _together(pool: ThreadPoolExecutor, works: list[Work]) -> None:
-    for future in [pool.submit(work) for work in works]:
-        future.result()
-
-
-def _step(step: str, centres: int, chunk: int, times: int) -> Work:
-    """One step of the computation, `times` over on a chunk that stays in cache."""
-    features, kernel = torch.rand(chunk, INPUTS), torch.rand(chunk, centres)
-    matrix, weights = torch.rand(INPUTS, centres), torch.rand(centres, PADDED_OUTPUTS)
-    out = torch.empty(chunk, PADDED_OUTPUTS)
-    once: Work = {
-        "first product": lambda: torch.mm(features, matrix, out=kernel),
-        "exp2": kernel.exp2_,
-        "second product": lambda: torch.mm(kernel, weights, out=out),
-    }[step]
-
-    def work() -> None:
-        for _ in range(times):
-            once()
-
-    return work
+    work, shape = partial(machine.predict, asked), Shape(rows, INPUTS, centres, PADDED_OUTPUTS)
+    return against_ceiling(f"{centres} centres", work, shape, gap, repeats, count)

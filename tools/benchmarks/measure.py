@@ -60,8 +60,9 @@ class Comparison:
         other: Time of what it is compared to.
         ratio: What the line reports of it, as a rule other.median / ours.median.
         difference: Largest difference of the results, relative to their range; None where the
-            other side is a bound and has no result.
+            other side has no result, or a random one.
         sizes: Everything that says how large the case is.
+        note: What stands below the table, such as a rate.
     """
 
     label: str
@@ -70,6 +71,7 @@ class Comparison:
     ratio: float
     difference: float | None
     sizes: dict[str, float] = field(default_factory=dict)
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class Line:
         clock: "wall" or "CPU", whose seconds the timings are.
         threads: Threads that each side may use.
         parts: The cases, at least one.
+        at_most: Whether the target is the most that the ratio may be, not the least.
     """
 
     name: str
@@ -93,11 +96,12 @@ class Line:
     clock: str
     threads: int
     parts: tuple[Comparison, ...]
+    at_most: bool = False
 
     @property
     def ratio(self) -> float:
         """The worst ratio of the cases."""
-        return min(part.ratio for part in self.parts)
+        return (max if self.at_most else min)(part.ratio for part in self.parts)
 
 
 def cores() -> int:
@@ -145,7 +149,12 @@ def in_turns(
             for _ in range(count):
                 work()
             kept.append((clock() - begin) / count)
-    return [Timing(statistics.median(kept), min(kept), max(kept), len(kept)) for kept in samples]
+    return [timing(kept) for kept in samples]
+
+
+def timing(samples: Sequence[float]) -> Timing:
+    """What is told of samples, in seconds."""
+    return Timing(statistics.median(samples), min(samples), max(samples), len(samples))
 
 
 def difference(ours: torch.Tensor, other: torch.Tensor, most: float) -> float:

@@ -1,0 +1,164 @@
+"""The ways of work that the benchmark compares the engine with end as the engine does."""
+
+import copy
+import sys
+from functools import cache
+from pathlib import Path
+from random import Random
+
+import pytest
+import torch
+from support import random_graphs, seeded
+from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from benchmarks import paper_way, strong_cpu
+from benchmarks.array_models import ArrayModels
+from benchmarks.generation import MODELS, PARTS, generation_split, logger, with_timers
+from benchmarks.growth import widened
+from benchmarks.measure import DisagreementError
+from benchmarks.networkx_operators import individuals, kinds_of
+from benchmarks.operators import apart, as_graphs, children, networkx_children, statistics_of
+from benchmarks.plain_models import PlainModels, plain_models
+from benchmarks.rollouts import alike, taken
+from benchmarks.tensor_way import tensor_rollout
+from benchmarks.workload import Workload, first_population, workload_of
+
+from cgtorch.experiments.run import open_run
+from cgtorch.experiments.train import load_progress
+from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.simulation import Rollouts, rollout
+
+REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
+LIMIT = 12
+
+
+@cache
+def work() -> Workload:
+    run = open_run(REFERENCE)
+    knowledge = load_progress(run, REFERENCE / run.stages[-1]).knowledge
+    return workload_of(knowledge, run.robot, 6, seeded(0))
+
+
+@cache
+def models() -> PlainModels:
+    return plain_models(work())
+
+
+def graphs_to_run() -> Graphs:
+    """Random graphs, and chains that speak, move and grasp, so that much happens."""
+    graphs = random_graphs(0, 60, work().actions, capacity=8, nodes=(4, 8))
+    names = work().actions.names
+    chain = [names.index(n) for n in ("ContinuousNN", "MoveBase", "BranchingNN", "Detect", "Grasp")]
+    action = torch.full((60, 8), NO_NODE)
+    action[:, :5] = torch.tensor(chain)
+    edges = torch.full((60, 8, 2), NO_NODE)
+    edges[:, :5] = torch.tensor([[1, NO_NODE], [2, 2], [3, 4], [4, NO_NODE], [NO_NODE, 0]])
+    parameters = torch.zeros(60, 8, graphs.parameters.shape[2])
+    for node in (0, 2):
+        count = int(work().actions.num_parameters[chain[node]])
+        parameters[:, node, :count] = torch.randn(60, count, generator=seeded(node))
+    both = Graphs(action, edges, parameters, torch.zeros(60, dtype=torch.long))
+    return Graphs(
+        *(torch.cat(p) for p in zip(vars(graphs).values(), vars(both).values(), strict=True))
+    )
+
+
+@cache
+def runs() -> Rollouts:
+    return rollout(graphs_to_run(), work().actions, work().environment, max_transitions=LIMIT)
+
+
+def test_the_graphs_do_everything() -> None:
+    assert set(graphs_to_run().action.unique().tolist()) == {NO_NODE, *range(5)}
+    assert (runs().state[..., 0] > 0).float().mean() > 0.3  # moved
+    assert runs().succeeded.any()
+    assert runs().timed_out.any()
+
+
+def test_the_papers_way_ends_as_the_engine_does() -> None:
+    simulation = paper_way.Simulation(models())
+    machines = paper_way.state_machines(graphs_to_run(), work().actions)
+    gap, differ = alike(runs(), *paper_way.run_all(simulation, machines, 6, LIMIT))
+    assert gap < 1e-2
+    assert differ < 1e-3
+
+
+def test_the_strong_cpu_way_ends_as_the_engine_does() -> None:
+    arrays = strong_cpu.array_graphs(graphs_to_run(), work().actions)
+    alike(runs(), *strong_cpu.run_share(ArrayModels(models()), LIMIT, arrays))
+
+
+def test_processes_give_what_one_gives() -> None:
+    arrays = strong_cpu.array_graphs(graphs_to_run(), work().actions)[:10]
+    with strong_cpu.processes(models(), 1) as pool:
+        shared = strong_cpu.run_all(pool, 1, arrays, LIMIT)
+    alone = strong_cpu.run_share(ArrayModels(models()), LIMIT, arrays)
+    assert all((a == b).all() for a, b in zip(shared, alone, strict=True))
+
+
+def test_the_tensor_way_gives_the_same_numbers() -> None:
+    others = tensor_rollout(graphs_to_run(), work().actions, work().environment, LIMIT)
+    for name in ("succeeded", "timed_out", "percept", "state", "transitions"):
+        assert torch.equal(getattr(others, name), getattr(runs(), name)), name
+
+
+def test_lanes_that_end_otherwise_are_noticed() -> None:
+    part = taken(runs(), torch.arange(5))
+    for wrong in (
+        (~part.succeeded, part.percept, part.transitions),
+        (part.succeeded, part.percept + 0.1, part.transitions),
+        (part.succeeded, part.percept * float("nan"), part.transitions),
+        (part.succeeded, part.percept, part.transitions + 1),
+    ):
+        with pytest.raises(DisagreementError):
+            alike(part, *wrong)
+
+
+def both_children(count: int) -> tuple[Tensor, Tensor]:
+    population, actions = first_population(count, work().actions), work().actions
+    parents = individuals(population, actions)
+    others = networkx_children(parents, kinds_of(actions), Random(0))
+    ours = children(population, actions, seeded(0)).graphs
+    return statistics_of(ours, actions), statistics_of(as_graphs(others, actions), actions)
+
+
+def test_operators_on_networkx_graphs_make_the_same_children_on_average() -> None:
+    ours, others = both_children(800)
+    assert apart(ours, others) < 5
+    for column in range(ours.shape[1]):
+        shifted = others.clone()
+        shifted[:, column] += ours[:, column].std()
+        with pytest.raises(DisagreementError):
+            apart(ours, shifted)
+
+
+def test_parents_stay_as_they_were() -> None:
+    population = first_population(40, work().actions)
+    parents = individuals(population, work().actions)
+    before = copy.deepcopy(
+        [(dict(p.graph.nodes), list(p.graph.edges), p.strategy) for p in parents]
+    )
+    networkx_children(parents, kinds_of(work().actions), Random(1))
+    assert before == [(dict(p.graph.nodes), list(p.graph.edges), p.strategy) for p in parents]
+
+
+def test_a_generation_is_split_into_all_its_parts() -> None:
+    timed = with_timers(work())
+    population = first_population(30, work().actions)
+    with logger(timed) as log:
+        seconds = generation_split(timed, population, log)
+    assert set(seconds) == set(PARTS)
+    assert all(seconds[name] > 0 for name in (*MODELS, "operators", "selection", "logging"))
+    again = rollout(population.graphs, timed.actions, timed.environment)
+    assert torch.equal(
+        again.percept, rollout(population.graphs, work().actions, work().environment).percept
+    )
+
+
+def test_more_room_changes_no_result() -> None:
+    wide = widened(graphs_to_run())
+    assert wide.capacity == 16
+    found = rollout(wide, work().actions, work().environment, max_transitions=LIMIT)
+    assert torch.equal(found.percept, runs().percept)

@@ -1,0 +1,178 @@
+"""What more individuals cost, and what more room for nodes: time and memory."""
+
+import ctypes
+import itertools
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from benchmarks.measure import (
+    WALL,
+    Comparison,
+    DisagreementError,
+    Effort,
+    Line,
+    Work,
+    cores,
+    in_turns,
+    torch_threads,
+)
+from benchmarks.workload import (
+    CAPACITY,
+    POPULATION,
+    Workload,
+    evolved_population,
+    later_population,
+    workload,
+)
+from cgtorch.evolution import EvolutionSettings, Population
+from cgtorch.evolution.evolution import EvolutionState, tell
+from cgtorch.evolution.fitness import evaluate
+from cgtorch.graphs import Graphs, resized
+from cgtorch.simulation import rollout
+
+SIZES = (100, 1000, 10_000, 100_000)
+REPEATS = 5  # where one call takes long
+
+
+def growth_10x(effort: Effort) -> Line:
+    """What ten times the population costs: of rollouts, and of a whole generation.
+
+    Selection of 10,000 may take long, so a quick run leaves the generation out.
+    """
+    work = workload()
+    sizes = SIZES if effort.size == 1 else SIZES[:-1]
+    with torch_threads(cores()):
+        parts = [_rollouts(work, *pair, effort.repeats) for pair in itertools.pairwise(sizes)]
+        if effort.size == 1:
+            parts.append(_generations(work, POPULATION, 10 * POPULATION, REPEATS))
+    return Line(
+        name="growth_10x",
+        compared="seconds for ten times the population / for the population; of rollouts, for as "
+        "many transitions each, as random children need not all be as busy",
+        unit="x the time",
+        target=10.5,
+        clock="wall",
+        threads=cores(),
+        parts=tuple(parts),
+        at_most=True,
+    )
+
+
+def _rollouts(work: Workload, fewer: int, more: int, repeats: int) -> Comparison:
+    both = [later_population(size).graphs for size in (fewer, more)]
+    works: list[Work] = [partial(rollout, g, work.actions, work.environment) for g in both]
+    memory = [_peak(each) for each in works]
+    done = [int(rollout(g, work.actions, work.environment).transitions.sum()) for g in both]
+    # The few take a moment: as many calls of them as one call of the many takes.
+    other, ours = in_turns(
+        works, repeats if more < SIZES[-1] else REPEATS, WALL, calls=[5, 1], warm_up=0
+    )
+    rates = done[0] / other.median, done[1] / ours.median
+    return Comparison(
+        label=f"rollouts, {fewer} → {more} x {work.environment.num_scenarios}",
+        ours=ours,
+        other=other,
+        ratio=more / fewer * rates[0] / rates[1],
+        difference=None,
+        sizes={
+            "transitions": done[1],
+            "transitions_per_second": rates[1],
+            "transitions_per_second of the fewer": rates[0],
+            "peak memory MiB": memory[1],
+            "peak memory MiB of the fewer": memory[0],
+        },
+        note=f"{rates[0]:.3g} → {rates[1]:.3g} transitions/s, {_arrow(memory)}",
+    )
+
+
+def _generations(work: Workload, fewer: int, more: int, repeats: int) -> Comparison:
+    works: list[Work] = [partial(generation, work, later_population(n)) for n in (fewer, more)]
+    memory = [_peak(each) for each in works]
+    other, ours = in_turns(works, repeats, WALL, calls=[3, 1], warm_up=0)
+    return Comparison(
+        label=f"generation, {fewer} → {more} x {work.environment.num_scenarios}",
+        ours=ours,
+        other=other,
+        ratio=ours.median / other.median,
+        difference=None,
+        sizes={"peak memory MiB": memory[1], "peak memory MiB of the fewer": memory[0]},
+        note=_arrow(memory),
+    )
+
+
+def generation(work: Workload, population: Population) -> EvolutionState:
+    """Evaluate a population and make the next one."""
+    settings = EvolutionSettings(population=len(population), capacity=population.graphs.capacity)
+    state = EvolutionState(population, 0, population[:1], 0.0)
+    keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
+    result = evaluate(population.graphs, work.actions, work.environment, keep)
+    generator = torch.Generator().manual_seed(7)
+    return tell(state, result.fitness, settings, work.actions, generator, result.scores)
+
+
+def padding(effort: Effort) -> Line:
+    """What twice the room for nodes costs graphs that do not need it: in rollouts, in all."""
+    work, population = workload(), evolved_population()
+    wide = replace(population, graphs=widened(population.graphs))
+    with torch_threads(cores()):
+        parts = _padded_rollouts(work, population.graphs, wide.graphs, effort.repeats)
+        works: list[Work] = [partial(generation, work, each) for each in (wide, population)]
+        ours, other = in_turns(works, 2 * effort.repeats, WALL)
+    label = f"generation, {POPULATION} x {work.environment.num_scenarios}"
+    whole = Comparison(label, ours, other, ours.median / other.median, None)
+    return Line(
+        name="padding",
+        compared=f"seconds with {2 * CAPACITY} node slots / with {CAPACITY}, the same graphs",
+        unit="x the time",
+        target=1.05,
+        clock="wall",
+        threads=cores(),
+        parts=(parts, whole),
+        at_most=True,
+    )
+
+
+def widened(graphs: Graphs) -> Graphs:
+    """The same graphs with twice the node slots."""
+    outcomes, parameters = graphs.edges.shape[2], graphs.parameters.shape[2]
+    return resized(graphs, 2 * graphs.capacity, outcomes, parameters)
+
+
+def _padded_rollouts(work: Workload, graphs: Graphs, wide: Graphs, repeats: int) -> Comparison:
+    results = [rollout(g, work.actions, work.environment) for g in (wide, graphs)]
+    pairs = zip(vars(results[0]).values(), vars(results[1]).values(), strict=True)
+    if not all(torch.equal(a, b) for a, b in pairs):
+        raise DisagreementError("graphs with more room run otherwise; nothing was timed")
+    works: list[Work] = [
+        partial(rollout, g, work.actions, work.environment) for g in (wide, graphs)
+    ]
+    # A small difference of large numbers: more samples than elsewhere.
+    ours, other = in_turns(works, 2 * repeats, WALL)
+    label = f"rollouts, {len(graphs)} x {work.environment.num_scenarios}"
+    return Comparison(label, ours, other, ours.median / other.median, 0.0)
+
+
+def _arrow(memory: list[float]) -> str:
+    return f"{memory[0]:.0f} → {memory[1]:.0f} MiB"
+
+
+def _peak(work: Work) -> float:
+    """MiB by which a call raises the memory of this process at most; 0 where nobody tells."""
+    try:
+        # What the allocator only keeps for later goes back, and the peak begins anew.
+        ctypes.CDLL(None).malloc_trim(0)
+        Path("/proc/self/clear_refs").write_text("5")
+        before = _memory("VmRSS")
+        work()
+        return _memory("VmHWM") - before
+    except (AttributeError, OSError):
+        return 0.0
+
+
+def _memory(name: str) -> float:
+    """MiB of this process, as Linux tells it."""
+    rows = Path("/proc/self/status").read_text().splitlines()
+    return int(next(row for row in rows if row.startswith(name)).split()[1]) / 1024

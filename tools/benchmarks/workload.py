@@ -1,0 +1,96 @@
+"""The work that all lines about rollouts share: real models, real scenarios, seeded populations."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.data import collect
+from cgtorch.evolution import EvolutionSettings, Population, evolve
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.population import random_population
+from cgtorch.experiments.run import tabletop_of
+from cgtorch.experiments.settings import RunSettings
+from cgtorch.improvement.knowledge import Knowledge, fit_models, imagine
+from cgtorch.improvement.trial import first_percepts
+from cgtorch.kinematics import Robot, load_robot
+from cgtorch.simulation import ModelEnvironment
+from cgtorch.world import LAB_NOISE, random_scenarios
+
+SCENARIOS = 20
+GENERATIONS = 10
+"""After which a population is said to have evolved: most first graphs do next to nothing."""
+CAPACITY = EvolutionSettings().capacity
+NODES = EvolutionSettings().initial_nodes
+POPULATION = 1000
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Γ and C of the default size, as an environment of 20 placements around the table.
+
+    Attributes:
+        knowledge: Γ, C and the data that they are fitted on.
+        environment: what populations are searched in, that is, with the swift Γ.
+        footprint: (4,) of the base (m).
+        actions: those of the paper, whose networks read percepts as they are.
+    """
+
+    knowledge: Knowledge
+    environment: ModelEnvironment
+    footprint: Tensor
+    actions: ActionSet
+
+
+@cache
+def workload() -> Workload:
+    """What `cgtorch-train` begins with: data from the robot's world, Γ and C fitted on it."""
+    generator, sizes, robot = _seeded(0), RunSettings(), load_robot()
+    data = collect(tabletop_of(robot, LAB_NOISE), sizes.transitions, sizes.labels, generator)
+    return workload_of(fit_models(data, seed=0), robot, SCENARIOS, generator)
+
+
+def workload_of(knowledge: Knowledge, robot: Robot, count: int, generator: Generator) -> Workload:
+    """The models as an environment of so many random placements around the table."""
+    world = tabletop_of(robot, LAB_NOISE)(random_scenarios("perimeter", count, generator))
+    footprint = torch.tensor(robot.description.footprint)
+    environment = imagine(knowledge, first_percepts(world), footprint, 1, generator)
+    return Workload(knowledge, environment, footprint, paper_actions())
+
+
+def first_population(size: int, actions: ActionSet) -> Population:
+    """Random graphs, as evolution begins with."""
+    return random_population(size, actions, CAPACITY, NODES, _seeded(1))
+
+
+@cache
+def evolved_population() -> Population:
+    """A thousand individuals after some generations on the workload."""
+    work, settings = workload(), EvolutionSettings(population=POPULATION)
+    for generation in evolve(work.environment, work.actions, settings, _seeded(2)):
+        if generation.number == GENERATIONS:
+            break
+    return generation.population
+
+
+def later_population(size: int) -> Population:
+    """So many children of the evolved population: as much work each, however many there are."""
+    generator, parents = _seeded(3), evolved_population()
+    pairs = torch.randint(len(parents), (2, (size + 1) // 2), generator=generator)
+    children = crossover(parents[pairs[0]], parents[pairs[1]], generator)
+    return mutate(children, workload().actions, generator)[:size]
+
+
+def populations() -> dict[str, Population]:
+    """The two populations of a thousand that rollouts are measured on, by label."""
+    return {
+        "first population": first_population(POPULATION, workload().actions),
+        f"after {GENERATIONS} generations": evolved_population(),
+    }
+
+
+def _seeded(seed: int) -> Generator:
+    return torch.Generator().manual_seed(seed)
