@@ -34,7 +34,7 @@ from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.standing import Budget
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
 

@@ -1,10 +1,12 @@
 """What all commands share: options from a dataclass, and errors of one line."""
 
+import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, TypeVar
+from types import FrameType
+from typing import Any, NoReturn, TypeVar
 
 import click
 
@@ -47,6 +49,7 @@ def run_command(command: click.Command) -> None:
     name = command.name or "cgtorch"
     # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
     previous, threading.excepthook = threading.excepthook, _report_thread
+    terminates = signal.signal(signal.SIGTERM, _interrupt)
     try:
         command.main(prog_name=name, standalone_mode=False)
     except click.exceptions.Exit as e:
@@ -56,13 +59,19 @@ def run_command(command: click.Command) -> None:
     except CgtorchError as e:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort):
-        _end(name, "interrupted; what was finished is kept, go on with --resume", 1)
+        _end(name, "interrupted; what was done is kept, go on with --resume", 1)
     except OSError as e:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
     finally:
         threading.excepthook = previous
+        signal.signal(signal.SIGTERM, terminates)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """Whoever asks a command to end is treated as who presses Ctrl-C."""
+    raise KeyboardInterrupt
 
 
 def _report_thread(thread: threading.ExceptHookArgs) -> None:

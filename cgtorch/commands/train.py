@@ -37,6 +37,13 @@ Examples:
 @click.option("--robot", type=click.Path(path_type=Path), help="Its description.  [robot.json]")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
 @click.option("--actions", multiple=True, help="Further action: name or package.module:Class.")
+@click.option(
+    "--checkpoint-seconds",
+    type=click.FloatRange(min=0),
+    default=20.0,
+    show_default=True,
+    help="Keep this often where an evolution stands, s; what is finished is kept at once.",
+)
 @click.option("--quiet", is_flag=True, help="Print the final table only.")
 @options_of(Goal)
 @options_of(RunSettings, skip=("actions",))
@@ -54,7 +61,9 @@ def command(context: click.Context, /, **options: Any) -> None:
     from cgtorch.commands.training import begin, carry_on
 
     of_goal = {f.name for f in fields(Goal)}
-    names = {"stage", "run_dir", "resume", "urdf", "robot", "device", "quiet"} | of_goal
+    every = options["checkpoint_seconds"]
+    here = {"resume", "stage", "quiet", "device", "checkpoint_seconds"}  # not what a run is about
+    names = here | {"run_dir", "urdf", "robot"} | of_goal
     given = {
         name
         for name in options
@@ -66,18 +75,18 @@ def command(context: click.Context, /, **options: Any) -> None:
         raise SettingsError(f"--{odd[0]} is for --stage {AUTO}; add that or leave it out")
     import_from_here(options["actions"])
     if options["resume"]:
-        if odd := sorted(given - {"resume", "stage", "quiet", "device", "actions"} - of_goal):
+        if odd := sorted(given - here - {"actions"} - of_goal):
             raise SettingsError(
                 f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
             )
-        carry_on(options["resume"], options["actions"], stage, goal, device, quiet)
+        carry_on(options["resume"], options["actions"], stage, goal, device, quiet, every)
         return
     values = {k: v for k, v in options.items() if k not in names}
     settings = RunSettings(**{**values, "actions": tuple(values["actions"])})
     folder = options["run_dir"] or Path("runs") / f"seed-{settings.seed}"
     if (folder / "run.json").is_file() and (options["urdf"] or options["robot"]):
         raise RunError(f"run {str(folder)!r} has its robot already; choose another --run-dir")
-    begin(folder, settings, options["urdf"], options["robot"], stage, goal, device, quiet)
+    begin(folder, settings, options["urdf"], options["robot"], stage, goal, device, quiet, every)
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ import torch
 from cgtorch.errors import SettingsError
 from cgtorch.experiments.auto import reached, train_until
 from cgtorch.experiments.goal import AUTO, Goal
+from cgtorch.experiments.journal import recalled_generations
 from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import check_stages, stages_up_to
@@ -26,6 +27,7 @@ def begin(
     goal: Goal,
     device: str,
     quiet: bool,
+    checkpoint_seconds: float,
 ) -> None:
     """Begin a run, or go on with one that was begun with the same settings.
 
@@ -38,6 +40,7 @@ def begin(
         goal: of "auto".
         device: where populations are evaluated.
         quiet: print the final table only.
+        checkpoint_seconds: between two notes of where an evolution stands.
     """
     _check(stage, settings)
     where = device_of(device)
@@ -46,16 +49,22 @@ def begin(
         _same(run, settings)
     else:
         run = create_run(folder, settings, urdf, robot)
-    _train(run, stage, goal, where, quiet)
+    _train(run, stage, goal, where, quiet, checkpoint_seconds)
 
 
 def carry_on(
-    folder: Path, trusted: Sequence[str], stage: str, goal: Goal, device: str, quiet: bool
+    folder: Path,
+    trusted: Sequence[str],
+    stage: str,
+    goal: Goal,
+    device: str,
+    quiet: bool,
+    checkpoint_seconds: float,
 ) -> None:
     """Go on with a run under the settings it has; the arguments are those of `begin`."""
     run = open_run(folder, trusted)
     _check(stage, run.settings)
-    _train(run, stage, goal, device_of(device), quiet)
+    _train(run, stage, goal, device_of(device), quiet, checkpoint_seconds)
 
 
 def _check(stage: str, settings: RunSettings) -> None:
@@ -90,7 +99,14 @@ def _same(run: Run, settings: RunSettings) -> None:
             )
 
 
-def _train(run: Run, stage: str, goal: Goal, device: torch.device, quiet: bool) -> None:
+def _train(
+    run: Run,
+    stage: str,
+    goal: Goal,
+    device: torch.device,
+    quiet: bool,
+    checkpoint_seconds: float,
+) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
     with ProgressDisplay(quiet=quiet) as display:
         missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
@@ -98,10 +114,12 @@ def _train(run: Run, stage: str, goal: Goal, device: torch.device, quiet: bool) 
             earlier = ", ".join(missing[:-1])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
         settings = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
+        recalled = recalled_generations(run.folder)
         board = TensorBoardWatch(
             run.folder,
             settings,
-            finished_generations(run),
+            finished_generations(run) + len(run.stages) + recalled,
+            recalled=recalled,
             actions=run.actions,
             footprint=run.robot.description.footprint,
         )
@@ -112,9 +130,9 @@ def _train(run: Run, stage: str, goal: Goal, device: torch.device, quiet: bool) 
 
         try:
             if stage == AUTO:
-                results = train_until(run, goal, watch, display.working, device)
+                results = train_until(run, goal, watch, display.working, device, checkpoint_seconds)
             else:
-                results = train(run, stage, watch, display.working, device)
+                results = train(run, stage, watch, display.working, device, checkpoint_seconds)
         finally:
             board.close()
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")

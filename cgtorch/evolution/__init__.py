@@ -11,6 +11,7 @@ from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join
+from cgtorch.evolution.population import population_from as population_from
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve
 from cgtorch.evolution.selection import Selection as Selection

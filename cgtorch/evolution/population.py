@@ -6,7 +6,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.graphs import NO_NODE, Graphs, compacted, concatenate, pruned, resized
+from cgtorch.errors import GraphError
+from cgtorch.graphs import NO_NODE, Graphs, compacted, concatenate, pruned, resized, valid
 
 STRATEGY = (
     "crossover",
@@ -98,3 +99,33 @@ def seeded_population(
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
     copies = seeds[torch.arange(half) % len(seeds)]
     return join(Population(resized(compacted(copies.graphs), *shape), copies.strategy), fresh)
+
+
+def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Population:
+    """A population from tensors that may be anything, as they come from a file.
+
+    Args:
+        tensors: action, edges, parameters and start of the graphs, and strategy.
+        actions: what the graphs' nodes can be.
+
+    Raises:
+        GraphError: they are not those of at least one valid graph.
+    """
+    p, n = (*tensors["action"].shape, 0, 0)[:2]
+    expected = {
+        "action": ((p, n), torch.long),
+        "edges": ((p, n, actions.outcome_capacity), torch.long),
+        "parameters": ((p, n, actions.parameter_capacity), torch.float32),
+        "start": ((p,), torch.long),
+        "strategy": ((p, len(STRATEGY)), torch.float32),
+    }
+    graphs = Graphs(*(tensors[name] for name in list(expected)[:-1]))
+    whole = (
+        p * n > 0
+        and all((tensors[name].shape, tensors[name].dtype) == e for name, e in expected.items())
+        and bool(graphs.parameters.isfinite().all() and tensors["strategy"].isfinite().all())
+        and bool(valid(graphs, actions).all())
+    )
+    if not whole:
+        raise GraphError("these tensors are not those of valid graphs; restore the file")
+    return Population(graphs, tensors["strategy"])

@@ -36,6 +36,11 @@ class Generation:
     transitions: int
 
     @property
+    def state(self) -> EvolutionState:
+        """From where `evolve` evaluates this generation again."""
+        return EvolutionState(self.population, self.number, self.champion, float("-inf"))
+
+    @property
     def champion(self) -> Population:
         """The best individual, as a population of one."""
         return self.population[self.best : self.best + 1]
@@ -49,6 +54,7 @@ def evolve(
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
+    state: EvolutionState | None = None,
     max_transitions: int = MAX_TRANSITIONS,
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
@@ -61,11 +67,13 @@ def evolve(
         keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device; none if not
             given, which is on the CPU.
         seeds: earlier individuals, which make up half of the first population.
+        state: where to begin, in place of a first population.
         max_transitions: see `cgtorch.simulation.rollout`.
     """
     if keep is None:
         keep = torch.zeros(environment.num_scenarios, dtype=torch.bool)
-    state: EvolutionState = initial_state(settings, actions, generator, seeds)
+    if state is None:
+        state = initial_state(settings, actions, generator, seeds)
     while True:
         population = state.population
         result = evaluate(population.graphs, actions, environment, keep, max_transitions)

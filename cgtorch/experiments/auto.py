@@ -15,6 +15,7 @@ from torch import Generator
 
 from cgtorch.experiments.evaluate import Score
 from cgtorch.experiments.goal import Goal, holds, worth_deciding
+from cgtorch.experiments.journal import SECONDS, journal_of
 from cgtorch.experiments.ledger import enter
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.stages import round_name, stage_generator
@@ -62,6 +63,7 @@ def train_until(
     watch: Watch,
     working: Working,
     device: torch.device | str = "cpu",
+    checkpoint_seconds: float = SECONDS,
 ) -> list[dict[str, Any]]:
     """Improve in rounds until the goal holds or what may be spent is spent.
 
@@ -87,7 +89,9 @@ def train_until(
     ):
         made += 1
         decisions = len(_decisions(results[first:]))
-        progress, result = _round(run, goal, made, decisions, progress, watch, working, device)
+        progress, result = _round(
+            run, goal, made, decisions, progress, watch, working, device, checkpoint_seconds
+        )
         results.append(result)
     summary = {"stages": results, "reached": reached(goal, results[first:])}
     write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.settings.to_dict()})
@@ -115,6 +119,7 @@ def _round(
     watch: Watch,
     working: Working,
     device: torch.device | str,
+    checkpoint_seconds: float,
 ) -> tuple[Progress, dict[str, Any]]:
     """Make one round and keep it in the run; `decisions` were made before."""
     name = round_name(number)
@@ -122,10 +127,9 @@ def _round(
     if not len(progress.missed):  # as at the very beginning
         first = act(run, progress.skill, goal.screening, generator)
         progress = _joined(progress, first)
-    setup = make_setup(run, device)
     missed, earlier, parent = progress.missed, len(progress.solved), progress.skill
     names = tuple(map(round_name, range(1, number + 1)))
-    watch(StageStarted(name, names, earlier, len(missed), setup.attempts))
+    watch(StageStarted(name, names, earlier, len(missed), run.settings.attempts))
     tally, began = Tally(), time.perf_counter()
 
     def listen(event: Event) -> None:
@@ -137,20 +141,23 @@ def _round(
     everything = torch.ones(len(missed), dtype=torch.bool)
     method, placement = METHODS[run.settings.method], run.settings.scenarios
     nothing = partial(draw_of(placement), 0)  # fresh placements are drawn at the round's end
-    progress = method(setup, progress, name, missed, everything, nothing, generator, listen)
-    seconds = time.perf_counter() - began
-    skill = progress.skill
+    with journal_of(run.folder, name, watch, checkpoint_seconds) as journal:
+        setup = make_setup(run, device, journal)
+        progress = method(setup, progress, name, missed, everything, nothing, generator, listen)
+        seconds = time.perf_counter() - began
+        skill = progress.skill
+        if skill is not None:
+            with working(f"testing {name} on fresh placements"):
+                progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
+            if tally.accepted is not None:
+                with working(f"trying {name} under other noise"):
+                    enter(run.folder, evidence(run, tally.accepted, parent, progress))
+            result = _result(name, placement, skill, tally, tests, earlier, len(missed), seconds)
+            with whole_folder(run.folder / name) as folder:
+                save_progress(folder, progress, run.settings.seed)
+                write_json(folder / "result.json", result)
     if skill is None:
         raise not_improved(run, name)
-    with working(f"testing {name} on fresh placements"):
-        progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
-    if tally.accepted is not None:
-        with working(f"trying {name} under other noise"):
-            enter(run.folder, evidence(run, tally.accepted, parent, progress))
-    result = _result(name, placement, skill, tally, tests, earlier, len(missed), seconds)
-    with whole_folder(run.folder / name) as folder:
-        save_progress(folder, progress, run.settings.seed)
-        write_json(folder / "result.json", result)
     return progress, result
 
 

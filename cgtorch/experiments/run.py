@@ -5,6 +5,7 @@ robot/              the URDF and its description, as they were when the run bega
 start/              what was known before the first stage: data, Γ, C
 S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
 auto-1/ auto-2/ …   each finished round of --stage auto: the same
+journal/            of the stage or round that is not finished: all it has come to so far
 ledger/             every accepted skill, with the evidence for eq. 1
 summary.json        the final table
 events.out.…        TensorBoard

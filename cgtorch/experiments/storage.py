@@ -11,10 +11,10 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.data import Dataset
-from cgtorch.errors import RunError
-from cgtorch.evolution import STRATEGY, Population
+from cgtorch.errors import GraphError, RunError
+from cgtorch.evolution import Population, population_from
 from cgtorch.files import read_bytes, read_json, write_bytes, write_json
-from cgtorch.graphs import Graphs, valid
+from cgtorch.graphs import Graphs
 from cgtorch.improvement.knowledge import Knowledge, swift_gamma
 from cgtorch.models import (
     Choice,
@@ -155,26 +155,11 @@ def load_population(path: Path, actions: ActionSet) -> Population:
     Raises:
         RunError: the file is damaged, or holds graphs that are not valid.
     """
-    names = [f.name for f in fields(Graphs)]
-    found = load_tensors(path, {*names, "strategy"})
-    p, n = (*found["action"].shape, 0, 0)[:2]
-    expected = {
-        "action": ((p, n), torch.long),
-        "edges": ((p, n, actions.outcome_capacity), torch.long),
-        "parameters": ((p, n, actions.parameter_capacity), torch.float32),
-        "start": ((p,), torch.long),
-        "strategy": ((p, len(STRATEGY)), torch.float32),
-    }
-    graphs = Graphs(**{name: found[name] for name in names})
-    whole = (
-        p * n > 0
-        and all((x.shape, x.dtype) == expected[name] for name, x in found.items())
-        and bool(found["parameters"].isfinite().all() and found["strategy"].isfinite().all())
-        and bool(valid(graphs, actions).all())
-    )
-    if not whole:
-        raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file")
-    return Population(graphs, found["strategy"])
+    names = {f.name for f in fields(Graphs)} | {"strategy"}
+    try:
+        return population_from(load_tensors(path, names), actions)
+    except GraphError as e:
+        raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file") from e
 
 
 _WORDS = ("stage", "edge")

@@ -15,6 +15,7 @@ from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
+from cgtorch.experiments.journal import SECONDS, journal_of
 from cgtorch.experiments.ledger import Entry, enter, entry_of
 from cgtorch.experiments.perception import networks_of
 from cgtorch.experiments.run import Run, whole_folder
@@ -40,6 +41,7 @@ from cgtorch.files import write_json
 from cgtorch.graphs import Skill, load_skill, save_skill
 from cgtorch.improvement.events import (
     Event,
+    EvolutionRecalled,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
@@ -48,9 +50,10 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
+from cgtorch.improvement.journal import Journal, NoJournal
 from cgtorch.improvement.knowledge import fit_models
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.standing import Budget
 from cgtorch.models import success_quality, transition_quality
 from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -82,6 +85,10 @@ class Tally:
             self.generations += 1
             self.transitions += event.generation.transitions
             self.searching += event.seconds
+        elif isinstance(event, EvolutionRecalled):
+            self.generations += event.generations
+            self.transitions += event.transitions
+            self.searching += event.seconds
         elif isinstance(event, SkillAccepted):
             self.accepted = event
 
@@ -92,6 +99,7 @@ def train(
     watch: Watch,
     working: Working,
     device: torch.device | str = "cpu",
+    checkpoint_seconds: float = SECONDS,
 ) -> list[dict[str, Any]]:
     """Make all stages up to one, except those the run has already.
 
@@ -101,6 +109,7 @@ def train(
         watch: told what happens.
         working: makes a context in which a long step runs under a message.
         device: where populations are evaluated.
+        checkpoint_seconds: least time between two notes of where an evolution stands.
 
     Returns:
         The result of every stage, as in its result.json.
@@ -122,7 +131,9 @@ def train(
         if name in run.stages:
             progress = load_progress(run, run.folder / name)
         else:
-            progress = _stage(run, name, names, progress, watch, working, device)
+            progress = _stage(
+                run, name, names, progress, watch, working, device, checkpoint_seconds
+            )
     results = [load_result(run.folder / name / "result.json") for name in names]
     write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
     return results
@@ -164,15 +175,15 @@ def _stage(
     watch: Watch,
     working: Working,
     device: torch.device | str,
+    checkpoint_seconds: float,
 ) -> Progress:
     """Make one stage and keep it in the run."""
     generator = stage_generator(run.settings.seed, name)
     # The published protocol knows the five placements only.
     practice = run.settings.practice if run.settings.method == "compose" else 0
     task = exercise(name, progress.missed, practice, generator)
-    setup = make_setup(run, device)
     sizes = (len(progress.solved), len(task.scenarios))
-    watch(StageStarted(name, names, *sizes, setup.attempts))
+    watch(StageStarted(name, names, *sizes, run.settings.attempts))
     tally = Tally()
 
     def listen(event: Event) -> None:
@@ -185,16 +196,21 @@ def _stage(
         return random_scenarios(STAGES[name], practice, generator)
 
     earlier, parent = len(progress.solved), progress.skill
-    progress = method(setup, progress, name, task.scenarios, task.targets, draw, generator, listen)
+    with journal_of(run.folder, name, watch, checkpoint_seconds) as journal:
+        setup = make_setup(run, device, journal)
+        progress = method(
+            setup, progress, name, task.scenarios, task.targets, draw, generator, listen
+        )
+        if tally.accepted is not None:
+            with working(f"testing {name} on fresh placements"):
+                result = _result(run, name, tally.accepted, earlier, tally)
+            with working(f"trying {name} under other noise"):
+                enter(run.folder, evidence(run, tally.accepted, parent, progress))
+            with whole_folder(run.folder / name) as folder:
+                save_progress(folder, progress, run.settings.seed)
+                write_json(folder / "result.json", result)
     if tally.accepted is None:
         raise not_improved(run, name)
-    with working(f"testing {name} on fresh placements"):
-        result = _result(run, name, tally.accepted, earlier, tally)
-    with working(f"trying {name} under other noise"):
-        enter(run.folder, evidence(run, tally.accepted, parent, progress))
-    with whole_folder(run.folder / name) as folder:
-        save_progress(folder, progress, run.settings.seed)
-        write_json(folder / "result.json", result)
     return progress
 
 
@@ -221,7 +237,9 @@ def evolution_of(settings: RunSettings) -> EvolutionSettings:
     return EvolutionSettings(population=size)
 
 
-def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
+def make_setup(
+    run: Run, device: torch.device | str = "cpu", journal: Journal | None = None
+) -> Setup:
     """The run's settings in the terms of improvement."""
     s, networks = run.settings, networks_of(run.settings)
     return Setup(
@@ -236,6 +254,7 @@ def make_setup(run: Run, device: torch.device | str = "cpu") -> Setup:
         attempts=s.attempts,
         max_transitions=s.max_transitions,
         device=device,
+        journal=journal or NoJournal(),
     )
 
 

@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from torch import Tensor
 
-from cgtorch.evolution import Generation
+from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import SuccessQuality, TransitionQuality
@@ -62,6 +62,35 @@ class GenerationDone:
 
 
 @dataclass(frozen=True)
+class EvolutionRecalled:
+    """The first `generations` of an evolution are known from before an interruption.
+
+    They executed `transitions` actions in the models and took `seconds`; `champion` is the best
+    individual of them, as a population of one.
+    """
+
+    stage: str
+    candidate: str
+    generations: int
+    transitions: int
+    seconds: float
+    champion: Population
+
+
+@dataclass(frozen=True)
+class AboutToKeep:
+    """What has been told so far is about to be kept, so that it will not be told again."""
+
+
+@dataclass(frozen=True)
+class JournalDamaged:
+    """Files of a stage's journal cannot be read; what they held is done again."""
+
+    stage: str
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class WorldTested:
     """A candidate was tried in the world: what it solves of W and of M.
 
@@ -111,6 +140,14 @@ class FreshTested:
 
 
 Event: TypeAlias = (
-    StageStarted | ModelsFitted | GenerationDone | WorldTested | SkillAccepted | FreshTested
+    StageStarted
+    | ModelsFitted
+    | GenerationDone
+    | EvolutionRecalled
+    | AboutToKeep
+    | JournalDamaged
+    | WorldTested
+    | SkillAccepted
+    | FreshTested
 )
 Watch: TypeAlias = Callable[[Event], None]

@@ -8,13 +8,13 @@ from torch import Generator, Tensor
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
+from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.events import ModelsFitted, SkillAccepted, Watch
 from cgtorch.improvement.improve import Draw
 from cgtorch.improvement.knowledge import imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.team import make_task, world_tested
-from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios
 
 
@@ -37,11 +37,12 @@ def grow(
     began = time.perf_counter()
     task = make_task(setup, progress, stage, scenarios, targets)
     knowledge, skill = progress.knowledge, progress.skill
-    world = setup.world_of(task.scenarios)
     keep = task.keep
-    solved = try_skill(skill, world).succeeded if skill else torch.zeros_like(keep)
+    solved = torch.zeros_like(keep)
+    if skill is not None:
+        solved = attempt(setup, skill, task.scenarios).succeeded
     accepted = None
-    for attempt in range(setup.attempts):
+    for number in range(setup.attempts):
         environment = imagine(knowledge, task.percepts, setup.footprint, 1, generator, setup.device)
         champion, _ = evolve_candidate(
             environment,
@@ -51,14 +52,15 @@ def grow(
             generator,
             watch,
             stage,
-            f"{stage}.{attempt + 1}",
+            f"{stage}.{number + 1}",
             keep=keep,
             seeds=_seed(skill),
             max_transitions=setup.max_transitions,
             device=setup.device,
+            journal=setup.journal,
         )
         candidate = Skill(stage, champion.graphs, setup.actions, setup.max_transitions)
-        trial = try_skill(candidate, world)
+        trial = attempt(setup, candidate, task.scenarios)
         watch(world_tested(task, candidate.name, trial.succeeded))
         if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():
             skill = accepted = candidate

@@ -16,6 +16,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.graphs import Skill
+from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import SkillAccepted, Watch
 from cgtorch.improvement.setup import Progress, Setup
@@ -28,7 +29,7 @@ from cgtorch.improvement.team import (
     recruit,
     with_fresh,
 )
-from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.improvement.trial import first_percepts
 from cgtorch.world import Scenarios, concatenate_scenarios
 
 Draw: TypeAlias = Callable[[Generator], Scenarios]
@@ -80,7 +81,7 @@ def improve(
         skill, succeeded = composed
         watch(_accepted(task, rest, skill, succeeded, time.perf_counter() - began))
         fresh = draw(generator)
-        solved = torch.cat([succeeded, try_skill(skill, setup.world_of(fresh)).succeeded])
+        solved = torch.cat([succeeded, attempt(setup, skill, fresh).succeeded])
         task, team = with_fresh(setup, task, team, solved, fresh)
         # A further try that fails has moved parts of the rest into its task.
         result = skill, task.scenarios, solved, rest
@@ -123,7 +124,7 @@ def _compose(
         composed = compose_team(setup, team, task, progress, generator, watch)
         if composed is None or not len(rest):
             return (task, team, rest), composed
-        held = try_skill(composed[0], setup.world_of(rest)).succeeded
+        held = attempt(setup, composed[0], rest).succeeded
         if held.all():
             return (task, team, rest), composed
         keep = torch.cat([task.keep, torch.ones(int((~held).sum()), dtype=torch.bool)])

@@ -9,8 +9,10 @@ from torch import Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
+from cgtorch.improvement.journal import Journal, NoJournal
 from cgtorch.improvement.knowledge import Knowledge
-from cgtorch.improvement.specialists import Budget, Grouping, local_group
+from cgtorch.improvement.specialists import Grouping, local_group
+from cgtorch.improvement.standing import Budget
 from cgtorch.world import Scenarios, TabletopWorld
 
 
@@ -36,6 +38,7 @@ class Setup:
         core: scenarios of W at most that members are tried on; a new skill is tried on all.
         max_transitions: of every skill.
         device: where populations are evaluated.
+        journal: what is known of the stage from before an interruption, and keeps what is new.
     """
 
     actions: ActionSet
@@ -53,6 +56,7 @@ class Setup:
     core: int = 1000
     max_transitions: int = 20
     device: torch.device | str = "cpu"
+    journal: Journal = field(default_factory=NoJournal)
 
 
 @dataclass(frozen=True)

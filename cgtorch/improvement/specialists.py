@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import torch
@@ -10,27 +9,10 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.evolution import EvolutionSettings, Population, evolve
-from cgtorch.improvement.events import GenerationDone, Watch
-
-
-@dataclass(frozen=True)
-class Budget:
-    """When to stop searching.
-
-    Attributes:
-        generations: the most for one evolution.
-        patience: generations without a better fitness, once all is solved in the models.
-        stall: generations without a better fitness after which the search gives up.
-        enough: fitness with which a candidate that solves all is good enough.
-        transitions: actions executed in the models after which no generation is begun.
-    """
-
-    generations: int = 150
-    patience: int = 10
-    stall: int = 40
-    enough: float = 0.97
-    transitions: float = float("inf")
+from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
+from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
+from cgtorch.improvement.journal import Journal, NoJournal
+from cgtorch.improvement.standing import Budget, Found, standing_from, standing_tensors
 
 
 def evolve_candidate(
@@ -47,16 +29,25 @@ def evolve_candidate(
     seeds: Population | None = None,
     max_transitions: int = 20,
     device: torch.device | str = "cpu",
+    journal: Journal | None = None,
 ) -> tuple[Population, Tensor]:
     """Evolve until all scenarios are solved in the models and the fitness has settled.
 
-    The environment runs on `device`; see `cgtorch.evolution.evolve` for the other arguments.
+    The environment runs on `device`; see `cgtorch.evolution.evolve` for the other arguments. What
+    the `journal` knows is not evolved again.
 
     Returns:
         The best individual, as a population of one, and (B,) bool what it solves in the models.
     """
+    journal, step = journal or NoJournal(), f"evolution {name}"
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
-    champion, solved, best, since, spent = None, keep, -1.0, 0, 0
+    state, found = None, None
+    if known := journal.recall(step) or journal.recall_standing(step):
+        found, state = standing_from(known, actions, generator, len(keep))
+        counts = found.generations, found.transitions, found.seconds
+        watch(EvolutionRecalled(stage, name, *counts, found.champion))
+        if state is None:
+            return found.champion, found.solved
     began = time.perf_counter()
     for generation in evolve(
         environment,
@@ -65,35 +56,36 @@ def evolve_candidate(
         generator,
         keep=keep.to(device),
         seeds=seeds,
+        state=state,
         max_transitions=max_transitions,
     ):
+        found = found or Found(generation.champion, keep, -1.0)
+        journal.record_standing(step, standing_tensors(found, generation.population, generator))
         now = time.perf_counter()
-        result = generation.succeeded
-        watch(
-            GenerationDone(
-                stage,
-                name,
-                generation,
-                budget.generations,
-                solved_w=int(result[keep].sum()),
-                size_w=int(keep.sum()),
-                solved_m=int(result[~keep].sum()),
-                size_m=int((~keep).sum()),
-                seconds=now - began,
-            )
-        )
-        began = now
-        fitness = float(generation.fitness[generation.best])
-        since += 1
-        spent += generation.transitions
-        if fitness > best + 1e-3:
-            champion, solved, best, since = generation.champion, result, fitness, 0
-        done = bool(solved.all()) and (best >= budget.enough or since >= budget.patience)
-        last = generation.number + 1 >= budget.generations or spent >= budget.transitions
-        if done or since >= budget.stall or last:
+        watch(_done(stage, name, generation, budget, keep, now - began))
+        found, began = found.after(generation, now - began), now
+        if found.ends(budget):
             break
-    assert champion is not None  # noqa: S101  the loop body has run
-    return champion, solved
+    assert found is not None  # noqa: S101  the loop body has run
+    journal.record(step, standing_tensors(found, None, generator))
+    return found.champion, found.solved
+
+
+def _done(
+    stage: str, name: str, generation: Generation, budget: Budget, keep: Tensor, seconds: float
+) -> GenerationDone:
+    solved = generation.succeeded
+    return GenerationDone(
+        stage,
+        name,
+        generation,
+        budget.generations,
+        solved_w=int(solved[keep].sum()),
+        size_w=int(keep.sum()),
+        solved_m=int(solved[~keep].sum()),
+        size_m=int((~keep).sum()),
+        seconds=seconds,
+    )
 
 
 Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]

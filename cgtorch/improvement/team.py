@@ -9,13 +9,14 @@ from torch import Generator, Tensor
 from cgtorch.data import Dataset
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
+from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
 from cgtorch.improvement.gate import train_branches
 from cgtorch.improvement.knowledge import Knowledge, imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.improvement.trial import first_percepts
 from cgtorch.world import Scenarios, concatenate_scenarios
 
 FEW = 8  # members of a team: 15 nodes with the branches to them
@@ -109,11 +110,11 @@ def try_all(setup: Setup, skill: Skill, scenarios: Scenarios) -> tuple[Tensor, D
     Returns:
         (B,) share of the runs that succeeded, 0 where the first one failed, and the experience.
     """
-    trial = try_skill(skill, setup.world_of(scenarios))
+    trial = attempt(setup, skill, scenarios)
     rate, experience = trial.succeeded.float(), trial.experience
     rows = trial.succeeded.nonzero()[:, 0]
     for copy in range(1, setup.trials):
-        trial = try_skill(skill, setup.world_of(with_noise(scenarios[rows], copy)))
+        trial = attempt(setup, skill, with_noise(scenarios[rows], copy))
         rate[rows] += trial.succeeded.float()
         experience = experience.extended(trial.experience)
     rate[rows] /= setup.trials
@@ -152,6 +153,7 @@ def recruit(
         seeds=team.hints or team.population,
         max_transitions=setup.max_transitions,
         device=setup.device,
+        journal=setup.journal,
     )
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, task.scenarios)
@@ -227,7 +229,7 @@ def composed(
     for _ in range(tries):
         parameters, _ = train_branches(branch, task.percepts, rates, weight, generator)
         skill = compose(task.stage, members, parameters, setup.actions, setup.max_transitions)
-        succeeded = try_skill(skill, setup.world_of(task.scenarios)).succeeded
+        succeeded = attempt(setup, skill, task.scenarios).succeeded
         watch(world_tested(task, task.stage, succeeded))
         if succeeded[task.keep].all() and succeeded[~task.keep].any():
             return skill, succeeded

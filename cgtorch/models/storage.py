@@ -96,7 +96,7 @@ def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
     data = read_bytes(path, MAX_BYTES, ModelError)
     try:
         state = load(data)  # checks that the tensors are as large as the file and no larger
-        header = _header(path, _metadata(data).get("cgtorch"))
+        header = _header(path, notes_of(data).get("cgtorch"))
     except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
         if isinstance(error, ModelError):
             raise
@@ -112,7 +112,7 @@ def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
     return model.to(_machine_type(model, state)).eval(), header.get("report")
 
 
-def _metadata(data: bytes) -> dict[str, Any]:
+def notes_of(data: bytes) -> dict[str, Any]:
     """The notes in the JSON at the beginning of a safetensors file that has been checked."""
     length = int.from_bytes(data[:_LENGTH], "little")
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}

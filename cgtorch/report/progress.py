@@ -15,8 +15,10 @@ from rich.text import Text
 
 from cgtorch.improvement.events import (
     Event,
+    EvolutionRecalled,
     FreshTested,
     GenerationDone,
+    JournalDamaged,
     ModelsFitted,
     SkillAccepted,
     StageStarted,
@@ -72,6 +74,8 @@ class ProgressDisplay:
         if isinstance(event, GenerationDone):
             self._generation = event
             self._estimate.generation_done(event)
+        elif isinstance(event, EvolutionRecalled | JournalDamaged):
+            self.say(wording.journal_read(event))
         elif isinstance(event, StageStarted):
             self._stage, self._generation, self._world = event, None, ""
             self._estimate.stage_started(event)

@@ -1,7 +1,8 @@
 """TensorBoard event files of a run.
 
 The step is that of the generation, counted from 0 over all stages; what is not of a generation has
-the step of the last one.
+the step that comes next. What a stage ends with has a step of its own, so that a run that goes on
+can hide what an unfinished stage left behind and nothing else.
 
 ==================================  ==========  ===================================================
 tag                                 kind        what it is
@@ -45,14 +46,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import RunError
-from cgtorch.evolution.population import STRATEGY
+from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import (
+    AboutToKeep,
     Event,
+    EvolutionRecalled,
     FreshTested,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
+    StageStarted,
     WorldTested,
 )
 from cgtorch.models import LearningCurve
@@ -62,6 +66,7 @@ from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from tensorboard.compat.proto.summary_pb2 import Summary
 
 BINS = 24
 BY_ROWS = "by_rows"
@@ -78,6 +83,7 @@ class TensorBoardWatch:
         settings: Mapping[str, object],
         first_step: int = 0,
         *,
+        recalled: int = 0,
         actions: ActionSet | None = None,
         footprint: tuple[float, float, float, float] = FOOTPRINT,
         histogram_every: int = 20,
@@ -89,8 +95,10 @@ class TensorBoardWatch:
             folder: of the event files; made if it is missing.
             settings: hyper-parameters by name; what is no number, truth value or text is written
                 as its text.
-            first_step: generations evaluated so far, where a run goes on. What earlier files hold
-                from this step on is hidden by TensorBoard.
+            first_step: generations evaluated and stages finished so far, where a run goes on. What
+                earlier files hold from this step on is hidden by TensorBoard, and written again as
+                it is told.
+            recalled: generations among these that will be told to be recalled.
             actions: what the nodes of evolved graphs do. Without it no graph is drawn before a
                 skill is accepted.
             footprint: of the robot's base, x min, x max, y min, y max (m).
@@ -110,11 +118,12 @@ class TensorBoardWatch:
             raise RunError(
                 f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
             ) from e
-        self.step, self._folder = first_step, Path(folder)
+        self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
         self._actions, self._footprint = actions, footprint
         self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
         self._last_picture = float("-inf")
-        self._latest: GenerationDone | None = None
+        self._latest: tuple[str, Population] | None = None
+        self._in_stage = False
         plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
                  for k, v in settings.items()}  # fmt: skip
         experiment, begin, self._session_end = hparams(plain, dict.fromkeys(METRICS, 0.0))
@@ -129,8 +138,18 @@ class TensorBoardWatch:
         if isinstance(event, GenerationDone):
             self._generation(event)
             return
+        if isinstance(event, EvolutionRecalled):
+            self.step += event.generations
+            self._latest = event.candidate, event.champion
+            return
+        if isinstance(event, AboutToKeep):
+            self._writer.flush()
+            return
         self._evolution_over()
-        if isinstance(event, ModelsFitted):
+        if isinstance(event, StageStarted):
+            self.step += self._in_stage  # the stage before has ended
+            self._in_stage = True
+        elif isinstance(event, ModelsFitted):
             self._models(event)
         elif isinstance(event, WorldTested):
             self._world(event)
@@ -156,7 +175,7 @@ class TensorBoardWatch:
         self.close()
 
     def _generation(self, event: GenerationDone) -> None:
-        if self._latest is not None and self._latest.candidate != event.candidate:
+        if self._latest is not None and self._latest[0] != event.candidate:
             self._evolution_over()
         generation = event.generation
         population = generation.population
@@ -172,23 +191,22 @@ class TensorBoardWatch:
                 "graph/nodes_mean": float(nodes.float().mean()),
                 "population/unsolved": float((fitness <= 0).float().mean()),
                 "speed/transitions_per_second": generation.transitions / max(event.seconds, 1e-9),
-            },
-            self.step,
+            }
         )
         if generation.number % self._histogram_every == 0:
             for name, values in zip(STRATEGY, population.strategy.T, strict=True):
                 self._writer.add_histogram(f"strategy/{name}", values, self.step, bins=BINS)
-        self._latest = event
+        self._latest = event.candidate, generation.champion
         self.step += 1
 
     def _evolution_over(self) -> None:
         """Draw the best graph of the evolution that has just ended, unless one was just drawn."""
-        event, self._latest = self._latest, None
+        latest, self._latest = self._latest, None
         soon = time.monotonic() - self._last_picture < self._picture_seconds
-        if event is None or self._actions is None or soon:
+        if latest is None or self._actions is None or soon or self.step < self._first:
             return
-        best = Skill(event.candidate, event.generation.champion.graphs, self._actions)
-        self._picture("graph/best", draw_skill(best))
+        name, champion = latest
+        self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
         self._last_picture = time.monotonic()
 
     def _models(self, event: ModelsFitted) -> None:
@@ -258,23 +276,23 @@ class TensorBoardWatch:
         )
         self._writer.flush()
 
-    @property
-    def _last_step(self) -> int:
-        return max(self.step - 1, 0)
-
-    def _scalars(self, values: Mapping[str, float], step: int | None = None) -> None:
+    def _scalars(self, values: Mapping[str, float]) -> None:
         """Write scalars as one record, which is far cheaper than one for each."""
         from tensorboard.compat.proto.summary_pb2 import Summary
 
         entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
-        at = self._last_step if step is None else step
-        self._writer.file_writer.add_summary(Summary(value=entries), at)
+        self._write(Summary(value=entries))
 
     def _picture(self, tag: str, figure: "Figure") -> None:
         from tensorboard.compat.proto.summary_pb2 import Summary
 
         entry = Summary.Value(tag=tag, image=Summary.Image(**_encoded(figure)))
-        self._writer.file_writer.add_summary(Summary(value=[entry]), self._last_step)
+        self._write(Summary(value=[entry]))
+
+    def _write(self, summary: "Summary") -> None:
+        """Write unless an earlier file holds it."""
+        if self.step >= self._first:
+            self._writer.file_writer.add_summary(summary, self.step)
 
 
 def _encoded(figure: "Figure") -> dict[str, Any]:

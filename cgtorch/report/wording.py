@@ -1,7 +1,9 @@
 """What events are called on the screen: one line each, without colour."""
 
 from cgtorch.improvement.events import (
+    EvolutionRecalled,
     FreshTested,
+    JournalDamaged,
     ModelsFitted,
     SkillAccepted,
     StageStarted,
@@ -18,6 +20,14 @@ def stage_started(event: StageStarted) -> str:
         f"{event.stage}: stage {number} of {count}, "
         f"{event.size_w} scenarios to keep (W), {event.size_m} to solve"
     )
+
+
+def journal_read(event: EvolutionRecalled | JournalDamaged) -> str:
+    """The line for what a journal knew from before an interruption, or could not be read."""
+    if isinstance(event, EvolutionRecalled):
+        return f"{event.candidate}: {event.generations} generations are known from before"
+    files = ", ".join(event.files)
+    return f"{event.stage}: damaged, so what it held is done again: {files}"
 
 
 def models_fitted(event: ModelsFitted) -> str:

@@ -19,7 +19,14 @@ from cgtorch.experiments.perception import NETWORKS
 from cgtorch.experiments.run import create_run, last_skill, lone_skill, open_run, whole_folder
 from cgtorch.experiments.train import NotImprovedError, load_progress, train
 from cgtorch.graphs import save_skill, skill_to_dict
-from cgtorch.improvement.events import Event, ModelsFitted, SkillAccepted, StageStarted, WorldTested
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    WorldTested,
+)
 from cgtorch.improvement.trial import try_skill
 
 
@@ -242,7 +249,9 @@ class Interrupted(Exception):  # noqa: N818
     """What stops a run in a test."""
 
 
-def test_a_stage_that_is_interrupted_leaves_nothing(trained: Trained, tmp_path: Path) -> None:
+def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
+    trained: Trained, tmp_path: Path
+) -> None:
     folder = copied(trained, tmp_path / "run", ("S0",))
     before = listing(folder)
 
@@ -252,7 +261,15 @@ def test_a_stage_that_is_interrupted_leaves_nothing(trained: Trained, tmp_path: 
 
     with pytest.raises(Interrupted):
         train(open_run(folder), "S1", stop, quietly)
-    assert listing(folder) == before
+    left = listing(folder) - before
+    assert all(name.startswith("journal") for name in left)
+    assert "journal/S1/00000.safetensors" in left
+    told: list[Event] = []
+    train(open_run(folder), "S1", told.append, quietly)
+    assert isinstance(next(e for e in told if not isinstance(e, StageStarted)), EvolutionRecalled)
+    assert not (folder / "journal").exists()
+    for name in ("data.safetensors", "scenarios.json", "skill.json"):
+        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
 
 
 def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: Path) -> None:

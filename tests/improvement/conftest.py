@@ -10,7 +10,7 @@ from cgtorch.data import collect
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.improvement.knowledge import Knowledge, fit_models
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.standing import Budget
 from cgtorch.world import Scenarios, TabletopWorld, stage_scenarios
 
 

@@ -22,7 +22,7 @@ from cgtorch.improvement.gate import train_branches
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.specialists import Budget
+from cgtorch.improvement.standing import Budget
 from cgtorch.improvement.team import Task, Team, compose_team
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import (

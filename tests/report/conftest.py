@@ -20,7 +20,8 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.knowledge import Knowledge
-from cgtorch.improvement.specialists import Budget, evolve_candidate
+from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.standing import Budget
 from cgtorch.improvement.trial import try_skill
 from cgtorch.models import fit_success_classifier, fit_transition_model, success_quality
 from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios

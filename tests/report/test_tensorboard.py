@@ -12,7 +12,15 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from cgtorch.actions import paper_actions
 from cgtorch.errors import RunError
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.improvement.events import Event, GenerationDone, ModelsFitted, SkillAccepted
+from cgtorch.improvement.events import (
+    AboutToKeep,
+    Event,
+    EvolutionRecalled,
+    GenerationDone,
+    ModelsFitted,
+    SkillAccepted,
+    WorldTested,
+)
 from cgtorch.models import Verdict
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
@@ -108,10 +116,10 @@ def test_models_and_world(written: EventAccumulator, events: list[Event]) -> Non
     for tag, value in wanted.items():
         (scalar,) = written.Scalars(tag)
         assert (scalar.step, scalar.value) == (0, pytest.approx(value, rel=1e-5)), tag
-    assert [s.step for s in written.Scalars("world/solved_W")] == [44, 46, 46]
-    assert [s.step for s in written.Scalars("world/kept")] == [44, 46]
+    assert [s.step for s in written.Scalars("world/solved_W")] == [45, 47, 47]
+    assert [s.step for s in written.Scalars("world/kept")] == [45, 47]
     (fresh,) = written.Scalars("world/fresh_rate")
-    assert (fresh.step, fresh.value) == (46, 0.75)
+    assert (fresh.step, fresh.value) == (47, 0.75)
     accepted = events[-1]
     assert isinstance(accepted, SkillAccepted)
     (targets,) = written.Scalars("stage/targets")
@@ -163,8 +171,8 @@ def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Even
 
 
 def test_pictures_are_png_of_the_size_they_claim(written: EventAccumulator) -> None:
-    assert [p.step for p in written.Images("graph/best")] == [44, 46, 46]
-    assert [p.step for p in written.Images("table/successes")] == [46]
+    assert [p.step for p in written.Images("graph/best")] == [45, 47, 47]
+    assert [p.step for p in written.Images("table/successes")] == [47]
     assert [p.step for p in written.Images("classifier/reliability")] == [0]
     for tag in ("graph/best", "table/successes", "classifier/reliability"):
         for picture in written.Images(tag):
@@ -190,23 +198,53 @@ def test_hyper_parameters_are_in_the_same_file(written: EventAccumulator) -> Non
 
 
 def test_a_run_goes_on_where_it_ended(events: list[Event], tmp_path: Path) -> None:
+    """What a finished stage ends with stays; what an unfinished one left behind is hidden."""
     generations = [e for e in events if isinstance(e, GenerationDone)]
     first = TensorBoardWatch(tmp_path, SETTINGS)
-    for event in [*generations[:10], events[-1]]:
+    for event in [events[0], *generations[:10], events[-1]]:
         first(event)
     first.close()
-    interrupted = TensorBoardWatch(tmp_path, SETTINGS, first_step=10)
-    for event in generations[10:20]:
+    interrupted = TensorBoardWatch(tmp_path, SETTINGS, first_step=11)
+    for event in [events[0], *generations[10:20], events[-1]]:
         interrupted(event)
     interrupted.close()
     time.sleep(1.1)  # TensorBoard orders files by the second
-    again = TensorBoardWatch(tmp_path, SETTINGS, first_step=10)
-    for event in generations[10:15]:
+    again = TensorBoardWatch(tmp_path, SETTINGS, first_step=11)
+    for event in [events[0], *generations[10:15]]:
         again(event)
     again.close()
     found = read(tmp_path)
-    assert [s.step for s in found.Scalars("fitness/best")] == list(range(15))
-    assert [p.step for p in found.Images("table/successes")] == [9]
+    assert [s.step for s in found.Scalars("fitness/best")] == [*range(10), *range(11, 16)]
+    assert [p.step for p in found.Images("table/successes")] == [10]
+
+
+def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Path) -> None:
+    """Ten generations are told, then recalled as eight: two of them are evaluated again."""
+    generations = [e for e in events if isinstance(e, GenerationDone)]
+    world = next(e for e in events if isinstance(e, WorldTested))
+    whole = TensorBoardWatch(tmp_path / "whole", SETTINGS)
+    killed = TensorBoardWatch(tmp_path / "killed", SETTINGS)
+    for event in [events[0], world, *generations[:10]]:
+        whole(event)
+        killed(event)
+    killed(AboutToKeep())  # and no close: it was killed
+    time.sleep(1.1)
+    again = TensorBoardWatch(tmp_path / "killed", SETTINGS, first_step=8, recalled=8)
+    champion = generations[7].generation.champion
+    again(events[0])
+    again(world)
+    again(EvolutionRecalled("S1", generations[0].candidate, 8, 1, 1.0, champion))
+    for event in [*generations[8:15], events[-1]]:
+        again(event)
+    for event in [*generations[10:15], events[-1]]:
+        whole(event)
+    again.close()
+    whole.close()
+    one, two = read(tmp_path / "whole"), read(tmp_path / "killed")
+    for tag in ("fitness/best", "solved/M", "world/solved_W", "stage/targets"):
+        pairs = ([(s.step, s.value) for s in each.Scalars(tag)] for each in (one, two))
+        assert len({tuple(p) for p in pairs}) == 1, tag
+    assert [p.step for p in two.Images("table/successes")] == [15]
 
 
 def test_without_actions_only_accepted_skills_are_drawn(
@@ -215,20 +253,20 @@ def test_without_actions_only_accepted_skills_are_drawn(
     with TensorBoardWatch(tmp_path, {}, picture_seconds=0) as watch:
         for event in events:
             watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [46]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [47]
 
 
 def test_pictures_of_evolutions_keep_their_distance(events: list[Event], tmp_path: Path) -> None:
     with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
         for event in events:
             watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [44, 46]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [45, 47]
 
 
 def test_an_evolution_that_is_broken_off_is_drawn_too(events: list[Event], tmp_path: Path) -> None:
     with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
         watch(next(e for e in events if isinstance(e, GenerationDone)))
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [0]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [1]
 
 
 def test_logging_costs_little(events: list[Event], tmp_path: Path) -> None:

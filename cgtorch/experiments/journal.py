@@ -1,0 +1,216 @@
+"""The journal of a stage as files, from which it goes on after whatever has stopped it.
+
+RUN/journal/STAGE/00007.safetensors     what the stage's seventh long step came to
+RUN/journal/STAGE/00008-3.safetensors   where the eighth stood when it was kept for the third time
+
+Every file appears whole and carries a checksum. Of where a step stands the last two are kept. What
+is damaged is named and counts as never done, with all that came after it; so nothing is lost but
+time. The folder goes when the stage is finished.
+"""
+
+import hashlib
+import re
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import safetensors.torch
+from safetensors import SafetensorError
+from torch import Tensor
+
+import cgtorch
+from cgtorch.errors import RunError
+from cgtorch.files import read_bytes, write_bytes
+from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
+from cgtorch.models.storage import notes_of
+
+FOLDER = "journal"
+MAX_BYTES = 2**30
+SECONDS = 20.0  # between two notes of where a step stands
+_STEP, _STANDING = re.compile(r"(\d{5})\.safetensors"), re.compile(r"(\d{5})-(\d+)\.safetensors")
+
+
+class FileJournal:
+    """A `Journal` in a folder; as a context manager it keeps at the end where a step stands.
+
+    Attributes:
+        damaged: files that could not be read, and are not counted.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        before_writing: Callable[[], None] = lambda: None,
+        seconds: float = SECONDS,
+    ):
+        """Read what there is.
+
+        Args:
+            folder: of the stage's journal; made as soon as there is something to keep.
+            before_writing: called before what was done is kept.
+            seconds: least time between two notes of where a step stands.
+
+        Raises:
+            RunError: the folder cannot be read.
+        """
+        self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
+        self.damaged: list[Path] = []
+        self._steps: list[tuple[str, dict[str, Tensor]]] = []
+        self._standing: tuple[str, dict[str, Tensor]] | None = None
+        self._notes, self._written_at = 0, time.monotonic()
+        self._unwritten: tuple[str, dict[str, Tensor]] | None = None
+        self._read()
+        self._next = 0
+
+    @property
+    def generations(self) -> int:
+        """Generations that will be recalled."""
+        known = [tensors for _, tensors in self._steps]
+        known += [] if self._standing is None else [self._standing[1]]
+        return sum(int(t["generations"]) for t in known if _counts(t))
+
+    def recall(self, step: str) -> dict[str, Tensor] | None:
+        """See `Journal.recall`."""
+        if self._next == len(self._steps):
+            return None
+        name, tensors = self._steps[self._next]
+        self._check(step, name)
+        self._next += 1
+        return tensors
+
+    def record(self, step: str, result: dict[str, Tensor]) -> None:
+        """See `Journal.record`."""
+        self._standing = self._unwritten = None
+        self._write(f"{len(self._steps):05}.safetensors", step, result)
+        self._steps.append((step, {}))  # only its place is needed any more
+        self._next = len(self._steps)
+        stale = self._files(_STEP)[len(self._steps) :] + self._files(_STANDING)
+        for path in stale:
+            path.unlink(missing_ok=True)
+
+    def recall_standing(self, step: str) -> dict[str, Tensor] | None:
+        """See `Journal.recall_standing`."""
+        if self._standing is None:
+            return None
+        name, tensors = self._standing
+        self._check(step, name)
+        return tensors
+
+    def record_standing(self, step: str, standing: dict[str, Tensor]) -> None:
+        """See `Journal.record_standing`."""
+        self._unwritten = step, standing
+        if time.monotonic() - self._written_at >= self._seconds:
+            self._write_standing()
+
+    def __enter__(self) -> Self:
+        """The journal itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Where the stage ends early, keep where it stands; where it is finished, forget it."""
+        if kind is None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            with suppress(OSError):
+                self._folder.parent.rmdir()  # of all stages, if this was the only one
+        elif self._unwritten is not None and not issubclass(kind, RunError):
+            self._write_standing()
+
+    def _check(self, step: str, name: str) -> None:
+        if step != name:
+            raise RunError(
+                f"the journal {str(self._folder)!r} goes on with {name[:60]!r}, not {step!r}; "
+                "remove it, and the stage is made again"
+            )
+
+    def _write_standing(self) -> None:
+        assert self._unwritten is not None  # noqa: S101  callers have looked
+        step, standing = self._unwritten
+        self._notes += 1
+        self._write(f"{len(self._steps):05}-{self._notes}.safetensors", step, standing)
+        self._unwritten, self._written_at = None, time.monotonic()
+        for path in self._files(_STANDING)[:-2]:
+            path.unlink(missing_ok=True)
+
+    def _write(self, name: str, step: str, tensors: dict[str, Tensor]) -> None:
+        self._before_writing()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as e:
+            raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
+        plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
+        about = {"step": step, "version": cgtorch.__version__}
+        about["sha256"] = _checksum(plain, about)
+        write_bytes(self._folder / name, safetensors.torch.save(plain, metadata=about))
+
+    def _files(self, pattern: re.Pattern[str]) -> list[Path]:
+        """Files of that kind in their order."""
+        try:
+            found = [(pattern.fullmatch(p.name), p) for p in self._folder.iterdir()]
+        except OSError:
+            return []
+        numbered = [(tuple(map(int, m.groups())), p) for m, p in found if m is not None]
+        return [p for _, p in sorted(numbered)]
+
+    def _read(self) -> None:
+        """Take what is whole, up to what is not."""
+        for i, path in enumerate(self._files(_STEP)):
+            known = self._whole(path) if path.name == f"{i:05}.safetensors" else None
+            if known is None:
+                break
+            self._steps.append(known)
+        for path in self._files(_STANDING):
+            self._notes = max(self._notes, int(path.stem.split("-")[1]))
+            if path.name.startswith(f"{len(self._steps):05}-"):
+                self._standing = self._whole(path) or self._standing
+
+    def _whole(self, path: Path) -> tuple[str, dict[str, Tensor]] | None:
+        """The step that a file is about and its tensors; None if it is damaged, which is noted."""
+        try:
+            about, tensors = _load(path)
+            if about.pop("sha256", None) == _checksum(tensors, about):
+                return (about["step"], tensors) if about["version"] == cgtorch.__version__ else None
+        except (RunError, SafetensorError, KeyError, ValueError):
+            pass
+        self.damaged.append(path)
+        return None
+
+
+def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) -> FileJournal:
+    """The journal of a stage or round of the run in `folder`; damaged parts of it are told."""
+    journal = FileJournal(folder / FOLDER / name, lambda: watch(AboutToKeep()), seconds)
+    if journal.damaged:
+        watch(JournalDamaged(name, tuple(str(path) for path in journal.damaged)))
+    return journal
+
+
+def recalled_generations(folder: Path) -> int:
+    """Generations that the run in `folder` will recall when it is gone on with."""
+    journals = (path for path in (folder / FOLDER).glob("*") if path.is_dir())
+    begun = [path for path in journals if not (folder / path.name / "skill.json").is_file()]
+    return sum(FileJournal(path).generations for path in begun)
+
+
+def _load(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """A file's notes and its tensors."""
+    data = read_bytes(path, MAX_BYTES)
+    tensors: dict[str, Tensor] = safetensors.torch.load(data)
+    return notes_of(data), tensors
+
+
+def _checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
+    """Of names, types, shapes and bytes, and of what the tensors are about."""
+    digest = hashlib.sha256(repr(sorted(about.items())).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _counts(tensors: dict[str, Tensor]) -> bool:
+    return "generations" in tensors and tensors["generations"].numel() == 1

@@ -1,0 +1,146 @@
+"""A stage that is interrupted anywhere and goes on ends as if it had not been."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from support import seeded
+
+from cgtorch.errors import RunError
+from cgtorch.experiments.journal import FileJournal
+from cgtorch.graphs import skill_to_dict
+from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone
+from cgtorch.improvement.grow import grow
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.world import random_scenarios, stage_scenarios
+
+METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow}
+
+
+def stage(
+    method: str, setup: Setup, progress: Progress, watch: Callable[[Event], None]
+) -> Progress:
+    return METHODS[method](
+        setup,
+        progress,
+        "S0",
+        stage_scenarios("near"),
+        torch.ones(5, dtype=torch.bool),
+        lambda generator: random_scenarios("near", 5, generator),
+        seeded(0),
+        watch,
+    )
+
+
+def same(one: Progress, two: Progress) -> bool:
+    """Whether two stages ended alike, to the last bit."""
+    skills = [None if p.skill is None else skill_to_dict(p.skill) for p in (one, two)]
+    w, m = (
+        all(map(torch.equal, vars(getattr(one, name)).values(), vars(getattr(two, name)).values()))
+        for name in ("solved", "missed")
+    )
+    models = one.knowledge.gamma.state_dict(), two.knowledge.gamma.state_dict()
+    return (
+        skills[0] == skills[1]
+        and w
+        and m
+        and all(torch.equal(models[0][name], models[1][name]) for name in models[0])
+    )
+
+
+def history(events: list[Event]) -> list[tuple[str, int, float]]:
+    return [
+        (e.candidate, e.generation.number, float(e.generation.fitness.mean()))
+        for e in events
+        if isinstance(e, GenerationDone)
+    ]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_interrupted_stage_ends_as_if_it_had_not_been(
+    method: str, setup: Setup, nothing_yet: Progress, tmp_path: Path
+) -> None:
+    """It is interrupted again and again, after a few more events each time."""
+    told: list[Event] = []
+    wanted = stage(method, setup, nothing_yet, told.append)
+    assert wanted.skill is not None
+    found, interruptions, seen = None, 0, dict[tuple[str, int], float]()
+    left = 0
+
+    def watch(event: Event) -> None:
+        nonlocal left
+        if isinstance(event, GenerationDone):
+            name, number, mean = history([event])[0]
+            assert seen.setdefault((name, number), mean) == mean
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+
+    while found is None:
+        left = 3 + 2 * (interruptions % 3)
+        try:
+            with FileJournal(tmp_path / "S0", seconds=0) as journal:
+                found = stage(method, replace(setup, journal=journal), nothing_yet, watch)
+        except KeyboardInterrupt:
+            interruptions += 1
+    assert interruptions >= 2
+    assert same(found, wanted)
+    assert [(*key, mean) for key, mean in seen.items()] == history(told)
+    assert not (tmp_path / "S0").exists()
+
+
+def test_what_is_recalled_is_not_computed(
+    setup: Setup, nothing_yet: Progress, tmp_path: Path
+) -> None:
+    """Interrupted at the very end, a stage neither evolves nor tries anything again."""
+    told: list[Event] = []
+    with suppress(KeyboardInterrupt), FileJournal(tmp_path / "S0") as journal:
+        wanted = stage("compose", replace(setup, journal=journal), nothing_yet, told.append)
+        raise KeyboardInterrupt
+
+    again: list[Event] = []
+    with FileJournal(tmp_path / "S0") as journal:
+        assert journal.generations == len(history(told))
+        # First percepts are looked at, nothing is done.
+        found = stage("compose", replace(setup, journal=journal), nothing_yet, again.append)
+    assert same(found, wanted)
+    assert not history(again)
+    recalled = [e for e in again if isinstance(e, EvolutionRecalled)]
+    assert sum(e.generations for e in recalled) == len(history(told))
+    others = [type(e) for e in again if not isinstance(e, EvolutionRecalled)]
+    assert others == [type(e) for e in told if not isinstance(e, GenerationDone)]
+
+
+def test_a_journal_of_another_stage_is_refused(
+    setup: Setup, nothing_yet: Progress, tmp_path: Path
+) -> None:
+    journal = FileJournal(tmp_path)
+    journal.record("trial of somebody", {"succeeded": torch.ones(5)})
+    with pytest.raises(RunError, match="goes on with 'trial of somebody'"):
+        stage("compose", replace(setup, journal=FileJournal(tmp_path)), nothing_yet, print)
+
+
+@pytest.mark.parametrize("name", ["solved", "counts", "generator", "champion.edges", "generations"])
+def test_a_journal_that_makes_no_sense_is_one_error(
+    name: str, setup: Setup, nothing_yet: Progress, tmp_path: Path
+) -> None:
+    """Whole files with nonsense in them: somebody wrote them on purpose."""
+    with suppress(KeyboardInterrupt), FileJournal(tmp_path) as journal:
+        stage("compose", replace(setup, journal=journal), nothing_yet, lambda e: None)
+        raise KeyboardInterrupt
+    known = FileJournal(tmp_path).recall("evolution S0.1")
+    assert known is not None
+    for bad in (torch.tensor(7.5), torch.full((2, 3), 99), None):
+        odd = {k: v for k, v in known.items() if k != name}
+        if bad is not None:
+            odd[name] = bad
+        other = tmp_path / "other"
+        writer = FileJournal(other)
+        writer.record("evolution S0.1", odd)
+        with pytest.raises(RunError, match="damaged"):
+            stage("compose", replace(setup, journal=FileJournal(other)), nothing_yet, print)
+        (other / "00000.safetensors").unlink()
