@@ -19,6 +19,7 @@ Examples:
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage auto --scenarios general --run-dir runs/general
   cgtorch-train --stage S1 --actions my_package.actions:Wait
+  torchrun --nproc-per-node 4 -m cgtorch.commands.train --stage S3
 """
 
 
@@ -59,6 +60,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     """
     # Torch takes a second to import, so that help and usage errors come without it.
     from cgtorch.commands.training import begin, carry_on
+    from cgtorch.ranks import together
 
     of_goal = {f.name for f in fields(Goal)}
     every = options["checkpoint_seconds"]
@@ -79,16 +81,23 @@ def command(context: click.Context, /, **options: Any) -> None:
             raise SettingsError(
                 f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
             )
-        carry_on(options["resume"], options["actions"], stage, goal, device, quiet, every)
+        with together():
+            carry_on(options["resume"], options["actions"], stage, goal, device, quiet, every)
         return
     values = {k: v for k, v in options.items() if k not in names}
     settings = RunSettings(**{**values, "actions": tuple(values["actions"])})
     folder = options["run_dir"] or Path("runs") / f"seed-{settings.seed}"
     if (folder / "run.json").is_file() and (options["urdf"] or options["robot"]):
         raise RunError(f"run {str(folder)!r} has its robot already; choose another --run-dir")
-    begin(folder, settings, options["urdf"], options["robot"], stage, goal, device, quiet, every)
+    robot = options["urdf"], options["robot"]
+    with together():
+        begin(folder, settings, *robot, stage, goal, device, quiet, every)
 
 
 def main() -> None:
     """Entry point of `cgtorch-train`."""
     run_command(command)
+
+
+if __name__ == "__main__":
+    main()

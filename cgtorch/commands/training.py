@@ -1,11 +1,14 @@
 """What `cgtorch-train` does once its options are understood."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from cgtorch import ranks
 from cgtorch.errors import SettingsError
 from cgtorch.experiments.auto import reached, train_until
 from cgtorch.experiments.goal import AUTO, Goal
@@ -14,7 +17,7 @@ from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import check_stages, stages_up_to
 from cgtorch.experiments.train import finished_generations, train
-from cgtorch.improvement.events import Event
+from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
 
 
@@ -44,11 +47,11 @@ def begin(
     """
     _check(stage, settings)
     where = device_of(device)
-    if (folder / "run.json").is_file():
-        run = open_run(folder, settings.actions)
-        _same(run, settings)
-    else:
-        run = create_run(folder, settings, urdf, robot)
+    if not (folder / "run.json").is_file() and ranks.first():
+        create_run(folder, settings, urdf, robot)
+    ranks.wait()
+    run = open_run(folder, settings.actions)
+    _same(run, settings)
     _train(run, stage, goal, where, quiet, checkpoint_seconds)
 
 
@@ -80,7 +83,8 @@ def device_of(name: str) -> torch.device:
         SettingsError: it does not exist.
     """
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        gpu = f"cuda:{os.environ.get('LOCAL_RANK', 0)}"  # each rank of a machine has its own
+        return torch.device(gpu if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).item()  # which the meta device refuses
@@ -108,35 +112,44 @@ def _train(
     checkpoint_seconds: float,
 ) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
-    with ProgressDisplay(quiet=quiet) as display:
+    with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
         missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
         settings = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
-        recalled = recalled_generations(run.folder)
-        board = TensorBoardWatch(
-            run.folder,
-            settings,
-            finished_generations(run) + len(run.stages) + recalled,
-            recalled=recalled,
-            actions=run.actions,
-            footprint=run.robot.description.footprint,
-        )
+        with _board(run, settings) as board:
 
-        def watch(event: Event) -> None:
-            board(event)
-            display(event)
+            def watch(event: Event) -> None:
+                board(event)
+                display(event)
 
-        try:
+            common = watch, display.working, device, checkpoint_seconds
             if stage == AUTO:
-                results = train_until(run, goal, watch, display.working, device, checkpoint_seconds)
+                results = train_until(run, goal, *common)
             else:
-                results = train(run, stage, watch, display.working, device, checkpoint_seconds)
-        finally:
-            board.close()
+                results = train(run, stage, *common)
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
-    display.console.print(final_table(results))
+    if ranks.first():
+        display.console.print(final_table(results))
+
+
+@contextmanager
+def _board(run: Run, settings: dict[str, Any]) -> Iterator[Watch]:
+    """What writes the run's TensorBoard files: the first rank does."""
+    if not ranks.first():
+        yield lambda event: None
+        return
+    recalled = recalled_generations(run.folder)
+    with TensorBoardWatch(
+        run.folder,
+        settings,
+        finished_generations(run) + len(run.stages) + recalled,
+        recalled=recalled,
+        actions=run.actions,
+        footprint=run.robot.description.footprint,
+    ) as board:
+        yield board
 
 
 def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, start_lanes
 from cgtorch.graphs import Graphs
@@ -56,16 +57,20 @@ def evaluate(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
+
+    Individuals are shared out among all ranks (`cgtorch.ranks`), each of which gets all results.
     """
-    size = max(1, most_lanes // max(1, len(keep)))
+    p, size = len(graphs), max(1, most_lanes // max(1, len(keep)))
+    mine = graphs[ranks.share(p)]
     parts = [
-        _evaluate_at_once(graphs[i : i + size], actions, environment, keep, max_transitions)
-        for i in range(0, max(1, len(graphs)), size)
+        _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions)
+        for i in range(0, max(1, len(mine)), size)
     ]
-    scores, succeeded, transitions = (list(column) for column in zip(*parts, strict=True))
-    together = torch.cat(scores)
+    scores, succeeded, transitions = (
+        ranks.gathered(torch.cat(column), p) for column in zip(*parts, strict=True)
+    )
     # The mean of all at once: that of some rows may round otherwise.
-    return Evaluation(together.mean(1), together, torch.cat(succeeded), sum(transitions))
+    return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()))
 
 
 def _evaluate_at_once(
@@ -74,14 +79,14 @@ def _evaluate_at_once(
     environment: Environment,
     keep: Tensor,
     max_transitions: int,
-) -> tuple[Tensor, Tensor, int]:
-    """Scores, successes and transitions as in an `Evaluation`, of individuals in one batch."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Scores (P, B), successes (P, B) and actions executed (P,) of individuals in one batch."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)
-    transitions = 0
+    transitions = torch.zeros(p, dtype=torch.long, device=device)
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
             continue
@@ -92,14 +97,14 @@ def _evaluate_at_once(
             scenarios=part,
             max_transitions=max_transitions,
         )
-        transitions += int(runs.transitions.sum())
+        transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
         score[alive[:, None], part] = last_success(runs, environment, part)
         alive = alive[succeeded[alive][:, keep].all(1)]
     lost = torch.ones(p, dtype=torch.bool, device=device)
     lost[alive] = False
     score[lost] = 0
-    return score.to(home), succeeded.to(home), transitions
+    return score.to(home), succeeded.to(home), transitions.to(home)
 
 
 def last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:

@@ -13,11 +13,11 @@ from typing import Any
 import torch
 from torch import Generator
 
+from cgtorch import ranks
 from cgtorch.experiments.evaluate import Score
 from cgtorch.experiments.goal import Goal, holds, worth_deciding
 from cgtorch.experiments.journal import SECONDS, journal_of
-from cgtorch.experiments.ledger import enter
-from cgtorch.experiments.run import Run, whole_folder
+from cgtorch.experiments.run import Run
 from cgtorch.experiments.stages import round_name, stage_generator
 from cgtorch.experiments.storage import load_result
 from cgtorch.experiments.train import (
@@ -27,10 +27,10 @@ from cgtorch.experiments.train import (
     beginning,
     counts,
     evidence,
+    keep_stage,
     load_progress,
     make_setup,
     not_improved,
-    save_progress,
 )
 from cgtorch.files import write_json
 from cgtorch.graphs import Skill
@@ -85,7 +85,7 @@ def train_until(
     while (
         not reached(goal, results[first:])
         and made < goal.rounds
-        and time.monotonic() - began < 60 * goal.minutes
+        and ranks.agreed(time.monotonic() - began < 60 * goal.minutes)
     ):
         made += 1
         decisions = len(_decisions(results[first:]))
@@ -94,7 +94,8 @@ def train_until(
         )
         results.append(result)
     summary = {"stages": results, "reached": reached(goal, results[first:])}
-    write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.settings.to_dict()})
+    if ranks.first():
+        write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.settings.to_dict()})
     return results
 
 
@@ -149,13 +150,12 @@ def _round(
         if skill is not None:
             with working(f"testing {name} on fresh placements"):
                 progress, tests = _tested(run, goal, name, decisions, progress, generator, watch)
+            entry = None
             if tally.accepted is not None:
                 with working(f"trying {name} under other noise"):
-                    enter(run.folder, evidence(run, tally.accepted, parent, progress))
+                    entry = evidence(run, tally.accepted, parent, progress)
             result = _result(name, placement, skill, tally, tests, earlier, len(missed), seconds)
-            with whole_folder(run.folder / name) as folder:
-                save_progress(folder, progress, run.settings.seed)
-                write_json(folder / "result.json", result)
+            keep_stage(run, name, progress, result, entry)
     if skill is None:
         raise not_improved(run, name)
     return progress, result

@@ -23,6 +23,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 import cgtorch
+from cgtorch import ranks
 from cgtorch.errors import RunError
 from cgtorch.files import read_bytes, write_bytes
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
@@ -89,7 +90,7 @@ class FileJournal:
         self._steps.append((step, {}))  # only its place is needed any more
         self._next = len(self._steps)
         stale = self._files(_STEP)[len(self._steps) :] + self._files(_STANDING)
-        for path in stale:
+        for path in stale if ranks.first() else ():
             path.unlink(missing_ok=True)
 
     def recall_standing(self, step: str) -> dict[str, Tensor] | None:
@@ -114,11 +115,11 @@ class FileJournal:
         self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Where the stage ends early, keep where it stands; where it is finished, forget it."""
-        if kind is None:
+        if kind is None and ranks.first():
             shutil.rmtree(self._folder, ignore_errors=True)
             with suppress(OSError):
                 self._folder.parent.rmdir()  # of all stages, if this was the only one
-        elif self._unwritten is not None and not issubclass(kind, RunError):
+        elif kind is not None and self._unwritten is not None and not issubclass(kind, RunError):
             self._write_standing()
 
     def _check(self, step: str, name: str) -> None:
@@ -134,10 +135,12 @@ class FileJournal:
         self._notes += 1
         self._write(f"{len(self._steps):05}-{self._notes}.safetensors", step, standing)
         self._unwritten, self._written_at = None, time.monotonic()
-        for path in self._files(_STANDING)[:-2]:
+        for path in self._files(_STANDING)[:-2] if ranks.first() else ():
             path.unlink(missing_ok=True)
 
     def _write(self, name: str, step: str, tensors: dict[str, Tensor]) -> None:
+        if not ranks.first():
+            return
         self._before_writing()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -184,6 +187,7 @@ class FileJournal:
 def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) -> FileJournal:
     """The journal of a stage or round of the run in `folder`; damaged parts of it are told."""
     journal = FileJournal(folder / FOLDER / name, lambda: watch(AboutToKeep()), seconds)
+    ranks.wait()  # all have read before anyone writes
     if journal.damaged:
         watch(JournalDamaged(name, tuple(str(path) for path in journal.damaged)))
     return journal

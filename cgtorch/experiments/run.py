@@ -21,8 +21,10 @@ from functools import partial
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 import cgtorch
+from cgtorch import ranks
 from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.perception import NETWORKS, networks_of, percept_of, usual_percept
@@ -80,10 +82,16 @@ def tabletop_of(
 
     def world_of(scenarios: Scenarios) -> TabletopWorld:
         footprint = robot.description.footprint
-        grasps = partial(graspable, robot)
+        grasps = partial(_graspable, robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=percept)
 
     return world_of
+
+
+def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """`graspable`, its rows shared out among all ranks."""
+    mine, rows = ranks.share(len(position)), len(position)
+    return ranks.gathered(graspable(robot, position[mine], table[mine]), rows)
 
 
 def create_run(

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
+from cgtorch import ranks
 from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, tournament
@@ -134,8 +135,10 @@ def train(
             progress = _stage(
                 run, name, names, progress, watch, working, device, checkpoint_seconds
             )
+    ranks.wait()
     results = [load_result(run.folder / name / "result.json") for name in names]
-    write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
+    if ranks.first():
+        write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
     return results
 
 
@@ -162,8 +165,9 @@ def beginning(run: Run, watch: Watch, working: Working) -> Progress:
     watch(ModelsFitted("start", knowledge, seconds, quality, judged))
     nothing = stage_scenarios("near", 0)
     progress = Progress(None, nothing, nothing, knowledge)
-    with whole_folder(start) as folder:
-        save_progress(folder, progress, settings.seed)
+    if ranks.first():
+        with whole_folder(start) as folder:
+            save_progress(folder, progress, settings.seed)
     return progress
 
 
@@ -205,13 +209,24 @@ def _stage(
             with working(f"testing {name} on fresh placements"):
                 result = _result(run, name, tally.accepted, earlier, tally)
             with working(f"trying {name} under other noise"):
-                enter(run.folder, evidence(run, tally.accepted, parent, progress))
-            with whole_folder(run.folder / name) as folder:
-                save_progress(folder, progress, run.settings.seed)
-                write_json(folder / "result.json", result)
+                entry = evidence(run, tally.accepted, parent, progress)
+            keep_stage(run, name, progress, result, entry)
     if tally.accepted is None:
         raise not_improved(run, name)
     return progress
+
+
+def keep_stage(
+    run: Run, name: str, progress: Progress, result: dict[str, Any], entry: Entry | None
+) -> None:
+    """Write what a stage or round has come to, the first rank only."""
+    if not ranks.first():
+        return
+    if entry is not None:
+        enter(run.folder, entry)
+    with whole_folder(run.folder / name) as folder:
+        save_progress(folder, progress, run.settings.seed)
+        write_json(folder / "result.json", result)
 
 
 def evidence(run: Run, accepted: SkillAccepted, parent: Skill | None, after: Progress) -> Entry:
