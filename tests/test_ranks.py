@@ -44,7 +44,7 @@ def torchrun(count: int, *words: str) -> str:
         check=False,
     )
     assert ended.returncode == 0, ended.stderr[-3000:]
-    return ended.stdout
+    return ended.stdout + ended.stderr
 
 
 def test_alone_everything_is_ones_own() -> None:

@@ -15,6 +15,7 @@ from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
 from cgtorch.improvement.gate import train_branches
 from cgtorch.improvement.knowledge import Knowledge, imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.world import Scenarios, concatenate_scenarios
@@ -155,6 +156,7 @@ def recruit(
         device=setup.device,
         journal=setup.journal,
     )
+    champion = shrunk(champion, setup.actions, environment, setup.max_transitions)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, task.scenarios)
     promised = solved.view(len(group), -1).all(1)

@@ -1,0 +1,66 @@
+"""Making a large graph smaller, so that one can read it."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment
+from cgtorch.evolution import Population, evaluate
+from cgtorch.graphs import NO_NODE, Graphs, pruned
+
+READABLE = 10  # nodes that a picture shows at a glance
+SLACK = 1e-3  # of the fitness that a smaller graph may cost
+
+
+def shrunk(
+    champion: Population, actions: ActionSet, environment: Environment, max_transitions: int
+) -> Population:
+    """The individual with nodes taken away until it is readable, as long as it does as well.
+
+    Every way to lead all edges into one node to another instead is tried in the models at once;
+    of those that solve all that was solved, the one that leaves the fewest nodes is taken.
+
+    Args:
+        champion: a population of one.
+        actions: what its nodes can be.
+        environment: the models, on the scenarios that it is for.
+        max_transitions: see `cgtorch.simulation.rollout`.
+    """
+    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool)
+
+    def tried(graphs: Graphs) -> tuple[Tensor, Tensor]:
+        result = evaluate(graphs, actions, environment, nothing, max_transitions)
+        return result.fitness, result.succeeded
+
+    fitness, solved = tried(champion.graphs)
+    while int(champion.graphs.num_nodes) > READABLE:
+        smaller = _without_each(champion.graphs)
+        fitnesses, succeeded = tried(smaller)
+        well = (fitnesses >= fitness - SLACK) & (succeeded | ~solved).all(1)
+        if not well.any():
+            break
+        nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)
+        best = nodes == nodes.amin()
+        index = int(fitnesses.masked_fill(~best, -1.0).argmax())
+        champion = replace(champion, graphs=smaller[index : index + 1])
+    return champion
+
+
+def _without_each(graphs: Graphs) -> Graphs:
+    """One graph with n nodes as n (n - 1): without node i, what led to it leading to node j."""
+    used = graphs.used[0].nonzero()[:, 0]
+    gone, to = (x.flatten() for x in torch.meshgrid(used, used, indexing="ij"))
+    gone, to = gone[gone != to], to[gone != to]
+    many = graphs[torch.zeros_like(gone)]
+    slot = torch.arange(graphs.capacity) == gone[:, None]
+    edges = torch.where(many.edges == gone[:, None, None], to[:, None, None], many.edges)
+    return pruned(
+        Graphs(
+            many.action.masked_fill(slot, NO_NODE),
+            edges.masked_fill(slot[..., None], NO_NODE),
+            many.parameters.masked_fill(slot[..., None], 0.0),
+            torch.where(many.start == gone, to, many.start),
+        )
+    )

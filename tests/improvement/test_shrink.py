@@ -1,0 +1,52 @@
+"""Graphs are made smaller only where that costs nothing in the models."""
+
+import torch
+from support import model, random_graphs
+
+from cgtorch.actions import paper_actions
+from cgtorch.evolution import Population, evaluate, initial_strategy
+from cgtorch.graphs import valid
+from cgtorch.improvement.shrink import READABLE, SLACK, _without_each, shrunk
+
+ACTIONS = paper_actions()
+
+
+def large(seed: int) -> Population:
+    """A random graph of more nodes than one can read."""
+    graphs = random_graphs(seed, 60, ACTIONS, capacity=24, nodes=(20, 24))
+    rows = (graphs.num_nodes > READABLE + 2).nonzero()[:1, 0]
+    return Population(graphs[rows], initial_strategy(1))
+
+
+def test_what_is_large_becomes_smaller_and_does_as_well() -> None:
+    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
+    sizes = []
+    for seed in range(6):
+        before = large(seed)
+        after = shrunk(before, ACTIONS, environment, 20)
+        old, new = (evaluate(p.graphs, ACTIONS, environment, keep) for p in (before, after))
+        sizes.append(int(after.graphs.num_nodes))
+        assert valid(after.graphs, ACTIONS).all()
+        assert (new.succeeded | ~old.succeeded).all()
+        assert float(new.fitness) >= float(old.fitness) - SLACK
+        assert torch.equal(after.strategy, before.strategy)
+    assert min(sizes) <= READABLE  # most of what a random graph has is never visited
+    assert sum(size <= READABLE for size in sizes) >= 3
+
+
+def test_what_is_readable_stays() -> None:
+    graphs = random_graphs(0, 1, ACTIONS, nodes=(3, READABLE))
+    before = Population(graphs, initial_strategy(1))
+    assert shrunk(before, ACTIONS, model(0, 2), 20) is before
+
+
+def test_every_node_goes_once_for_every_other() -> None:
+    graphs = large(1).graphs
+    n = int(graphs.num_nodes)
+    smaller = _without_each(graphs)
+    assert len(smaller) == n * (n - 1)
+    assert valid(smaller, ACTIONS).all()
+    assert (smaller.num_nodes < n).all()
+    was = graphs.used[0]
+    missing = (was & ~smaller.used).sum(0)[was]
+    assert (missing >= n - 1).all()
