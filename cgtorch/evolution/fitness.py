@@ -22,12 +22,15 @@ class Evaluation:
             0 where W is lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
         transitions: actions executed in all.
+        not_finite: individuals whose parameters, last percepts or C(p_t) were not all finite;
+            nothing of what they did counts.
     """
 
     fitness: Tensor
     scores: Tensor
     succeeded: Tensor
     transitions: int
+    not_finite: int = 0
 
 
 MOST_LANES = 2**16
@@ -66,11 +69,13 @@ def evaluate(
         _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions)
         for i in range(0, max(1, len(mine)), size)
     ]
-    scores, succeeded, transitions = (
+    scores, succeeded, transitions, finite = (
         ranks.gathered(torch.cat(column), p) for column in zip(*parts, strict=True)
     )
+    scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
     # The mean of all at once: that of some rows may round otherwise.
-    return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()))
+    fitness = scores.mean(1)
+    return Evaluation(fitness, scores, succeeded, int(transitions.sum()), int((~finite).sum()))
 
 
 def _evaluate_at_once(
@@ -79,13 +84,14 @@ def _evaluate_at_once(
     environment: Environment,
     keep: Tensor,
     max_transitions: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Scores (P, B), successes (P, B) and actions executed (P,) of individuals in one batch."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)
+    finite = graphs.parameters.isfinite().flatten(1).all(1)
     transitions = torch.zeros(p, dtype=torch.long, device=device)
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
@@ -99,20 +105,30 @@ def _evaluate_at_once(
         )
         transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
-        score[alive[:, None], part] = last_success(runs, environment, part)
+        probability, real = last_success(runs, environment, part)
+        score[alive[:, None], part] = probability
+        finite[alive] &= real.all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
     lost = torch.ones(p, dtype=torch.bool, device=device)
     lost[alive] = False
     score[lost] = 0
-    return score.to(home), succeeded.to(home), transitions.to(home)
+    return score.to(home), succeeded.to(home), transitions.to(home), finite.to(home)
 
 
-def last_success(runs: Rollouts, environment: Environment, scenarios: Tensor) -> Tensor:
-    """(P, B) C(p_t) where each lane ended, half of it where the lane did not succeed."""
+def last_success(
+    runs: Rollouts, environment: Environment, scenarios: Tensor
+) -> tuple[Tensor, Tensor]:
+    """C(p_t) where each lane ended, and whether that is a number.
+
+    Returns:
+        (P, B) C(p_t), half of it where the lane did not succeed, 0 where it is not finite, and
+        (P, B) bool whether it and the percept are finite.
+    """
     p, b = runs.succeeded.shape
     lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)
     lanes = replace(lanes, percept=runs.percept.flatten(0, 1), state=runs.state.flatten(0, 1))
     probability = environment.success(lanes).view(p, b)
-    # A percept that is not finite is worth nothing, and no other lane is the worse for it.
-    probability = torch.nan_to_num(probability).clamp(0, 1)
-    return torch.where(runs.succeeded, probability, probability / 2)
+    finite = probability.isfinite() & runs.percept.isfinite().all(-1)
+    # What is not finite is worth nothing, and no other lane is the worse for it.
+    probability = torch.where(finite, probability, 0.0).clamp(0, 1)
+    return torch.where(runs.succeeded, probability, probability / 2), finite

@@ -26,6 +26,7 @@ class Generation:
         best: index of the best, of equal ones the smallest.
         succeeded: (B,) bool, what the best solves in the models.
         transitions: actions executed by all.
+        not_finite: individuals that count for nothing, as something about them was not finite.
     """
 
     number: int
@@ -34,6 +35,7 @@ class Generation:
     best: int
     succeeded: Tensor
     transitions: int
+    not_finite: int = 0
 
     @property
     def state(self) -> EvolutionState:
@@ -85,5 +87,6 @@ def evolve(
             best=best,
             succeeded=result.succeeded[best],
             transitions=result.transitions,
+            not_finite=result.not_finite,
         )
         state = tell(state, result.fitness, settings, actions, generator, result.scores)

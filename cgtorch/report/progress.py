@@ -164,6 +164,8 @@ def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
     solved = f"  M {event.solved_m}/{event.size_m}"
     if event.size_w:
         solved = f"  W {event.solved_w}/{event.size_w}{solved}"
+    if generation.not_finite:
+        solved += f"  not finite {generation.not_finite}"
     return Text(
         f"  fitness best {best:.3f} mean {mean:.3f}{solved}{speed}",
         no_wrap=True,

@@ -11,6 +11,7 @@ fitness/best, fitness/mean          scalar      of a generation, in the models
 solved/W, solved/M                  scalar      scenarios of the evolution that its best solves
 graph/nodes_best, graph/nodes_mean  scalar      nodes of the best individual, and of all
 population/unsolved                 scalar      share of individuals with fitness 0
+population/not_finite               scalar      individuals with a number that is not finite
 speed/transitions_per_second        scalar      actions executed by all, per second
 strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
 gamma/error_<coordinate>            scalar      cross-validated mean absolute error of Γ (m)
@@ -190,6 +191,7 @@ class TensorBoardWatch:
                 "graph/nodes_best": int(nodes[generation.best]),
                 "graph/nodes_mean": float(nodes.float().mean()),
                 "population/unsolved": float((fitness <= 0).float().mean()),
+                "population/not_finite": generation.not_finite,
                 "speed/transitions_per_second": generation.transitions / max(event.seconds, 1e-9),
             }
         )

@@ -212,3 +212,30 @@ def test_evolve_yields_generations_that_improve() -> None:
         equal = g.fitness == g.fitness[g.best]
         sizes = g.population.graphs.num_nodes
         assert sizes[g.best] == sizes[equal].min()
+
+
+def test_what_is_not_finite_costs_its_individual_and_no_other() -> None:
+    graphs = random_population(40, ACTIONS, 12, (2, 10), seeded(1)).graphs
+    environment, keep = model(0, 4), torch.zeros(4, dtype=torch.bool)
+    clean = evaluate(graphs, ACTIONS, environment, keep)
+    ends = rollout(graphs, ACTIONS, environment).percept
+    limit = float(ends[..., 4].flatten().quantile(0.75))
+    whole = environment.classifier
+
+    def broken(percept: torch.Tensor) -> torch.Tensor:
+        return torch.where(percept[:, 4] > limit, float("nan"), whole(percept))
+
+    environment.classifier = broken
+    graphs.parameters[7, int(graphs.start[7]), 0] = float("inf")
+    found = evaluate(graphs, ACTIONS, environment, keep)
+    again = rollout(graphs, ACTIONS, environment).percept
+    bad = ((again[..., 4] > limit) | ~again.isfinite().all(-1)).any(1)
+    bad[7] = True
+    assert 2 < bad.sum() < 38
+    assert found.not_finite == int(bad.sum())
+    assert clean.not_finite == 0
+    assert (found.fitness[bad] == 0).all()
+    assert not found.succeeded[bad].any()
+    untouched = ~bad & (again == ends).flatten(1).all(1)
+    assert untouched.sum() > 3
+    assert torch.equal(found.fitness[untouched], clean.fitness[untouched])
