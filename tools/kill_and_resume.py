@@ -45,7 +45,8 @@ def command(folder: Path, kills: int, stage: str, seed: int) -> None:
         run = folder / f"killed-{runs}"
         shutil.rmtree(run, ignore_errors=True)
         hits = 0
-        while not train(run, stage, seed, draw.uniform(0, usual / 2)):
+        # What comes before the first stage is not kept half-way, so patience grows.
+        while not train(run, stage, seed, draw.uniform(0, usual * (0.5 + hits / 10))):
             hits += 1
         if (found := told(run)) != wanted:
             odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
