@@ -1,0 +1,102 @@
+"""How much faster several ranks evaluate a population than one, each with one thread.
+
+    python tools/measure_ranks.py [--ranks 1 --ranks 2] [--population 4000] [--repeats 7]
+
+The same generation of random graphs is evaluated on 20 placements in the models of runs/reference,
+in turns with as many ranks as asked for; all must come to the same fitness, to the last bit.
+"""
+
+import hashlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import torch
+
+from cgtorch import ranks
+from cgtorch.evolution import EvolutionSettings, evaluate
+from cgtorch.evolution.population import random_population
+from cgtorch.experiments.run import open_run
+from cgtorch.experiments.storage import load_knowledge
+from cgtorch.improvement.knowledge import imagine
+from cgtorch.improvement.trial import first_percepts
+from cgtorch.world import random_scenarios
+
+REFERENCE = Path(__file__).resolve().parent.parent / "runs" / "reference"
+SCENARIOS = 20
+
+
+@click.command()
+@click.option("--ranks", "counts", multiple=True, default=(1, 2), help="Ranks; may be repeated.")
+@click.option("--population", default=4000, show_default=True, help="Individuals.")
+@click.option("--repeats", default=7, show_default=True, help="Times that each is measured.")
+@click.option("--as-rank", is_flag=True, hidden=True)
+def command(counts: Sequence[int], population: int, repeats: int, as_rank: bool) -> None:
+    """How much faster several ranks evaluate a population than one."""
+    if as_rank:
+        evaluate_as_rank(population, repeats)
+        return
+    found = {count: torchrun(count, population, repeats) for count in counts}
+    if len({result["fitness"] for result in found.values()}) > 1:
+        raise click.ClickException("ranks came to different fitness")
+    one = found[counts[0]]
+    for count, result in found.items():
+        speed = result["transitions"] / statistics.median(result["seconds"])
+        ratio = statistics.median(one["seconds"]) / statistics.median(result["seconds"])
+        low, high = min(result["seconds"]), max(result["seconds"])
+        click.echo(
+            f"{count} ranks: {speed / 1e6:.2f} M transitions/s, {ratio:.2f} x as many as "
+            f"{counts[0]}; {low:.2f} to {high:.2f} s for {population} x {SCENARIOS}"
+        )
+
+
+def torchrun(count: int, population: int, repeats: int) -> dict[str, Any]:
+    """What so many ranks measured."""
+    program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    options = ["--as-rank", "--population", str(population), "--repeats", str(repeats)]
+    ended = subprocess.run(
+        [*program, f"--nproc-per-node={count}", str(Path(__file__)), *options],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if ended.returncode:
+        raise click.ClickException(f"{count} ranks: {ended.stderr[-500:]}")
+    result: dict[str, Any] = json.loads(ended.stdout)
+    return result
+
+
+def evaluate_as_rank(population: int, repeats: int) -> None:
+    """Evaluate the population with the other ranks; the first one prints what it took."""
+    torch.set_num_threads(1)
+    generator, run = torch.Generator().manual_seed(0), open_run(REFERENCE)
+    world = run.world_of(random_scenarios("perimeter", SCENARIOS, generator))
+    knowledge = load_knowledge(REFERENCE / "S3")
+    environment = imagine(knowledge, first_percepts(world), world.footprint, 1, generator)
+    settings = EvolutionSettings(population)
+    sizes = settings.capacity, settings.initial_nodes
+    graphs = random_population(population, run.actions, *sizes, generator).graphs
+    keep = torch.zeros(SCENARIOS, dtype=torch.bool)
+    with ranks.together():
+        seconds = []
+        for _ in range(repeats + 1):
+            ranks.wait()
+            began = time.perf_counter()
+            result = evaluate(graphs, run.actions, environment, keep)
+            seconds.append(time.perf_counter() - began)
+        if ranks.first():
+            digest = hashlib.sha256(result.scores.numpy().tobytes()).hexdigest()
+            told = {"seconds": seconds[1:], "transitions": result.transitions, "fitness": digest}
+            click.echo(json.dumps(told))
+
+
+if __name__ == "__main__":
+    command()
