@@ -8,7 +8,7 @@ mean, so that an offset of the features costs no digits.
 Rows are columns in here, because a product of few outputs and many rows is faster that way round.
 
 A row has the same values, bit for bit, in whatever batch it comes and on however many threads:
-the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 4,
+the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 48,
 centres to multiples of 16 and outputs to 2, with weight 0, and sums over features are products
 (docs/decisions.md).
 """
@@ -25,7 +25,7 @@ from torch.nn.functional import pad
 from cgtorch.models.threads import one_thread_each, side_by_side
 
 LOG2E = math.log2(math.e)
-_ROWS, _CENTRES, _OUTPUTS = 4, 16, 2
+_ROWS, _CENTRES, _OUTPUTS = 48, 16, 2
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
 _MOST_BYTES = 256 * 1024**2  # of a chunk, however many centres a stranger's model has

@@ -130,9 +130,9 @@ def test_an_error_in_a_thread_reaches_the_caller():
 def test_chunks_are_whole_and_bounded():
     for centres in (1, 16, 304, 1008, 5008, 10**6, 10**8):
         rows = chunk_rows(centres, 4)
-        assert rows % 4 == 0
-        assert 4 <= rows <= 1024
-        assert rows == 4 or rows * centres * 4 <= 2**28
+        assert rows % 48 == 0
+        assert 48 <= rows <= 1024
+        assert rows == 48 or rows * centres * 4 <= 2**28
 
 
 def test_gradients_are_those_of_the_definition():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
-from cgtorch.world.geometry import TURN_STEP
+from cgtorch.world.sweep import TURN_STEP
 from cgtorch.world.tabletop import MAX_TRANSLATION
 
 Mask = NDArray[np.bool_]

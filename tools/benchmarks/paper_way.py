@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
 from cgtorch.actions import ActionSet
 from cgtorch.graphs import NO_NODE, Graphs
-from cgtorch.world.geometry import TURN_STEP
+from cgtorch.world.sweep import TURN_STEP
 from cgtorch.world.tabletop import MAX_TRANSLATION
 
 Row: TypeAlias = list[float]
