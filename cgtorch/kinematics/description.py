@@ -28,6 +28,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cgtorch.errors import RobotError
+from cgtorch.kinematics.urdf import MOST
 
 Capsule = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""
@@ -163,8 +164,8 @@ class _Reader:
             number = float(value)
         except OverflowError:
             number = math.inf
-        if not math.isfinite(number):
-            raise self.fail(what, value, "a finite number")
+        if not abs(number) <= MOST:
+            raise self.fail(what, value, f"a finite number, of {MOST:.0e} at most")
         return number
 
     def numbers(self, what: str, value: Any, count: int) -> tuple[float, ...]:
