@@ -106,9 +106,7 @@ def fuzzed(name: str, seed: int, first: int, end: int, keep: Path) -> Tally:
     return tally
 
 
-def _work(
-    name: str, seed: int, first: int, end: int, work: Path, tally: Tally, keep: Path
-) -> int:
+def _work(name: str, seed: int, first: int, end: int, work: Path, tally: Tally, keep: Path) -> int:
     """Have one worker read inputs until all are done or it is lost; the next input's number."""
     paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     words = [name, str(seed), str(first), str(end), str(work)]

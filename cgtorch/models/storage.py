@@ -96,9 +96,11 @@ def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
     data = read_bytes(path, MAX_BYTES, ModelError)
     try:
         state = tensors_of(data)
-    except ValueError as error:
+        header = _header(path, notes_of(data).get("cgtorch"))
+    except (ValueError, TypeError, KeyError) as error:
+        if isinstance(error, ModelError):
+            raise
         raise ModelError(f"model file {path} is damaged: {error}") from error
-    header = _header(path, notes_of(data).get("cgtorch"))
     model = _KINDS[header["kind"]]()
     _machine(model).set_params(**header["settings"])
     _check(path, model, state)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
-from hostile.small_robot import URDF, WORDS
 from torch import Generator
 
 from cgtorch.actions import ActionSet
@@ -41,6 +39,8 @@ from cgtorch.improvement.standing import Found, standing_from, standing_tensors
 from cgtorch.kinematics import Robot, load_robot
 from cgtorch.models import compact_transition_model, load_model_and_report, save_model
 from cgtorch.world import draw_of
+from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
+from hostile.small_robot import URDF, WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE, PR2 = ROOT / "runs" / "reference", ROOT / "robots" / "pr2"

@@ -20,7 +20,19 @@ from cgtorch.experiments.journal import checksum
 
 LENGTH = 8  # bytes of a safetensors file that say how long its header is
 NUMBERS = (0, -1, 1, 2, 0.5, -0.0, 1e-300, 1e300, 1e39, 2**31, 2**53 + 1, 2**63, -(2**63), 10**400)
-TEXTS = ("", "x", "S0", "..", "../../x", "\ud800", "\0", "line\nline", "\x1b[2J", "\u2028", "é" * 50)
+TEXTS = (
+    "",
+    "x",
+    "S0",
+    "..",
+    "../../x",
+    "\ud800",
+    "\0",
+    "line\nline",
+    "\x1b[2J",
+    "\u2028",
+    "é" * 50,
+)
 VALUES = (*NUMBERS, *TEXTS, None, True, False, [], {}, [[]], [None], {"": 0}, "x" * 100_000)
 RAW = (b"NaN", b"Infinity", b"-Infinity", b"1e999", b"9" * 4000, b"9" * 5000, b"-", b'"\xff"', b"")
 NESTED = (3, 20, 200, 400, 900, 3000, 100_000)
@@ -48,7 +60,9 @@ def damaged_bytes(raw: bytes, draw: random.Random) -> bytes:
             case 0 if found:
                 found[min(at, len(found) - 1)] ^= 1 << draw.randrange(8)
             case 1:
-                found[at:at] = draw.choice([b"0", b"9" * 30, b"-", b'"', b"[", b"{}", draw.randbytes(4)])
+                found[at:at] = draw.choice(
+                    [b"0", b"9" * 30, b"-", b'"', b"[", b"{}", draw.randbytes(4)]
+                )
             case 2:
                 del found[at : at + size]
             case 3:
@@ -101,7 +115,11 @@ def _changed_value(data: Any, draw: random.Random, raws: list[bytes]) -> Any:
         case 5 if isinstance(holder, dict):
             holder[draw.choice(["x", "", key.upper(), key * 2000, "\ud800"])] = holder.pop(key)
         case 6 if holder is not root:  # the value of another key
-            other = draw.choice(list(holder)) if isinstance(holder, dict) else draw.randrange(len(holder))
+            other = (
+                draw.choice(list(holder))
+                if isinstance(holder, dict)
+                else draw.randrange(len(holder))
+            )
             holder[key] = holder[other]
         case 7:
             holder[key] = draw.choice([[value], {"x": value}, [value] * 50])
@@ -166,7 +184,9 @@ def _changed_tensor(tensor: Tensor, draw: random.Random) -> Tensor:
             draw.shuffle(shape)
             return found.reshape(shape)
         case 2:
-            return draw.choice([found[None], found.flatten(), found[..., None], found.new_zeros(())])
+            return draw.choice(
+                [found[None], found.flatten(), found[..., None], found.new_zeros(())]
+            )
         case 3 if found.ndim:
             return found[draw.choice([slice(0), slice(1), slice(1, None), slice(-1)])]
         case 4 if found.ndim:
@@ -236,7 +256,9 @@ def _change_element(root: Any, draw: random.Random) -> None:
             end.set("link", draw.choice(names or ["x"]))
         case 7:
             joint = draw.choice(list(root.iter("joint")) or [root])
-            joint.set("type", draw.choice(["fixed", "floating", "planar", "prismatic", "continuous"]))
+            joint.set(
+                "type", draw.choice(["fixed", "floating", "planar", "prismatic", "continuous"])
+            )
         case 8:
             joints = [j.get("name", "") for j in root.findall("joint")] or [""]
             joint = draw.choice(root.findall("joint") or [root])
@@ -259,7 +281,9 @@ def _change_attribute(element: Any, draw: random.Random) -> None:
     elif draw.random() < 0.2:
         del element.attrib[name]
     else:
-        element.set(name, draw.choice(["", "x", text + " ", text[::-1], "é\n", "x" * 50_000, "../x"]))
+        element.set(
+            name, draw.choice(["", "x", text + " ", text[::-1], "é\n", "x" * 50_000, "../x"])
+        )
 
 
 def damaged(kind: Mutation, raw: bytes, draw: random.Random) -> bytes:

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from hostile.formats import FORMATS, prepare
-from hostile.mutations import CANARY, damaged
 
 from cgtorch.errors import CgtorchError
+from hostile.formats import FORMATS, prepare
+from hostile.mutations import CANARY, damaged
 
 MEMORY = 512 * 2**20  # bytes that reading a file may take, whatever it says
 LONGEST = 1000  # characters of a message
@@ -35,7 +35,7 @@ def said(call: Any, crimes: list[str]) -> tuple[str, str]:
         call()
     except CgtorchError as e:
         return wrong(str(e)) or ("refused", str(e)[:80])
-    except BaseException as e:  # noqa: BLE001  whatever it is, it is what is looked for
+    except BaseException as e:  # whatever it is, it is what is looked for
         return "failed", f"{type(e).__name__}: {e}"[:300]
     finally:
         if crimes:
