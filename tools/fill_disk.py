@@ -1,7 +1,7 @@
 """Let a training run out of disk space at random moments, and go on with it once there is some.
 
     mount -t tmpfs -o size=64m tmpfs /mnt/small
-    python tools/fill_disk.py /mnt/small [--times 20] [--stage S0] [--seed 0]
+    python tools/fill_disk.py /mnt/small [--times 20] [--stage S0] [--seed 0] [--options "..."]
 
 A small run is made elsewhere without a disturbance. Then, again and again, it is made on the small
 file system, where all but a random part of what it needs is taken. It must end with exit code 2 and
@@ -11,6 +11,7 @@ that `kill_and_resume.told` compares.
 
 import os
 import random
+import shlex
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from kill_and_resume import SMALL, told, train
+from kill_and_resume import SMALL, told
 
 SMALLEST, LARGEST = 16 * 2**20, 2**30  # bytes of a file system that is filled
 
@@ -30,7 +31,8 @@ SMALLEST, LARGEST = 16 * 2**20, 2**30  # bytes of a file system that is filled
 @click.option("--times", default=20, show_default=True, help="How often to run out of space.")
 @click.option("--stage", default="S0", show_default=True, help="Stage to train up to.")
 @click.option("--seed", default=0, show_default=True, help="Of the runs and of the spaces.")
-def command(folder: Path, times: int, stage: str, seed: int) -> None:
+@click.option("--options", default=" ".join(SMALL), help="Of the runs.  [a small one]")
+def command(folder: Path, times: int, stage: str, seed: int, options: str) -> None:
     """Let a training run out of disk space at random moments, and go on with it."""
     if not SMALLEST <= (size := capacity(folder)) <= LARGEST:
         raise click.ClickException(
@@ -38,23 +40,23 @@ def command(folder: Path, times: int, stage: str, seed: int) -> None:
             f"{SMALLEST / 2**20:.0f} to {LARGEST / 2**20:.0f} MiB that may be filled"
         )
     draw, run = random.Random(seed), folder / "run"  # noqa: S311  of spaces, not of secrets
+    words = ["--stage", stage, "--seed", str(seed), *shlex.split(options)]
     with tempfile.TemporaryDirectory() as elsewhere:
-        train(Path(elsewhere) / "alone", stage, seed)
-        wanted = told(Path(elsewhere) / "alone")
-        needed = used(Path(elsewhere) / "alone")
+        complete(alone := Path(elsewhere) / "alone", words)
+        wanted, needed = told(alone), used(alone)
     done = 0
     while done < times:
         shutil.rmtree(run, ignore_errors=True)
         space = draw.randrange(needed)
         with ballast(folder, space):
-            code, lines = trained(run, stage, seed)
+            code, lines = trained(run, words)
         if code == 0:  # it had space enough
             continue
         if code != 2 or len(lines) != 1:
             raise click.ClickException(f"with {space} bytes: exit code {code}, {lines[-8:]}")
         if left := [str(p) for p in run.rglob(".*.tmp")]:
             raise click.ClickException(f"with {space} bytes it leaves {left[0]}")
-        train(run, stage, seed)
+        complete(run, words)
         if (found := told(run)) != wanted:
             odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
             raise click.ClickException(f"with {space} bytes {run} differs in {', '.join(odd)}")
@@ -85,12 +87,19 @@ def ballast(folder: Path, space: int) -> Iterator[None]:
         path.unlink(missing_ok=True)
 
 
-def trained(run: Path, stage: str, seed: int) -> tuple[int, list[str]]:
+def trained(run: Path, words: list[str]) -> tuple[int, list[str]]:
     """A training's exit code, and the lines that it wrote to stderr."""
-    program = [str(Path(sys.executable).with_name("cgtorch-train")), "--stage", stage]
-    about = ["--seed", str(seed), "--run-dir", str(run)]
-    done = subprocess.run([*program, *about, *SMALL], capture_output=True, text=True, timeout=1800)
+    program = str(Path(sys.executable).with_name("cgtorch-train"))
+    command = [program, "--run-dir", str(run), *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1800)
     return done.returncode, done.stderr.strip().splitlines()
+
+
+def complete(run: Path, words: list[str]) -> None:
+    """Begin a training or go on with it, and have it end well."""
+    code, lines = trained(run, words)
+    if code:
+        raise click.ClickException(f"training {run} ended with exit code {code}: {lines[-8:]}")
 
 
 if __name__ == "__main__":

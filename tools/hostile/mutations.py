@@ -37,7 +37,7 @@ VALUES = (*NUMBERS, *TEXTS, None, True, False, [], {}, [[]], [None], {"": 0}, "x
 RAW = (b"NaN", b"Infinity", b"-Infinity", b"1e999", b"9" * 4000, b"9" * 5000, b"-", b'"\xff"', b"")
 NESTED = (3, 20, 200, 400, 900, 3000, 100_000)
 XML_NUMBERS = (
-    "0", "-1", "1e-12", "1e9", "-1e16", "1e300", "-1e308", "nan", "inf", "1_0", "", " ", "0x10", "é",
+    "0", "-1", "1e-12", "1e9", "-1e16", "1e300", "-1e308", "nan", "inf", "1_0", "", " ", "0x1", "é",
 )  # fmt: skip
 CANARY = "canary-that-must-not-be-read"
 DTYPES = (
