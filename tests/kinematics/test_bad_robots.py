@@ -212,3 +212,11 @@ def test_limits_without_end_are_read_at_once(tmp_path):
 def test_huge_numbers_in_a_description(tmp_path):
     for words in (changed(footprint=[-1e300, 1, -1, 1]), changed(torso_position=1e300)):
         assert "of 1e+06 at most" in fails(load_robot, robot(tmp_path, words=words))
+
+
+def test_a_description_that_is_too_long_or_names_a_key_twice_among_many(tmp_path):
+    path = tmp_path / "robot.json"
+    path.write_text("x" * 1_000_001)
+    assert "longer than 1000000 bytes" in fails(load_description, path)
+    path.write_text(json.dumps({str(i): 0 for i in range(70_000)})[:-1] + ', "69999": 1}')
+    assert "key '69999' is given twice" in fails(load_description, path)

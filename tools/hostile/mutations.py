@@ -168,7 +168,8 @@ def _changed_notes(notes: dict[str, str], draw: random.Random) -> dict[str, str]
     name = draw.choice(list(notes))
     text = notes[name]
     if text.startswith("{") and draw.random() < 0.9:  # JSON within JSON
-        text = damaged_json(text.encode(), draw).decode(errors="replace")
+        with suppress(ValueError, RecursionError):  # it is damaged already
+            text = damaged_json(text.encode(), draw).decode(errors="replace")
     else:
         text = draw.choice(["", "x", text + "x", "0.0.0", "line\nline", "x" * 10_000])
     return {**notes, name: text}
