@@ -142,7 +142,7 @@ def damaged_tensors(raw: bytes, draw: random.Random) -> bytes:
         says = len(header) if draw.random() < 0.9 else draw.choice([0, 2**63, 2**32, length])
         return says.to_bytes(LENGTH, "little") + header + raw[LENGTH + length :]
     notes = _notes(raw)
-    tensors = dict(safetensors.torch.load(raw))
+    tensors = dict(sorted(safetensors.torch.load(raw).items()))
     for _ in range(draw.choice([1, 1, 2])):
         name = draw.choice(list(tensors))
         if draw.random() < 0.1:
@@ -156,7 +156,17 @@ def damaged_tensors(raw: bytes, draw: random.Random) -> bytes:
         about = {k: v for k, v in notes.items() if k != "sha256"}
         notes["sha256"] = checksum(tensors, about)
     plain = {k: t.clone().contiguous() for k, t in tensors.items()}
-    return safetensors.torch.save(plain, metadata=notes or None)
+    return ordered(safetensors.torch.save(plain, metadata=notes or None))
+
+
+def ordered(raw: bytes) -> bytes:
+    """The same safetensors file with its notes in order, which differs from time to time."""
+    length = int.from_bytes(raw[:LENGTH], "little")
+    header = json.loads(raw[LENGTH : LENGTH + length])
+    if "__metadata__" in header:
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(dict(sorted(header.items()))).encode()
+    return len(text).to_bytes(LENGTH, "little") + text + raw[LENGTH + length :]
 
 
 def _notes(raw: bytes) -> dict[str, str]:
@@ -289,4 +299,5 @@ def _change_attribute(element: Any, draw: random.Random) -> None:
 
 def damaged(kind: Mutation, raw: bytes, draw: random.Random) -> bytes:
     """A file with changes of its kind, or, one time in five, of its bytes."""
+    raw = ordered(raw) if kind is damaged_tensors else raw
     return damaged_bytes(raw, draw) if draw.random() < 0.2 else kind(raw, draw)
