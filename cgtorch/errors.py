@@ -1,11 +1,21 @@
 """The error tree: every error the library raises on bad input derives from `CgtorchError`.
 
-Each message is one line that names what was wrong, its value, and what to do about it.
+Each message is one line that names what was wrong, its value, and what to do about it. Values come
+from files that may be hostile, so a message is printable and of bounded length whatever they are.
 """
+
+BEGINNING, END = 450, 150  # characters that stay of a long message: what is wrong, and what to do
 
 
 class CgtorchError(Exception):
     """Root of every error that cgtorch raises on purpose."""
+
+    def __str__(self) -> str:
+        """The message on one line, its middle left out where it is long."""
+        text = super().__str__()
+        if len(text) > BEGINNING + END:
+            text = f"{text[:BEGINNING]} … {text[-END:]}"
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class SettingsError(CgtorchError, ValueError):

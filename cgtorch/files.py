@@ -4,6 +4,7 @@ import json
 import math
 import os
 import secrets
+from collections import Counter
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -59,8 +60,10 @@ def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = Run
         if not path.is_file():
             raise error(f"cannot read {str(path)!r}, which is not a file; check the path")
         with path.open("rb") as file:
-            raw = b"" if path.stat().st_size > max_bytes else file.read(max_bytes + 1)
-            whole = file.read(1) == b"" and len(raw) <= max_bytes
+            size = os.fstat(file.fileno()).st_size
+            # What is asked for is allocated at once, so never more than there is.
+            raw = b"" if size > max_bytes else file.read(size + 1)
+            whole = len(raw) == size
     except (OSError, ValueError) as e:
         if isinstance(e, error):
             raise
@@ -102,8 +105,7 @@ def _finite(number: str) -> float:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        keys = [k for k, _ in pairs]
-        twice = next(k for i, k in enumerate(keys) if k in keys[:i])
+        (twice, _), *_ = Counter(k for k, _ in pairs).most_common(1)
         raise ValueError(f"key {twice[:40]!r} comes twice")
     return found
 

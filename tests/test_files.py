@@ -1,4 +1,5 @@
 import json
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -106,3 +107,21 @@ def test_bytes_come_back_unless_they_are_too_many(tmp_path: Path) -> None:
         file.truncate(2**40)  # a hole, of which nothing is read
     with pytest.raises(RunError, match="larger than"):
         read_bytes(path, 2**30)
+
+
+def test_a_key_that_comes_twice_is_found_at_once_among_very_many(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({str(i): 0 for i in range(300_000)})[:-1] + ', "299999": 1}')
+    with pytest.raises(RunError, match="key '299999' comes twice"):
+        read_json(path)
+
+
+def test_reading_takes_no_more_memory_than_there_is_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    write_bytes(path, b"12345")
+    tracemalloc.start()
+    try:
+        read_bytes(path, 2**30)
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()

@@ -1,5 +1,6 @@
 """The actions a population may use, with their tables as tensors."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -106,7 +107,7 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
         raise ActionError(
             f"{len(names)} names for {len(actions)} actions; give one name for each of at least one"
         )
-    if twice := {n for n in names if names.count(n) > 1}:
+    if twice := {n for n, count in Counter(names).items() if count > 1}:
         raise ActionError(f"action name {sorted(twice)[0]!r} is used twice; names must be unique")
     for name, action in zip(names, actions, strict=True):
         if not isinstance(action, Action):

@@ -29,3 +29,25 @@ class Dataset:
         return Dataset(
             *(torch.cat([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self))
         )
+
+    def whole(self, percept_size: int | None = None) -> bool:
+        """Whether the tensors, which may be anything, fit one another and are finite.
+
+        Args:
+            percept_size: D; whatever it is, if not given.
+        """
+        n, d = (*self.percept.shape, 0, 0)[:2]
+        return (
+            self.percept.shape == self.next_percept.shape == (n, d)
+            and d == (d if percept_size is None else percept_size)
+            and self.motion.dim() == 2
+            and len(self.motion) == n
+            and self.grasp_percept.dim() == 2
+            and self.grasp_percept.shape[1] == d
+            and self.graspable.shape == self.grasp_percept.shape[:1]
+            and self.graspable.dtype == torch.bool
+            and all(
+                x.dtype == torch.float32 and bool(x.isfinite().all())
+                for x in (self.percept, self.motion, self.next_percept, self.grasp_percept)
+            )
+        )

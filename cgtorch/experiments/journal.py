@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Self
 
 import safetensors.torch
-from safetensors import SafetensorError
+import torch
 from torch import Tensor
 
 import cgtorch
@@ -27,7 +27,7 @@ from cgtorch import ranks
 from cgtorch.errors import RunError
 from cgtorch.files import read_bytes, write_bytes
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
-from cgtorch.models.storage import notes_of
+from cgtorch.models.storage import notes_of, tensors_of
 
 FOLDER = "journal"
 MAX_BYTES = 2**30
@@ -148,7 +148,7 @@ class FileJournal:
             raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
         plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
         about = {"step": step, "version": cgtorch.__version__}
-        about["sha256"] = _checksum(plain, about)
+        about["sha256"] = checksum(plain, about)
         write_bytes(self._folder / name, safetensors.torch.save(plain, metadata=about))
 
     def _files(self, pattern: re.Pattern[str]) -> list[Path]:
@@ -176,9 +176,9 @@ class FileJournal:
         """The step that a file is about and its tensors; None if it is damaged, which is noted."""
         try:
             about, tensors = _load(path)
-            if about.pop("sha256", None) == _checksum(tensors, about):
+            if about.pop("sha256", None) == checksum(tensors, about):
                 return (about["step"], tensors) if about["version"] == cgtorch.__version__ else None
-        except (RunError, SafetensorError, KeyError, ValueError):
+        except (RunError, KeyError, ValueError):
             pass
         self.damaged.append(path)
         return None
@@ -203,18 +203,20 @@ def recalled_generations(folder: Path) -> int:
 def _load(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     """A file's notes and its tensors."""
     data = read_bytes(path, MAX_BYTES)
-    tensors: dict[str, Tensor] = safetensors.torch.load(data)
+    tensors = tensors_of(data)
     return notes_of(data), tensors
 
 
-def _checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
-    """Of names, types, shapes and bytes, and of what the tensors are about."""
+def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
+    """That of a file: of names, types, shapes and bytes, and of what the tensors are about."""
     digest = hashlib.sha256(repr(sorted(about.items())).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.numpy().tobytes())
+        # As bytes, because numpy lacks some of the types that a file may hold.
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
 
 
 def _counts(tensors: dict[str, Tensor]) -> bool:
-    return "generations" in tensors and tensors["generations"].numel() == 1
+    count = tensors.get("generations")
+    return count is not None and count.numel() == 1 and count.dtype == torch.long

@@ -6,7 +6,6 @@ from typing import Any, TypeVar
 
 import safetensors.torch
 import torch
-from safetensors import SafetensorError
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
@@ -26,6 +25,7 @@ from cgtorch.models import (
     load_model_and_report,
     save_model,
 )
+from cgtorch.models.storage import tensors_of
 from cgtorch.world import Scenarios
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
@@ -47,8 +47,8 @@ def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
     """
     data = read_bytes(path, MAX_BYTES)
     try:
-        found = safetensors.torch.load(data)
-    except (SafetensorError, ValueError) as e:
+        found = tensors_of(data)
+    except ValueError as e:
         raise RunError(f"cannot read {str(path)!r} ({e}); restore the file") from e
     if set(found) != names:
         odd = sorted(names ^ set(found))[0]
@@ -64,21 +64,7 @@ def save_dataset(path: Path, dataset: Dataset, notes: dict[str, str]) -> None:
 def load_dataset(path: Path) -> Dataset:
     """Read a dataset; RunError if its tensors do not fit one another or are not finite."""
     data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
-    n, d = (*data.percept.shape, 0)[:2]
-    whole = (
-        data.percept.shape == data.next_percept.shape == (n, d)
-        and data.motion.dim() == 2
-        and len(data.motion) == n
-        and data.grasp_percept.dim() == 2
-        and data.grasp_percept.shape[1] == d
-        and data.graspable.shape == data.grasp_percept.shape[:1]
-        and data.graspable.dtype == torch.bool
-        and all(
-            x.dtype == torch.float32 and bool(x.isfinite().all())
-            for x in (data.percept, data.motion, data.next_percept, data.grasp_percept)
-        )
-    )
-    if not whole:
+    if not data.whole():
         raise RunError(
             f"the tensors of {str(path)!r} do not fit one another or are not finite; restore the "
             "file"
@@ -117,7 +103,7 @@ def load_knowledge(folder: Path) -> Knowledge:
         gamma_report = TransitionReport(**{**_fields(first_report), "choice": choices})
         choice = Choice(**second_report["choice"])
         report = SuccessReport(**{**_fields(second_report), "choice": choice})
-    except (TypeError, KeyError) as e:
+    except (TypeError, KeyError, RecursionError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
     data = load_dataset(folder / "data.safetensors")
     aside = load_dataset(folder / "aside.safetensors")

@@ -1,5 +1,8 @@
 """Trying a skill in the world once: what a journal knows is not tried again."""
 
+from dataclasses import fields
+
+import torch
 from torch import Tensor
 
 from cgtorch.data import Dataset
@@ -16,24 +19,40 @@ def attempt(setup: Setup, skill: Skill, scenarios: Scenarios) -> Trial:
     Raises:
         RunError: the journal knows something else of it.
     """
-    step = f"trial of {skill.name}"
+    step, world = f"trial of {skill.name}", setup.world_of(scenarios)
     known = setup.journal.recall(step)
     if known is not None:
-        return _read(known, len(scenarios))
-    trial = try_skill(skill, setup.world_of(scenarios))
+        return trial_from(known, len(scenarios), world.percept_size)
+    trial = try_skill(skill, world)
     own = {"succeeded": trial.succeeded, "transitions": trial.transitions}
     setup.journal.record(step, {**own, **vars(trial.experience)})
     return trial
 
 
-def _read(known: dict[str, Tensor], count: int) -> Trial:
-    """A trial of so many scenarios from a journal's tensors, which may be anything."""
+def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
+    """A trial from a journal's tensors, which may be anything.
+
+    Args:
+        tensors: what `attempt` has recorded.
+        scenarios: B, that the trial is about.
+        percept_size: D of its world.
+
+    Raises:
+        RunError: they are no such tensors.
+    """
     try:
-        succeeded, transitions = known["succeeded"], known["transitions"]
-        names = ("percept", "motion", "next_percept", "grasp_percept", "graspable")
-        experience = Dataset(*(known[name] for name in names))
-        if not len(succeeded) == len(transitions) == count:
-            raise ValueError(f"it is of {len(succeeded)} scenarios, not {count}")
-    except (KeyError, TypeError, ValueError) as e:
-        raise RunError(f"the journal's trial of a skill is damaged ({e}); remove it") from e
-    return Trial(succeeded, transitions, experience)
+        trial = Trial(
+            tensors["succeeded"],
+            tensors["transitions"],
+            Dataset(*(tensors[f.name] for f in fields(Dataset))),
+        )
+    except KeyError as e:
+        raise RunError(f"the journal's trial of a skill lacks {e}; remove the journal") from e
+    counts = trial.succeeded.shape == trial.transitions.shape == (scenarios,)
+    kinds = trial.succeeded.dtype == torch.bool and trial.transitions.dtype == torch.long
+    if not (counts and kinds and trial.experience.whole(percept_size)):
+        raise RunError(
+            f"the journal's trial of a skill is not one of {scenarios} scenarios; remove the "
+            "journal"
+        )
+    return trial

@@ -14,6 +14,7 @@ SHOULDER_JOINTS = 3
 and by being built beside it; only the table can stop them."""
 
 _BISECTIONS = 8
+MAX_FLATNESS = 500  # of a box: beyond it would be too many capsules
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
     Raises:
         RobotError: The element is a mesh.
     """
-    shape = collision.geometry
+    shape = _checked(collision, where)
     local: list[tuple[list[float], list[float], float]] = []
     if shape.sphere is not None:
         local.append(([0.0] * 3, [0.0] * 3, float(shape.sphere.radius)))
@@ -195,11 +196,16 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
         radius = float(shape.cylinder.radius)
         along = max(float(shape.cylinder.length) / 2 - radius, 0.0)
         local.append(([0.0, 0.0, -along], [0.0, 0.0, along], radius))
-    elif shape.box is not None:
+    else:
         half = [float(size) / 2 for size in shape.box.size]
         thin, middle, long = sorted(range(3), key=lambda i: half[i])
         bar = half[middle] <= 1.5 * half[thin]
         radius = half[middle] if bar else half[thin]
+        if half[middle] > MAX_FLATNESS * radius:
+            raise RobotError(
+                f"{where} has a box of {shape.box.size.tolist()} m, which is too flat: give it "
+                "sides above 0 and some thickness"
+            )
         room = half[middle] - radius
         count = 1 if bar else math.ceil(room / radius) + 1
         for i in range(count):
@@ -207,8 +213,6 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
             start[long], end[long] = radius - half[long], half[long] - radius
             start[middle] = end[middle] = 0.0 if count == 1 else room * (2 * i / (count - 1) - 1)
             local.append((start, end, radius))
-    else:
-        raise _mesh_error(where)
     pose = _pose(collision)
     return [
         (pose[:3, :3] @ start + pose[:3, 3], pose[:3, :3] @ end + pose[:3, 3], radius)
@@ -232,16 +236,14 @@ def box_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
     Raises:
         RobotError: The element is a mesh.
     """
-    shape = collision.geometry
+    shape = _checked(collision, where)
     if shape.box is not None:
         half = [float(size) / 2 for size in shape.box.size]
     elif shape.sphere is not None:
         half = [float(shape.sphere.radius)] * 3
-    elif shape.cylinder is not None:
+    else:
         radius = float(shape.cylinder.radius)
         half = [radius, radius, float(shape.cylinder.length) / 2]
-    else:
-        raise _mesh_error(where)
     return _pose(collision), torch.tensor(half, dtype=torch.float64)
 
 
@@ -251,8 +253,20 @@ def _pose(collision: Any) -> Tensor:
     return torch.as_tensor(collision.origin, dtype=torch.float64)
 
 
-def _mesh_error(where: str) -> RobotError:
-    return RobotError(
-        f"{where} collides as a mesh, which is not read: give boxes, cylinders or spheres in the "
-        "URDF, or its capsules in the robot description"
-    )
+def _checked(collision: Any, where: str) -> Any:
+    """The geometry of a collision element, if it is a sphere, a cylinder or a box of some size."""
+    shape = collision.geometry
+    if shape.sphere is not None:
+        sizes = [float(shape.sphere.radius)]
+    elif shape.cylinder is not None:
+        sizes = [float(shape.cylinder.radius), float(shape.cylinder.length)]
+    elif shape.box is not None:
+        sizes = [float(size) for size in shape.box.size]
+    else:
+        raise RobotError(
+            f"{where} collides as a mesh, which is not read: give boxes, cylinders or spheres in "
+            "the URDF, or its capsules in the robot description"
+        )
+    if min(sizes) < 0:
+        raise RobotError(f"{where} collides as a shape of size {min(sizes)} m: give it some size")
+    return shape

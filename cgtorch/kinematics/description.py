@@ -21,6 +21,7 @@ It is a small JSON file beside the URDF::
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +29,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cgtorch.errors import RobotError
+from cgtorch.kinematics.urdf import MOST
 
 Capsule = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""
@@ -98,7 +100,8 @@ def load_description(path: Path | str) -> RobotDescription:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise RobotError(
             f"robot description {str(path)!r} cannot be read ({error.strerror}): "
@@ -106,8 +109,8 @@ def load_description(path: Path | str) -> RobotDescription:
         ) from None
     if len(data) > _MAX_BYTES:
         raise RobotError(
-            f"robot description {str(path)!r} is {len(data)} bytes long: "
-            f"give one of at most {_MAX_BYTES}"
+            f"robot description {str(path)!r} is longer than {_MAX_BYTES} bytes: give a smaller "
+            "file"
         )
     try:
         content = json.loads(data, object_pairs_hook=_unique)
@@ -122,8 +125,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Refuse a JSON object that gives a key twice."""
     content = dict(pairs)
     if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"key {next(k for k in keys if keys.count(k) > 1)!r} is given twice")
+        (twice, _), *_ = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {twice!r} is given twice")
     return content
 
 
@@ -163,8 +166,8 @@ class _Reader:
             number = float(value)
         except OverflowError:
             number = math.inf
-        if not math.isfinite(number):
-            raise self.fail(what, value, "a finite number")
+        if not abs(number) <= MOST:
+            raise self.fail(what, value, f"a finite number, of {MOST:.0e} at most")
         return number
 
     def numbers(self, what: str, value: Any, count: int) -> tuple[float, ...]:

@@ -129,6 +129,8 @@ def _branches(limits: list[tuple[float, float]]) -> Tensor:
     """The combinations of signs that some angle within the limits has."""
 
     def kept(lower: float, upper: float, phase: float) -> list[float]:
+        if upper - lower >= math.tau:
+            return [1.0, -1.0]
         steps = max(2, math.ceil((upper - lower) / 0.01))
         values = [math.sin(lower + (upper - lower) * i / steps + phase) for i in range(steps + 1)]
         return [s for s in (1.0, -1.0) if any(s * value > 1e-9 for value in values)]

@@ -2,6 +2,7 @@
 
 import io
 import math
+import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ from lxml import etree
 from cgtorch.errors import RobotError
 
 MAX_BYTES = 8_000_000
+MAX_LINKS = 500
+MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _VECTORS = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"), ("box", "size"))
 _SCALARS = (
@@ -23,6 +26,7 @@ _SCALARS = (
     ("sphere", ("radius",)),
     ("mass", ("value",)),
 )
+_LENGTHS = ("mimic", "cylinder", "sphere")
 
 
 @dataclass(frozen=True)
@@ -164,19 +168,21 @@ def _check_numbers(root: Any, where: str) -> None:
             if text is None:
                 continue
             parts = text.replace(",", " ").split()
-            if len(parts) != 3 or not all(math.isfinite(_number(part)) for part in parts):
+            if len(parts) != 3 or not all(abs(_number(part)) <= MOST for part in parts):
                 raise RobotError(
                     f"{where}, line {element.sourceline}: {tag} {attribute} is {text!r}: "
-                    "give three finite numbers"
+                    f"give three finite numbers, of {MOST:.0e} at most"
                 )
     for tag, attributes in _SCALARS:
+        # Limits that are not meant are written as huge numbers.
+        most = MOST if tag in _LENGTHS else sys.float_info.max
         for element in root.iter(tag):
             for attribute in attributes:
                 text = element.get(attribute)
-                if text is not None and not math.isfinite(_number(text)):
+                if text is not None and not abs(_number(text)) <= most:
                     raise RobotError(
                         f"{where}, line {element.sourceline}: {tag} {attribute} is {text!r}: "
-                        "give a finite number"
+                        f"give a finite number, of {most:.0e} at most"
                     )
 
 
@@ -184,6 +190,8 @@ def _check_tree(root: Any, where: str) -> None:
     """Every name once, every link reached from one root by exactly one joint."""
     links = [link.get("name") for link in root.findall("link")]
     joints = root.findall("joint")
+    if len(links) > MAX_LINKS:
+        raise RobotError(f"{where} has {len(links)} links: give a robot of {MAX_LINKS} at most")
     for what, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
         for name, count in Counter(names).items():
             if not name:

@@ -95,13 +95,12 @@ def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, ModelError)
     try:
-        state = load(data)  # checks that the tensors are as large as the file and no larger
+        state = tensors_of(data)
         header = _header(path, notes_of(data).get("cgtorch"))
-    except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         if isinstance(error, ModelError):
             raise
-        said = " ".join(str(error).split())[:200]
-        raise ModelError(f"model file {path} is damaged: {said}") from error
+        raise ModelError(f"model file {path} is damaged: {error}") from error
     model = _KINDS[header["kind"]]()
     _machine(model).set_params(**header["settings"])
     _check(path, model, state)
@@ -110,6 +109,19 @@ def load_model_and_report(path: str | Path) -> tuple[Model, Any]:
     except RuntimeError as error:
         raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
     return model.to(_machine_type(model, state)).eval(), header.get("report")
+
+
+def tensors_of(data: bytes) -> dict[str, Tensor]:
+    """The tensors of a safetensors file, whatever its bytes are.
+
+    Raises:
+        ValueError: They are not those of such a file, or it has a type or shape that torch lacks.
+    """
+    try:
+        return load(data)  # checks that the tensors are as large as the file and no larger
+    except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(said[:200]) from error
 
 
 def notes_of(data: bytes) -> dict[str, Any]:

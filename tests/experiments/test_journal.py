@@ -148,3 +148,21 @@ def test_a_folder_that_cannot_be_written_is_one_error(tmp_path: Path) -> None:
     (tmp_path / "S0").write_text("a file")
     with pytest.raises(RunError, match="cannot write"):
         FileJournal(tmp_path / "S0").record("step 0", result(0))
+
+
+def test_types_that_numpy_lacks_are_kept_and_read(tmp_path: Path) -> None:
+    tensors = {"x": torch.ones(3, dtype=torch.bfloat16), "y": torch.tensor(True)}
+    FileJournal(tmp_path / "S0").record("step 0", tensors)
+    journal = FileJournal(tmp_path / "S0")
+    assert not journal.damaged
+    known = journal.recall("step 0")
+    assert known is not None
+    assert known["x"].equal(tensors["x"])
+
+
+@pytest.mark.parametrize(
+    "count", [torch.tensor(float("inf")), torch.tensor(1j), torch.ones(2), torch.ones(0)]
+)
+def test_what_is_no_count_of_generations_is_none(tmp_path: Path, count: Tensor) -> None:
+    FileJournal(tmp_path / "journal" / "S0").record("step 0", {"generations": count})
+    assert recalled_generations(tmp_path) == 0

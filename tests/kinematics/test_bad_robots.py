@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import pytest
 
@@ -72,6 +73,12 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
          "</robot>", "origin xyz is '0 nan 0'"),
         (f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}<origin rpy="0 0"/></joint></robot>',
          "origin rpy is '0 0'"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}<origin xyz="0 1e300 0"/></joint>'
+         "</robot>", "origin xyz is '0 1e300 0'"),
+        ('<robot><link name="a"><collision><geometry><sphere radius="1e300"/></geometry>'
+         "</collision></link></robot>", "sphere radius is '1e300'"),
+        ("<robot>" + "".join(f'<link name="l{i}"/>' for i in range(501)) + "</robot>",
+         "has 501 links"),
         ('<robot><link name="root"/><link name="a"/><link name="b"/>'
          f'<joint name="i" type="fixed">{ENDS}</joint><joint name="j" type="fixed">'
          '<parent link="b"/><child link="a"/></joint></robot>', "loop"),
@@ -180,3 +187,36 @@ def test_a_mesh_needs_capsules(tmp_path):
     loaded = load_robot(robot(tmp_path, text, changed(capsules=capsules)))
     count = len(load_robot().arms[0].capsules.radius)
     assert len(loaded.arms[0].capsules.radius) == count
+
+
+@pytest.mark.parametrize("size", ["0.3 0.2 0", "0.3 0.2 1e-9", "0 0.1 0.1"])
+def test_a_box_that_is_too_flat_for_capsules(tmp_path, size):
+    shape = '<cylinder radius="0.066" length="0.321"/>'
+    text = TEXT.replace(shape, f'<box size="{size}"/>')
+    assert "too flat" in fails(load_robot, robot(tmp_path, text))
+
+
+def test_a_shape_of_negative_size(tmp_path):
+    text = TEXT.replace('length="0.321"', 'length="-0.321"')
+    assert "a shape of size -0.321 m" in fails(load_robot, robot(tmp_path, text))
+
+
+def test_limits_without_end_are_read_at_once(tmp_path):
+    limits = 'lower="-0.8" upper="3.9"'
+    text = re.sub("<safety_controller[^>]*/>", "", TEXT)
+    assert limits in text
+    text = text.replace(limits, 'lower="-1e300" upper="1e300"')
+    assert load_robot(robot(tmp_path, text)).arm("left").closed_form is not None
+
+
+def test_huge_numbers_in_a_description(tmp_path):
+    for words in (changed(footprint=[-1e300, 1, -1, 1]), changed(torso_position=1e300)):
+        assert "of 1e+06 at most" in fails(load_robot, robot(tmp_path, words=words))
+
+
+def test_a_description_that_is_too_long_or_names_a_key_twice_among_many(tmp_path):
+    path = tmp_path / "robot.json"
+    path.write_text("x" * 1_000_001)
+    assert "longer than 1000000 bytes" in fails(load_description, path)
+    path.write_text(json.dumps({str(i): 0 for i in range(70_000)})[:-1] + ', "69999": 1}')
+    assert "key '69999' is given twice" in fails(load_description, path)

@@ -21,7 +21,7 @@ from cgtorch.models import (
     load_report,
     save_model,
 )
-from cgtorch.models.storage import load_model_and_report
+from cgtorch.models.storage import load_model_and_report, tensors_of
 
 GRID = {"C": [4.0], "gamma": [0.1]}
 
@@ -211,3 +211,32 @@ def test_damage_never_escapes_as_another_error(gamma_file, tmp_path, data):
     else:
         p, u, _ = (torch.tensor(a, dtype=torch.float32) for a in transitions(5, 1))
         assert model(p, u).shape == (5, 7)
+
+
+def safetensors(dtype, shape, size):
+    """A file of one tensor whose header may say anything."""
+    header = {"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}}
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + bytes(size)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "shape", "size"),
+    [
+        ("F4", [4], 2),
+        ("F8_E8M0", [4], 4),
+        ("F6_E2M3", [2**40, 0], 0),
+        ("F32", [2**63, 0], 0),
+        ("F32", [2**62, 2**62], 0),
+        ("X", [1], 4),
+        ("F32", [2], 4),
+    ],
+)
+def test_types_and_shapes_that_torch_lacks_are_one_line(tmp_path, dtype, shape, size):
+    data = safetensors(dtype, shape, size)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        tensors_of(data)
+    assert len(str(caught.value).splitlines()) == 1
+    (tmp_path / "m").write_bytes(data)
+    with pytest.raises(ModelError, match="is damaged"):
+        load_model(tmp_path / "m")

@@ -1,0 +1,224 @@
+"""The formats that the library reads: sound files of each, and the library's loader for them.
+
+Files are small, so that a change hits what matters. Each loader is the one that commands use, and
+what it returns is used a little, so that nothing stays lazy.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Generator
+
+from cgtorch.actions import ActionSet
+from cgtorch.data import Dataset
+from cgtorch.errors import RunError
+from cgtorch.evolution import Population
+from cgtorch.evolution.population import random_population
+from cgtorch.experiments.journal import FileJournal, recalled_generations
+from cgtorch.experiments.ledger import read_entry, read_index
+from cgtorch.experiments.run import open_run
+from cgtorch.experiments.storage import (
+    load_dataset,
+    load_knowledge,
+    load_population,
+    load_result,
+    load_scenarios,
+    save_dataset,
+    save_population,
+    save_scenarios,
+)
+from cgtorch.files import read_json, write_json
+from cgtorch.graphs import load_skill
+from cgtorch.improvement.attempt import trial_from
+from cgtorch.improvement.knowledge import taken
+from cgtorch.improvement.standing import Found, standing_from, standing_tensors
+from cgtorch.kinematics import Robot, load_robot
+from cgtorch.models import compact_transition_model, load_model_and_report, save_model
+from cgtorch.world import draw_of
+from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
+from hostile.small_robot import URDF, WORDS
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE, PR2 = ROOT / "runs" / "reference", ROOT / "robots" / "pr2"
+SCENARIOS = 7  # that a journal is about
+STEP, NOTE = "journal/S4/00000.safetensors", "journal/S4/00000-1.safetensors"
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file.
+
+    Attributes:
+        mutation: what damages it.
+        share: of all inputs; slow loaders have small ones.
+        file: its place in the folder of the run.
+        load: reads it, from the run's folder, with the run's actions.
+        sources: sound files of it, from the same.
+    """
+
+    mutation: Mutation
+    share: float
+    file: str
+    load: Callable[[Path, ActionSet], object]
+    sources: Callable[[Path, ActionSet], list[bytes]]
+
+
+def prepare(folder: Path) -> ActionSet:
+    """Make a small run in a folder that is empty, but for the secret that no loader may tell."""
+    shutil.copytree(REFERENCE, folder, ignore=shutil.ignore_patterns("*events*"))
+    (folder / "secret").write_text(CANARY)
+    (folder / "robot" / "robot.urdf").write_text(URDF)
+    write_json(folder / "robot" / "robot.json", WORDS)
+    stage = folder / "S3"
+    gamma, report = load_model_and_report(stage / "gamma.safetensors")
+    data = load_dataset(stage / "data.safetensors")
+    gamma = compact_transition_model(gamma, 16, data.percept[:200], data.motion[:200])[0]
+    save_model(stage / "gamma.safetensors", gamma, report)
+    save_dataset(stage / "aside.safetensors", _few(data), {"seed": "2"})
+    save_dataset(stage / "data.safetensors", _few(data), {"seed": "2"})
+    return open_run(folder).actions
+
+
+def _few(data: Dataset) -> Dataset:
+    return taken(data, torch.arange(30), torch.arange(20))
+
+
+def _scenarios(folder: Path, actions: ActionSet) -> list[bytes]:
+    path, found = folder / "x.json", []
+    solved, missed = load_scenarios(REFERENCE / "S0" / "scenarios.json", ("W", "M"))
+    clutter = draw_of("general-clutter")(6, Generator().manual_seed(0))
+    for one, other in ((solved[:8], missed[:4]), (clutter, clutter[:0])):
+        save_scenarios(path, {"W": one, "M": other})
+        found.append(path.read_bytes())
+    return found
+
+
+def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
+    data = read_json(folder / "ledger" / "S1.json")
+    return [json.dumps({**data, "scenarios": data["scenarios"][::20]}).encode()]
+
+
+def _populations(folder: Path, actions: ActionSet) -> list[bytes]:
+    save_population(folder / "x.safetensors", _population(actions))
+    return [(folder / "x.safetensors").read_bytes()]
+
+
+def _population(actions: ActionSet) -> Population:
+    return random_population(5, actions, 6, (2, 5), Generator().manual_seed(0))
+
+
+def _journals(folder: Path, actions: ActionSet) -> list[bytes]:
+    """An evolution that is over, one that is not, and a trial."""
+    population, solved = _population(actions), torch.arange(SCENARIOS) < 3
+    found, generator = Found(population[:1], solved, 0.5, 3, 9, 1000, 1.5), Generator()
+    data = load_dataset(folder / "S3" / "data.safetensors")
+    own = {"succeeded": solved, "transitions": torch.arange(SCENARIOS)}
+    steps = (
+        ("evolution x", standing_tensors(found, None, generator)),
+        ("evolution x", standing_tensors(found, population, generator)),
+        ("trial of x", {**own, **vars(data)}),
+    )
+    files = []
+    for name, tensors in steps:
+        shutil.rmtree(folder / "journal", ignore_errors=True)
+        FileJournal(folder / "journal" / "S4").record(name, tensors)
+        files.append((folder / STEP).read_bytes())
+    return files
+
+
+def _read_journal(folder: Path, actions: ActionSet) -> object:
+    recalled_generations(folder)
+    journal = FileJournal(folder / "journal" / "S4")
+    if journal.damaged:  # is told, and counts as never done
+        raise RunError("damaged")
+    try:
+        known = journal.recall("evolution x")
+    except RunError:
+        known = journal.recall("trial of x")
+        size = load_dataset(folder / "S3" / "data.safetensors").percept.shape[1]
+        return known and trial_from(known, SCENARIOS, size)
+    return known and standing_from(known, actions, Generator(), SCENARIOS)
+
+
+def _read_models(folder: Path, actions: ActionSet) -> object:
+    known = load_knowledge(folder / "S3")
+    data = known.dataset
+    known.gamma(data.percept[:2], data.motion[:2])
+    return known.classifier(data.grasp_percept[:2])
+
+
+def _read_run(folder: Path, actions: ActionSet) -> object:
+    return _moved(open_run(folder).robot)
+
+
+def _read_pr2(folder: Path, actions: ActionSet) -> object:
+    return _moved(load_robot(folder / "pr2.urdf", PR2 / "robot.json"))
+
+
+def _moved(robot: Robot) -> None:
+    """Use a robot a little; what cannot be computed must have been refused."""
+    for arm in robot.arms:
+        q = torch.zeros(1, len(arm.joint_names), dtype=torch.float64)
+        parts = robot.forward_kinematics(arm.name, q), arm.capsules.start, arm.capsules.end
+        if not all(bool(part.isfinite().all()) for part in (*parts, robot.body.centre)):
+            raise ArithmeticError(f"arm {arm.name} of the robot is not of finite numbers")
+
+
+def _kept(*names: str) -> Callable[[Path, ActionSet], list[bytes]]:
+    """Sources that are files of the run."""
+    return lambda folder, actions: [(folder / name).read_bytes() for name in names]
+
+
+FORMATS = {
+    "skill": Format(
+        damaged_json, 12, "S3/skill.json",
+        lambda folder, actions: load_skill(folder / "S3" / "skill.json", actions).depth,
+        _kept("S0/skill.json", "S1/skill.json"),
+    ),
+    "scenarios": Format(
+        damaged_json, 12, "S0/scenarios.json",
+        lambda folder, actions: load_scenarios(folder / "S0" / "scenarios.json", ("W", "M")),
+        _scenarios,
+    ),
+    "run": Format(damaged_json, 3, "run.json", _read_run, _kept("run.json")),
+    "ledger index": Format(
+        damaged_json, 12, "ledger/index.json",
+        lambda folder, actions: read_index(folder), _kept("ledger/index.json"),
+    ),
+    "ledger entry": Format(
+        damaged_json, 8, "ledger/S1.json",
+        lambda folder, actions: read_entry(folder, "S1", actions).summary, _entries,
+    ),
+    "result": Format(
+        damaged_json, 14, "S0/result.json",
+        lambda folder, actions: load_result(folder / "S0" / "result.json"),
+        _kept("S0/result.json", "S3/result.json"),
+    ),
+    "dataset": Format(
+        damaged_tensors, 12, "S3/data.safetensors",
+        lambda folder, actions: load_dataset(folder / "S3" / "data.safetensors"),
+        _kept("S3/data.safetensors"),
+    ),
+    "population": Format(
+        damaged_tensors, 12, "S0/specialists.safetensors",
+        lambda folder, actions: load_population(folder / "S0" / "specialists.safetensors", actions),
+        _populations,
+    ),
+    "gamma": Format(
+        damaged_tensors, 4, "S3/gamma.safetensors", _read_models, _kept("S3/gamma.safetensors")
+    ),
+    "classifier": Format(
+        damaged_tensors, 4, "S3/classifier.safetensors", _read_models,
+        _kept("S3/classifier.safetensors"),
+    ),
+    "journal": Format(damaged_tensors, 10, STEP, _read_journal, _journals),
+    "urdf": Format(damaged_xml, 2, "robot/robot.urdf", _read_run, _kept("robot/robot.urdf")),
+    "urdf pr2": Format(
+        damaged_xml, 1, "pr2.urdf", _read_pr2, lambda *_: [(PR2 / "pr2.urdf").read_bytes()]
+    ),
+    "robot.json": Format(damaged_json, 3, "robot/robot.json", _read_run, _kept("robot/robot.json")),
+}  # fmt: skip
