@@ -94,8 +94,12 @@ class Environment(Protocol):
         """Perceive again without moving."""
         ...
 
-    def success(self, lanes: Lanes) -> Tensor:
-        """Probability in [0, 1] (n,) that the task succeeds here and now; a world says 0 or 1."""
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """Lanes that may remember it, and the probability in [0, 1] (n,) that the task succeeds.
+
+        That is here and now; a world says 0 or 1. Nothing about the lanes changes that an action
+        could notice.
+        """
         ...
 
 

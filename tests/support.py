@@ -12,6 +12,7 @@ from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.simulation.model import Classifier
 from cgtorch.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 
 FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
@@ -118,6 +119,12 @@ def model(seed: int, count: int, dtype: torch.dtype = torch.float32) -> ModelEnv
     _, percepts = world(seed, count, dtype=dtype).start(torch.arange(count))
     errors = 0.05 * torch.randn(count, 3, 7, generator=seeded(seed))
     return ModelEnvironment(percepts, gamma, classifier, possible, errors=errors)
+
+
+def judged_by(environment: ModelEnvironment, classifier: Classifier) -> ModelEnvironment:
+    """The same models with another C."""
+    e = environment
+    return ModelEnvironment(e.percepts, e.gamma, classifier, e.possible, errors=e.errors)
 
 
 def as_double(graphs: Graphs) -> Graphs:

@@ -54,4 +54,5 @@ class Grasp(Action):
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
-        return lanes, (environment.success(lanes) <= 0.5).long()
+        lanes, probability = environment.success(lanes)
+        return lanes, (probability <= 0.5).long()

@@ -27,7 +27,7 @@ def label(world_of: WorldOf, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
     """What is seen from each pose (B, D), and (B,) bool whether a grasp succeeds there."""
     world = world_of(scenarios)
     lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
-    return lanes.percept, world.success(lanes) > 0.5
+    return lanes.percept, world.success(lanes)[1] > 0.5
 
 
 def grasp_labels(

@@ -127,7 +127,7 @@ def last_success(
     p, b = runs.succeeded.shape
     lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)
     lanes = replace(lanes, percept=runs.percept.flatten(0, 1), state=runs.state.flatten(0, 1))
-    probability = environment.success(lanes).view(p, b)
+    probability = environment.success(lanes)[1].view(p, b)
     finite = probability.isfinite() & runs.percept.isfinite().all(-1)
     # What is not finite is worth nothing, and no other lane is the worse for it.
     probability = torch.where(finite, probability, 0.0).clamp(0, 1)

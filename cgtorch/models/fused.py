@@ -158,7 +158,7 @@ def _work_off(todo: "SimpleQueue[Block]", folded: _Folded, most: int) -> None:
     matrix, weights, chunk = folded.matrix, folded.weights, folded.chunk
     rows = matrix.new_zeros(matrix.shape[1], most)
     below = matrix.new_tensor([[0.0], [1.0]])
-    total = torch.zeros_like(folded.mean.T).repeat(2, 1)
+    total = matrix.new_zeros(2, len(rows) - 2)
     total[0] = 1
     kernel = matrix.new_empty(len(matrix), chunk)
     sums = matrix.new_empty(len(weights), most)

@@ -132,10 +132,13 @@ def _following(scene: _Scene, motion: Tensor, value: Tensor, trust: Tensor) -> T
     extents = (first + second) / 2 + weight * (first - second)
     loose = geometry.loosely_turned(scene.parts[..., 2:4], motion[..., 2])
     extents = loose + trust.to(loose) * (extents - loose)
-    after = torch.cat([moved[..., :2], extents, moved[..., 4:]], dim=-1)
+    after = geometry.columns(moved[..., :2], extents, moved[..., 4:])
+    seven = geometry.from_parts(after)
+    if scene.side.shape[-1] + scene.boxes.shape[-2] == 0:
+        return seven
     others = geometry.boxes_moved(scene.boxes, motion).flatten(-2)
     side = geometry.side_turned(scene.side, motion)
-    return torch.cat([geometry.from_parts(after), side, others], dim=-1)
+    return torch.cat([seven, side, others], dim=-1)
 
 
 def _extremes(scene: _Scene, motion: Tensor) -> Tensor:

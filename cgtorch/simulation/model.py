@@ -18,13 +18,16 @@ Classifier: TypeAlias = Callable[[Tensor], Tensor]
 Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
 
+UNKNOWN = -1.0
+
 
 class ModelEnvironment:
     """An `Environment` that consists of percepts only; nothing in it touches the world.
 
     Perceiving again changes nothing, since Γ predicts what would be perceived. A lane's state
-    (n, 2) counts its motions and says whether it is lost: whether one of them was too novel to Γ.
-    Nobody knows where such a lane is, so it neither moves nor succeeds any more.
+    (n, 3) counts its motions, says whether it is lost, and holds C(p) once that has been asked for,
+    `UNKNOWN` before. Lost is a lane once a motion was too novel to Γ: nobody knows where it is, so
+    it neither moves nor succeeds any more.
     """
 
     def __init__(
@@ -52,6 +55,8 @@ class ModelEnvironment:
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
         self.most_novel = most_novel
+        self._first_state = percepts.new_zeros(len(percepts), 3)
+        self._first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
 
     @property
     def num_scenarios(self) -> int:
@@ -65,8 +70,7 @@ class ModelEnvironment:
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        percept = self.percepts[scenario]
-        return percept.new_zeros(len(percept), 2), percept
+        return self._first_state[scenario], self.percepts[scenario]
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """The percepts that Γ predicts; where the control is not possible they stay.
@@ -80,9 +84,9 @@ class ModelEnvironment:
         if self.errors is not None:
             turn = lanes.state[rows, 0].long() % self.errors.shape[1]
             predicted = predicted + self.errors[lanes.scenario[rows], turn]
+        lost = (novelty > self.most_novel).to(state)
         percept[rows] = predicted
-        state[rows, 0] += 1
-        state[rows, 1] = (novelty > self.most_novel).to(state)
+        state[rows] = torch.stack([state[rows, 0] + 1, lost, UNKNOWN * (1 - lost)], 1)
         moved = torch.zeros_like(lanes.has_message)
         moved[rows] = True
         return replace(lanes, percept=percept, state=state), moved
@@ -96,6 +100,11 @@ class ModelEnvironment:
         """See `Environment.observe`."""
         return lanes
 
-    def success(self, lanes: Lanes) -> Tensor:
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """C(p), the probability that the task succeeds from here; 0 for lanes that are lost."""
-        return self.classifier(lanes.percept) * ~self.lost(lanes)
+        unknown = (lanes.state[:, 2] == UNKNOWN).nonzero()[:, 0]
+        if len(unknown):
+            state = lanes.state.clone()
+            state[unknown, 2] = self.classifier(lanes.percept.index_select(0, unknown))
+            lanes = replace(lanes, state=state)
+        return lanes, lanes.state[:, 2]

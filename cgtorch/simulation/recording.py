@@ -46,11 +46,11 @@ class Recording:
         """See `Environment.observe`."""
         return self.environment.observe(lanes)
 
-    def success(self, lanes: Lanes) -> Tensor:
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`."""
-        result = self.environment.success(lanes)
+        lanes, result = self.environment.success(lanes)
         self.tests.append((lanes.percept.clone(), result > 0.5))
-        return result
+        return lanes, result
 
     def experience(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """All p (N, D), u (N, U), p′ (N, D), tested p (L, D) and their success (L,) bool."""

@@ -50,7 +50,8 @@ def bounding_box(rectangle: Tensor) -> Tensor:
 def box_rectangle(box: Tensor) -> Tensor:
     """Axis-aligned boxes (..., 4) as rectangles (..., 5) of yaw 0."""
     x0, x1, y0, y1 = box.unbind(-1)
-    return torch.stack([(x0 + x1) / 2, (y0 + y1) / 2, torch.zeros_like(x0), x1 - x0, y1 - y0], -1)
+    columns = (x0 + x1) / 2, (y0 + y1) / 2, torch.zeros_like(x0), x1 - x0, y1 - y0
+    return torch.stack(columns).movedim(0, -1)
 
 
 def corners(rectangle: Tensor) -> Tensor:

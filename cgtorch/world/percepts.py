@@ -99,4 +99,5 @@ def things_seen(percept: Tensor) -> Tensor:
         DataError: as for `parted`.
     """
     seven, side, boxes = parted(percept)
-    return torch.cat([table_seen(seven, side)[..., None, :], box_rectangle(boxes)], -2)
+    table = table_seen(seven, side)[..., None, :]
+    return torch.cat([table, box_rectangle(boxes)], -2) if boxes.shape[-2] else table

@@ -75,4 +75,4 @@ def _poses(scenarios: Scenarios, generator: Generator) -> Tensor:
 
 def _grasps(world: TabletopWorld) -> Tensor:
     """(B,) bool, whether a grasp succeeds from where the robot starts."""
-    return world.success(start_lanes(world, torch.arange(world.num_scenarios), 0, 0)) > 0.5
+    return world.success(start_lanes(world, torch.arange(world.num_scenarios), 0, 0))[1] > 0.5

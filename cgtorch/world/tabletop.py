@@ -158,12 +158,12 @@ class TabletopWorld:
         state, percept = self._perceive(lanes.state, lanes.scenario)
         return replace(lanes, state=state, percept=percept)
 
-    def success(self, lanes: Lanes) -> Tensor:
-        """(n,) 1 where a grasp would succeed, 0 elsewhere."""
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """The lanes, and (n,) 1 where a grasp would succeed, 0 elsewhere."""
         pose, table = lanes.state[:, :3], lanes.state[:, 3:9]
         at = torch.cat([to_frame(pose, lanes.state[:, 9:11]), table[:, 5:6]], 1)
         seen = torch.cat([rectangle_in_frame(pose, table[:, :5]), table[:, 5:6]], 1)
-        return self.graspable(at, seen).to(lanes.percept.dtype)
+        return lanes, self.graspable(at, seen).to(lanes.percept.dtype)
 
     def _look(self, state: Tensor) -> Tensor:
         return state[:, 11].long() % self.looks

@@ -4,7 +4,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import custom_actions, model, nested_actions, same, seeded
+from support import custom_actions, judged_by, model, nested_actions, same, seeded
 from torch import Tensor
 
 from cgtorch.errors import GraphError, SettingsError
@@ -225,7 +225,7 @@ def test_what_is_not_finite_costs_its_individual_and_no_other() -> None:
     def broken(percept: torch.Tensor) -> torch.Tensor:
         return torch.where(percept[:, 4] > limit, float("nan"), whole(percept))
 
-    environment.classifier = broken
+    environment = judged_by(environment, broken)
     graphs.parameters[7, int(graphs.start[7]), 0] = float("inf")
     found = evaluate(graphs, ACTIONS, environment, keep)
     again = rollout(graphs, ACTIONS, environment).percept

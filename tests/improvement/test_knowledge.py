@@ -120,7 +120,7 @@ def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
         assert (lost[-1] | ~lost[-2]).all()  # for good
         assert torch.equal(lanes.percept[lost[-2]], before.percept[lost[-2]])
         assert not moved[lost[-2]].any()
-        assert (place.success(lanes)[lost[-1]] == 0).all()
+        assert (place.success(lanes)[1][lost[-1]] == 0).all()
     assert not lost[0].any()
     assert lost[-1].all()
 

@@ -117,8 +117,9 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
             robot.takes(robot.environment.observe(robot.lanes()))
             return "success"
         case Grasp():
-            probability = robot.environment.success(robot.lanes()).item()
-            return "success" if probability > 0.5 else "failure"
+            lanes, probability = robot.environment.success(robot.lanes())
+            robot.takes(lanes)
+            return "success" if probability.item() > 0.5 else "failure"
         case ContinuousNN():
             robot.message[:3] = network(percept, parameters, 3)
             robot.has_message = True

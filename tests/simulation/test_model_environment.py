@@ -37,7 +37,7 @@ def test_what_loses_a_lane() -> None:
         lanes = start_lanes(place, torch.tensor([0]), 0, 0)
         after, done = place.step(lanes, torch.tensor([control]))
         assert (bool(done), bool(place.lost(after))) == (moved, lost)
-        assert bool(place.success(after) == 0) == lost
+        assert bool(place.success(after)[1] == 0) == lost
         again, done = place.step(after, torch.tensor([[0.1, 0.0, 0.0]]))
         assert bool(done) != lost
         assert torch.equal(again.percept, after.percept) == lost
@@ -68,4 +68,4 @@ def test_a_lane_is_lost_or_not_whatever_runs_beside_it() -> None:
         assert torch.equal(alone.state[0, 0], whole.state[7, i])
         assert torch.equal(alone.succeeded[0, 0], whole.succeeded[7, i])
     lanes = start_lanes(place, torch.arange(5), 0, 0)
-    assert not place.lost(replace(lanes, state=lanes.state + torch.tensor([3.0, 0.0]))).any()
+    assert not place.lost(replace(lanes, state=lanes.state + torch.tensor([3.0, 0.0, 0.0]))).any()

@@ -12,6 +12,7 @@ from support import (
     as_double,
     as_double_actions,
     custom_actions,
+    judged_by,
     model,
     nested_actions,
     random_graphs,
@@ -141,7 +142,7 @@ def test_a_loop_times_out_after_exactly_the_limit() -> None:
 
 def test_a_terminal_outcome_on_the_last_transition_still_counts() -> None:
     actions, environment = paper_actions(), model(0, 1)
-    environment.classifier = lambda p: torch.ones(len(p))
+    environment = judged_by(environment, lambda p: torch.ones(len(p)))
     graph = chain(actions, "Detect", "Detect", "Grasp")
     assert rollout(graph, actions, environment, max_transitions=3).succeeded.all()
     assert rollout(graph, actions, environment, max_steps=3).succeeded.all()
@@ -151,7 +152,7 @@ def test_a_terminal_outcome_on_the_last_transition_still_counts() -> None:
 
 def test_grasp_needs_more_than_one_half() -> None:
     actions, environment = paper_actions(), model(0, 3)
-    environment.classifier = lambda p: torch.tensor([0.49, 0.5, 0.51])[: len(p)]
+    environment = judged_by(environment, lambda p: torch.tensor([0.49, 0.5, 0.51])[: len(p)])
     result = rollout(chain(actions, "Grasp"), actions, environment, max_transitions=1)
     assert result.succeeded.tolist() == [[False, False, True]]
 
@@ -162,7 +163,7 @@ def test_a_sub_skill_keeps_its_own_limit_and_counts_as_one_transition() -> None:
     actions = base.extended(["loop"], [SubSkill(loop)])
     # Twice through the loop, which fails each time, then a grasp that fails for ever.
     graph = chain(actions, "loop", "loop", "Grasp", n2={"failure": 2})
-    environment.classifier = lambda p: torch.zeros(len(p))
+    environment = judged_by(environment, lambda p: torch.zeros(len(p)))
     result = rollout(graph, actions, environment, max_transitions=6)
     assert result.timed_out.all()
     assert result.transitions.item() == 4 + 4 + 4  # two loops, then 6 - 2 grasps
@@ -175,11 +176,11 @@ def test_success_of_a_nested_skill_ends_every_level_and_failure_follows_the_edge
     middle = Skill("middle", chain(one, "inner", "Detect"), one, max_transitions=3)
     two = one.extended(["middle"], [SubSkill(middle)])
     graph = chain(two, "middle", "Detect", n1={"success": 1})
-    environment.classifier = lambda p: torch.ones(len(p))
+    environment = judged_by(environment, lambda p: torch.ones(len(p)))
     result = rollout(graph, two, environment)
     assert result.succeeded.all()
     assert result.transitions.item() == 1
-    environment.classifier = lambda p: torch.zeros(len(p))
+    environment = judged_by(environment, lambda p: torch.zeros(len(p)))
     result = rollout(graph, two, environment, max_transitions=3)
     # inner: 2 grasps; middle: inner, Detect, inner; top: middle, then two more Detects.
     assert result.transitions.item() == 2 + 1 + 2 + 2
@@ -211,7 +212,8 @@ def test_move_base_without_a_message_fails_even_where_everything_is_possible() -
 
 def test_the_trace_tells_lanes_nodes_and_outcomes() -> None:
     actions, environment = paper_actions(), model(0, 2)
-    environment.classifier = lambda p: (p == environment.percepts[1]).all(1).float()
+    percepts = environment.percepts
+    environment = judged_by(environment, lambda p: (p == percepts[1]).all(1).float())
     told: list[tuple[list[int], list[int], list[int]]] = []
 
     def trace(active: Tensor, node: Tensor, outcome: Tensor, lanes: Lanes) -> None:

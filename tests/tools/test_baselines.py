@@ -100,7 +100,7 @@ def test_processes_give_what_one_gives() -> None:
 
 def test_the_tensor_way_gives_the_same_numbers() -> None:
     others = tensor_rollout(graphs_to_run(), work().actions, work().environment, LIMIT)
-    for name in ("succeeded", "timed_out", "percept", "state", "transitions"):
+    for name in ("succeeded", "timed_out", "percept", "transitions"):
         assert torch.equal(getattr(others, name), getattr(runs(), name)), name
 
 

@@ -40,7 +40,7 @@ def tensor_rollout(
         row = first + node
         kind, weights = kinds[row], parameters[row]
         percept, state, moved = _moves(environment, lanes)
-        chance = environment.success(lanes)
+        chance = environment.classifier(lanes.percept) * ~environment.lost(lanes)
         message = _network(continuous, lanes.percept, weights)
         branch = _network(branching, lanes.percept, weights).sigmoid()
         outcome = torch.where(kind == MOVE, ~moved, False)
@@ -70,7 +70,7 @@ def tensor_rollout(
 
 
 def _moves(environment: ModelEnvironment, lanes: Lanes) -> tuple[Tensor, Tensor, Tensor]:
-    """Percepts (n, 7) and states (n, 2) if every lane moved, and (n,) bool whether it can."""
+    """Percepts (n, 7) and states (n, 3) if every lane moved, and (n,) bool whether it can."""
     free = environment.possible(lanes.percept, lanes.message)
     moved = lanes.has_message & ~environment.lost(lanes) & free
     percept, novelty = environment.gamma(lanes.percept, lanes.message)
@@ -81,7 +81,7 @@ def _moves(environment: ModelEnvironment, lanes: Lanes) -> tuple[Tensor, Tensor,
             + environment.errors[lanes.scenario, motions.long() % environment.errors.shape[1]]
         )
     lost = (novelty > environment.most_novel).to(motions)
-    return percept, torch.stack([motions + 1, lost], 1), moved
+    return percept, torch.stack([motions + 1, lost, torch.full_like(lost, -1)], 1), moved
 
 
 def _network(action: ContinuousNN | BranchingNN, percept: Tensor, weights: Tensor) -> Tensor:
