@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test lint format types reference clean
+.PHONY: help setup train test lint format types fingerprint reference clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -34,6 +34,9 @@ types: setup  ## Check types
 format: setup  ## Put the code into the house style
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+fingerprint: setup  ## Print one number of a small run, to compare machines by
+	$(BIN)/python tools/fingerprint.py
 
 reference: setup  ## Make runs/reference again
 	$(BIN)/python tools/make_reference_run.py

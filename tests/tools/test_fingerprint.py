@@ -1,0 +1,36 @@
+"""A fingerprint is that of what a run came to, wherever and whenever it was made."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from fingerprint import fingerprint
+
+from cgtorch.files import read_json, write_json
+
+REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """runs/reference at another place."""
+    return Path(shutil.copytree(REFERENCE, tmp_path / "copy"))
+
+
+def test_a_place_and_times_change_no_fingerprint(copy: Path) -> None:
+    summary = read_json(copy / "summary.json")
+    for stage in summary["stages"]:
+        stage["seconds"] += 1
+    write_json(copy / "summary.json", summary)
+    assert fingerprint(copy) == fingerprint(REFERENCE)
+
+
+def test_a_node_changes_it(copy: Path) -> None:
+    skill = read_json(copy / "S0" / "skill.json")
+    skill["max_transitions"] += 1
+    write_json(copy / "S0" / "skill.json", skill)
+    assert fingerprint(copy) != fingerprint(REFERENCE)
