@@ -1,32 +1,58 @@
-"""Make a small run and print one number of all that it came to, to compare machines by.
+"""Make a small run and print one number of all that it came to, to compare machines and ranks by.
 
-    python tools/fingerprint.py [--stage S0] [--seed 0]
+    python tools/fingerprint.py [--stage S0] [--seed 0] [--ranks 1 --ranks 2 ...]
 
 Machines whose CPU has the same vector instructions, with the same version of torch, print the same
-fingerprint: the same skills, W, M, ledgers and history of fitness, to the last bit.
+fingerprint with any number of ranks: the same skills, W, M, ledgers and history of fitness, to the
+last bit. The population, 61, divides by none.
 """
 
 import hashlib
 import json
+import os
+import subprocess
+import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 import torch
-from kill_and_resume import told, train
+from kill_and_resume import SMALL, told
 
 
 @click.command()
 @click.option("--stage", default="S0", show_default=True, help="Stage to train up to.")
 @click.option("--seed", default=0, show_default=True, help="Of the run.")
-def command(stage: str, seed: int) -> None:
+@click.option("--ranks", "counts", multiple=True, default=(1,), help="Ranks; may be repeated.")
+def command(stage: str, seed: int, counts: Sequence[int]) -> None:
     """Make a small run and print a fingerprint of all that it came to."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "run"
-        train(run, stage, seed)
-        found = fingerprint(run)
     vectors = torch.backends.cpu.get_cpu_capability()
-    click.echo(f"torch {torch.__version__}, {vectors}, {stage} of seed {seed}: {found}")
+    for count in counts:
+        with tempfile.TemporaryDirectory() as folder:
+            run = Path(folder) / "run"
+            train(run, stage, seed, count)
+            found = fingerprint(run)
+        about = f"torch {torch.__version__}, {vectors}, {stage} of seed {seed}, ranks {count}"
+        click.echo(f"{about}: {found}")
+
+
+def train(run: Path, stage: str, seed: int, ranks: int) -> None:
+    """Make a small run with so many ranks, one thread each."""
+    torchrun = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={ranks}"]
+    ended = subprocess.run(
+        [
+            *(sys.executable, *(torchrun if ranks > 1 else ()), "-m", "cgtorch.commands.train"),
+            *("--stage", stage, "--seed", str(seed), "--run-dir", str(run)),
+            *(*SMALL, "--population", "61"),
+        ],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if ended.returncode:
+        raise click.ClickException(f"training failed: {ended.stderr[-2000:]}")
 
 
 def fingerprint(run: Path) -> str:
