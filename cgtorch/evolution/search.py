@@ -7,7 +7,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch import ranks
-from cgtorch.actions import ActionSet
+from cgtorch.actions import ActionSet, check_action
+from cgtorch.dry_run import check_environment
 from cgtorch.environment import Environment
 from cgtorch.evolution.evolution import EvolutionSettings
 from cgtorch.evolution.fitness import Evaluation, evaluate
@@ -21,6 +22,7 @@ from cgtorch.evolution.islands import (
 )
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
+from cgtorch.graphs import SubSkill
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
@@ -81,9 +83,17 @@ def evolve(
         seeds: earlier individuals, which make up half of each first population.
         islands: where to begin, in place of first populations: those that this rank holds.
         max_transitions: see `cgtorch.simulation.rollout`.
+
+    Raises:
+        WorldError: the environment, tried on two scenarios, breaks its interface.
+        ActionError: an action does.
     """
     if keep is None:
         keep = torch.zeros(environment.num_scenarios, dtype=torch.bool)
+    check_environment(environment, keep.device)
+    for name, action in zip(actions.names, actions.actions, strict=True):
+        if not isinstance(action, SubSkill):
+            check_action(name, action, environment, keep.device)
     count, crew = settings.islands, ranks.crew(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
