@@ -207,6 +207,9 @@ class FileJournal:
             return None
         about, tensors = known
         sums, parts = about.get("parts", "").split(), []
+        if not sums:
+            self.damaged.append(path)
+            return None
         for i, wanted in enumerate(sums):
             part = path.with_name(f"{path.stem}.{i}.safetensors")
             # Looked at now and read when it is needed: not all may fit into memory.

@@ -205,6 +205,17 @@ def test_a_note_counts_only_with_all_its_parts(
     assert [float(part()["x"][0]) for part in known.parts] == [101 + i for i in range(parts)]
 
 
+def test_a_note_without_parts_is_none(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path, seconds=0)
+    journal.record_standing("step 0", standing(1))
+    journal.record_standing("step 0", Standing(result(2), ()))
+    journal = FileJournal(tmp_path)
+    assert journal.damaged == [tmp_path / "00000-2.safetensors"]
+    known = journal.recall_standing("step 0")
+    assert known is not None
+    assert float(known.about["x"][0]) == 1
+
+
 def test_parts_of_a_note_that_was_never_ended_are_no_note_and_go(tmp_path: Path) -> None:
     """As when the disk is full, or power fails, between two of them."""
 
