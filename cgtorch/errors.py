@@ -42,5 +42,9 @@ class ActionError(CgtorchError, ValueError):
     """An action is unknown, or breaks the action interface."""
 
 
+class WorldError(CgtorchError, ValueError):
+    """A world or another environment breaks the environment interface."""
+
+
 class RunError(CgtorchError, OSError):
     """A run folder is missing, unwritable, of another version, or damaged."""

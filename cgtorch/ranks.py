@@ -5,11 +5,17 @@ the same populations, the same skills. Only rows that do not depend on one anoth
 individuals in the models and grasps in the world, are shared out, and what they come to is gathered
 before it is used. So the result is that of one process, to the last bit, whatever the number of
 ranks. Only the first one writes.
+
+Where there are several islands (`cgtorch.evolution.islands`), each rank holds some of them only. A
+crew is the ranks that hold the same: one rank where there are at least as many islands as ranks,
+all ranks where there is one island. Rows of an island are shared out within its crew.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
 
 import torch
 import torch.distributed
@@ -30,7 +36,62 @@ def together() -> Iterator[None]:
     try:
         yield
     finally:
+        _groups.cache_clear()
         torch.distributed.destroy_process_group()
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Ranks that share out rows among them.
+
+    Attributes:
+        index: of this rank among them.
+        size: how many there are.
+        group: what they talk in; None for all ranks, or for one alone.
+    """
+
+    index: int
+    size: int
+    group: torch.distributed.ProcessGroup | None = None
+
+
+def everyone() -> Crew:
+    """The crew of all ranks."""
+    return Crew(_index(), count())
+
+
+def held(parts: int) -> range:
+    """The parts, out of so many, that this rank holds: at least one, and all if it is alone.
+
+    Parts are shared out in order, as evenly as can be. Of more ranks than parts, those next to one
+    another hold the same part.
+    """
+    return _held(_index(), parts)
+
+
+def _held(rank: int, parts: int) -> range:
+    first = rank * parts // count()
+    return range(first, max(first + 1, (rank + 1) * parts // count()))
+
+
+def crew(parts: int) -> Crew:
+    """The ranks that hold the same parts, out of so many, as this one; to be asked for by all."""
+    if parts == 1:
+        return everyone()
+    mine = held(parts)
+    members = [rank for rank in range(count()) if _held(rank, parts) == mine]
+    if count() <= parts:
+        return Crew(0, 1)
+    return Crew(members.index(_index()), len(members), _groups(parts)[mine.start])
+
+
+@cache
+def _groups(parts: int) -> list[torch.distributed.ProcessGroup]:
+    """For each part the group of the ranks that hold it, where ranks are more than parts."""
+    holders: list[list[int]] = [[] for _ in range(parts)]
+    for rank in range(count()):
+        holders[_held(rank, parts).start].append(rank)
+    return [torch.distributed.new_group(each) for each in holders]
 
 
 def count() -> int:
@@ -53,39 +114,116 @@ def wait() -> None:
         torch.distributed.barrier()
 
 
-def share(rows: int) -> slice:
-    """This rank's part of so many rows; the parts of all ranks lie one after the other."""
-    return _share(rows, _index())
+def share(rows: int, crew: Crew | None = None) -> slice:
+    """This rank's part of so many rows; the parts of all in a crew lie one after the other.
+
+    Args:
+        rows: how many.
+        crew: who shares them; all ranks if not given.
+    """
+    crew = crew or everyone()
+    return _share(rows, crew.index, crew.size)
 
 
-def _share(rows: int, rank: int) -> slice:
-    return slice(rank * rows // count(), (rank + 1) * rows // count())
+def _share(rows: int, index: int, size: int) -> slice:
+    return slice(index * rows // size, (index + 1) * rows // size)
 
 
-def gathered(part: Tensor, rows: int) -> Tensor:
-    """The rows (rows, ...) of all ranks, given this one's part of them.
+def gathered(part: Tensor, rows: int, crew: Crew | None = None) -> Tensor:
+    """The rows (rows, ...) of all in a crew, given this one's part of them.
 
     Args:
         part: as many rows as `share` says.
-        rows: of all ranks together.
+        rows: of all together.
+        crew: who shares them; all ranks if not given.
     """
-    ranks = count()
-    if ranks == 1:
+    crew = crew or everyone()
+    if crew.size == 1:
         return part
-    sizes = [(s := _share(rows, rank)).stop - s.start for rank in range(ranks)]
+    shares = [_share(rows, index, crew.size) for index in range(crew.size)]
+    return _gathered(part, [each.stop - each.start for each in shares], crew.group)
+
+
+def exchanged(mine: Tensor, parts: int) -> Tensor:
+    """Of all parts (parts, ...), given one row for each that this rank holds."""
+    if len(mine) == parts:  # on every rank
+        return mine
+    holds = [_held(rank, parts) for rank in range(count())]
+    # Where several ranks hold a part, the first of them speaks.
+    sizes = [0 if each in holds[:rank] else len(each) for rank, each in enumerate(holds)]
+    return _gathered(mine, sizes, None)
+
+
+def passed_on(mine: Tensor, parts: int) -> Tensor:
+    """For each part that this rank holds the row of the part before; the first has the last one's.
+
+    Args:
+        mine: (held, ...) one row for each part that this rank holds.
+        parts: how many there are in all.
+    """
+    holds, me = [_held(rank, parts) for rank in range(count())], _index()
+    # Of the ranks that hold a part, the first one passes it on.
+    sources = [
+        next(rank for rank, each in enumerate(holds) if (hold.start - 1) % parts in each)
+        for hold in holds
+    ]
+    plain = mine.to(torch.uint8) if mine.dtype == torch.bool else mine
+    last = plain[-1:].contiguous()
+    receivers = [rank for rank, source in enumerate(sources) if source == me != rank]
+    sent = [torch.distributed.isend(last, rank) for rank in receivers]
+    first = last
+    if sources[me] != me:
+        first = torch.empty_like(last)
+        torch.distributed.recv(first, sources[me])
+    for each in filter(None, sent):
+        each.wait()
+    return torch.cat([first, plain[:-1]]).to(mine.dtype)
+
+
+def _gathered(
+    part: Tensor, sizes: Sequence[int], group: torch.distributed.ProcessGroup | None
+) -> Tensor:
+    """The first rows of each rank's part, as many as `sizes` says, one after the other."""
     plain = part.to(torch.uint8) if part.dtype == torch.bool else part
     mine = plain.new_zeros(max(sizes), *part.shape[1:])  # gloo wants parts of one size
     mine[: len(part)] = plain
     parts = [torch.empty_like(mine) for _ in sizes]
-    torch.distributed.all_gather(parts, mine)
+    torch.distributed.all_gather(parts, mine, group=group)
     whole = torch.cat([p[:n] for p, n in zip(parts, sizes, strict=True)])
     return whole.to(part.dtype)
 
 
-def agreed(value: bool) -> bool:
-    """What the first rank says, where ranks may differ, as their clocks do."""
+def fetched(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
+    """A part that some rank holds, on the first rank; to be called by all.
+
+    Args:
+        tensors: of the part on the rank that holds it; elsewhere any of the same names, shapes
+            and types, which come back as they are, but on the first rank.
+        part: which one.
+        parts: out of how many.
+    """
+    holder = next(rank for rank in range(count()) if part in _held(rank, parts))
+    if holder == 0 or _index() not in (0, holder):
+        return tensors
+    if _index() == holder:
+        for name in sorted(tensors):
+            torch.distributed.send(tensors[name].contiguous(), 0)
+        return tensors
+    found = {name: torch.empty_like(tensors[name]) for name in sorted(tensors)}
+    for tensor in found.values():
+        torch.distributed.recv(tensor, holder)
+    return found
+
+
+def told(value: Tensor) -> Tensor:
+    """What the first rank has, on all of them."""
     if count() == 1:
         return value
-    said = torch.tensor([value], dtype=torch.uint8)
+    said = value.clone()
     torch.distributed.broadcast(said, 0)
-    return bool(said)
+    return said
+
+
+def agreed(value: bool) -> bool:
+    """What the first rank says, where ranks may differ, as their clocks do."""
+    return bool(told(torch.tensor(value, dtype=torch.uint8)))

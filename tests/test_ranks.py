@@ -1,12 +1,16 @@
 """Several ranks come to what one does, to the last bit."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import islands_on_ranks
 import pytest
 import torch
+from islands_on_ranks import everything
 from trained import SMALL, trained_run
 
 from cgtorch import ranks
@@ -26,7 +30,26 @@ with ranks.together():
             part = whole[ranks.share(rows)]
             assert torch.equal(ranks.gathered(part, rows), whole)
             assert ranks.gathered(part, rows).dtype == whole.dtype
+    for parts in range(1, 12):
+        mine, crew = ranks.held(parts), ranks.crew(parts)
+        assert len(mine) == 1 or len(mine) <= -(-parts // 5)
+        own = torch.arange(parts * 6.0).view(parts, 2, 3)
+        every = ranks.exchanged(own[mine.start : mine.stop], parts)
+        assert torch.equal(every, own)
+        before = [(part - 1) % parts for part in mine]
+        for whole in (own, own > 9):
+            found = ranks.passed_on(whole[mine.start : mine.stop], parts)
+            assert torch.equal(found, whole[before])
+        rows = torch.arange(7) + 10 * mine.start
+        part = rows[ranks.share(7, crew)]
+        assert torch.equal(ranks.gathered(part, 7, crew), rows)
+        for i in range(parts):
+            held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
+            found = ranks.fetched(held, i, parts)
+            assert not ranks.first() or torch.equal(found["x"], own[i])
+            assert not ranks.first() or bool(found["y"])
     assert ranks.agreed(ranks.first())
+    assert ranks.told(torch.tensor([int(ranks.first())])).tolist() == [1]
     ranks.wait()
     if ranks.first():
         print("all gathered")
@@ -56,12 +79,39 @@ def test_alone_everything_is_ones_own() -> None:
         assert ranks.gathered(rows, 7) is rows
         assert ranks.agreed(True)
         assert not ranks.agreed(False)
+        assert ranks.held(3) == range(3)
+        assert torch.equal(ranks.exchanged(rows, 7), rows)
+        assert torch.equal(ranks.passed_on(rows, 7), rows.roll(1))
+        assert ranks.fetched({"x": rows}, 6, 7)["x"] is rows
         ranks.wait()
 
 
 def test_uneven_parts_are_gathered_in_order(tmp_path: Path) -> None:
     (tmp_path / "gather.py").write_text(GATHER)
     assert "all gathered" in torchrun(5, str(tmp_path / "gather.py"))
+
+
+def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
+    tmp_path: Path,
+) -> None:
+    """Broken off after five generations on some ranks, and ended on others."""
+
+    def found(count: int, folder: str, stop: int) -> list[Any]:
+        words = str(tmp_path / folder), str(stop)
+        return json.loads(torchrun(count, islands_on_ranks.__file__, *words).splitlines()[0])
+
+    whole = everything(tmp_path / "whole", -1)
+    one, three = everything(tmp_path / "one", 4), found(3, "three", 4)
+    assert len({str(told) for told, _ in whole}) == len(whole)  # they do exchange something
+    assert one == three
+    assert [len(kept) for _, kept in one] == [2, 4, 6, 8]  # of the last two generations
+    for count, folder in ((2, "one"), (5, "three")):
+        for (told, result), (before, _), (after, same) in zip(
+            whole, one, found(count, folder, -1), strict=True
+        ):
+            assert same == result
+            assert before == told[:5]
+            assert after == told[4:]
 
 
 @pytest.fixture(scope="session")

@@ -4,16 +4,20 @@ It takes half a minute, so all tests of a process share it, and none may write i
 """
 
 import shutil
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cgtorch.experiments.run import create_run
+from safetensors.torch import load
+from torch import Tensor
+
+from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.train import train
-from cgtorch.improvement.events import Event
+from cgtorch.improvement.events import Event, WorldTested
+from cgtorch.models.storage import notes_of
 
 SMALL = RunSettings(
     seed=2,
@@ -53,3 +57,31 @@ def copied(trained: Trained, target: Path, stages: tuple[str, ...] = ("S0", "S1"
     skipped = shutil.ignore_patterns("summary.json", "events*", *without)
     shutil.copytree(trained.folder, target, ignore=skipped)
     return target
+
+
+def interrupted(trained: Trained, target: Path) -> Run:
+    """A copy of the run that is in the middle of S1."""
+    run = open_run(copied(trained, target, ("S0",)))
+    begin_last(run)
+    return run
+
+
+def begin_last(run: Run) -> dict[str, Tensor]:
+    """Make S1 up to the end of its first evolution, and return what that came to, but for times."""
+
+    def stop(event: Event) -> None:
+        if isinstance(event, WorldTested):
+            raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt):
+        train(run, STAGE, stop, lambda message: nullcontext())
+    return first_evolution(run.folder / "journal")
+
+
+def first_evolution(journal: Path) -> dict[str, Tensor]:
+    """What the first evolution of S1 came to, but for times."""
+    for path in sorted((journal / STAGE).glob("*.safetensors")):
+        data = path.read_bytes()
+        if notes_of(data)["step"].startswith("evolution"):
+            return {name: value for name, value in load(data).items() if name != "numbers"}
+    raise AssertionError(f"no evolution in {journal}")

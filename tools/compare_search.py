@@ -1,11 +1,12 @@
 """Compare ways to search, on problems in the models of a finished run.
 
     python tools/compare_search.py RUN --out FOLDER [--seeds N] [--problem NAME] [--only NAME]
+                                   [--base NAME]
 
 RUN is a run's folder, of which start/ is read. Each trial is kept as one JSON file in FOLDER and
 not made again, so a comparison that was broken off goes on, and printing the tables of a whole one
 takes a moment. The ways to search are those of `searches/variants.py`; p is that of Wilcoxon's
-signed-rank test against the first, seed by seed.
+signed-rank test against the first or another `--base`, seed by seed.
 """
 
 from pathlib import Path
@@ -35,8 +36,9 @@ def path_of(out: Path, problem: str, variant: str, seed: int) -> Path:
 @click.option("--seeds", default=10, help="How many seeds.")
 @click.option("--problem", "problems", multiple=True, type=click.Choice(list(PROBLEMS)))
 @click.option("--only", multiple=True, type=click.Choice(list(VARIANTS)))
+@click.option("--base", type=click.Choice(list(VARIANTS)), default=BASE, show_default=True)
 def main(
-    run: Path, out: Path, seeds: int, problems: tuple[str, ...], only: tuple[str, ...]
+    run: Path, out: Path, seeds: int, problems: tuple[str, ...], only: tuple[str, ...], base: str
 ) -> None:
     """Make the trials that are missing, then print one table for each problem."""
     torch.set_num_threads(1)
@@ -52,7 +54,7 @@ def main(
                     found = tried(VARIANTS[name], models, actions, cap, seed)
                     write_json(path, found)
     for problem in problems:
-        click.echo(f"\n{problem}\n\n{table(kept(out, problem), BASE)}")
+        click.echo(f"\n{problem}\n\n{table(kept(out, problem), base)}")
 
 
 def kept(out: Path, problem: str) -> dict[str, dict[int, dict[str, object]]]:

@@ -1,7 +1,6 @@
 """Finding actions by name, and checking that they keep the interface."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 
 import torch
@@ -9,7 +8,8 @@ from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
-from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.dry_run import ROWS, copied, expect, expect_lanes, expect_pair, returned, two_rows
+from cgtorch.environment import Environment, start_lanes
 from cgtorch.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
@@ -63,85 +63,49 @@ def _made(spec: str, entry: EntryPoint) -> Action:
         ) from e
 
 
-def check_action(name: str, action: Action, environment: Environment) -> None:
+def check_action(
+    name: str, action: Action, environment: Environment, device: torch.device | str = "cpu"
+) -> None:
     """Try an action on two fresh lanes, to find early what it does against the interface.
 
     Args:
         name: how the messages call it.
         action: what to check.
         environment: where it runs; it needs at least one scenario.
+        device: where that is.
 
     Raises:
         ActionError: naming the method and what is wrong with what it returned.
     """
-    generator = torch.Generator().manual_seed(0)
-    parameters = _parameters(name, action, generator)
-    scenario = torch.tensor([0, min(1, environment.num_scenarios - 1)])
+    who = f"action {name!r}: forward"
+    parameters = _parameters(name, action, torch.Generator().manual_seed(0))
+    scenario = two_rows(environment.num_scenarios, device)
     lanes = start_lanes(environment, scenario, action.message_size, action.memory_size)
-    kept = Lanes(*(getattr(lanes, f.name).clone() for f in fields(Lanes)))
-    try:
-        returned = action(lanes, parameters, environment)
-    except ActionError:
-        raise
-    except Exception as e:
-        raise ActionError(f"action {name!r}: forward raised {_reason(e)} on two lanes") from e
-    try:
-        after, outcome = returned
-    except (TypeError, ValueError):
-        after = outcome = None
-    if not isinstance(after, Lanes):
-        raise ActionError(
-            f"action {name!r}: forward returned {_kind(returned)}; return (lanes, outcomes)"
-        )
-    _expect(name, "forward", "outcomes", outcome, (2,), torch.long)
+    kept = copied(lanes)
+    parameters = parameters.to(lanes.percept)
+    result = returned(ActionError, who, action, lanes, parameters, environment)
+    after, outcome = expect_pair(ActionError, who, "lanes, outcomes", result)
+    expect_lanes(ActionError, who, lanes, kept, after)
+    expect(ActionError, who, "outcomes", outcome, (ROWS,), torch.long)
     if not ((outcome >= 0) & (outcome < len(action.outcomes))).all():
         raise ActionError(
-            f"action {name!r}: forward returned outcomes {outcome.tolist()}; they index "
-            f"{action.outcomes}, so give 0 to {len(action.outcomes) - 1}"
+            f"{who} returned outcomes {outcome.tolist()}; they index {action.outcomes}, so give 0 "
+            f"to {len(action.outcomes) - 1}"
         )
-    for f in fields(Lanes):
-        was: Tensor = getattr(kept, f.name)
-        _expect(name, "forward", f"lanes.{f.name}", getattr(after, f.name), was.shape, was.dtype)
-        if not torch.equal(getattr(lanes, f.name), was):
-            raise ActionError(
-                f"action {name!r}: forward changed lanes.{f.name} in place; return new lanes, "
-                f"as with dataclasses.replace(lanes, {f.name}=...)"
-            )
 
 
 def _parameters(name: str, action: Action, generator: Generator) -> Tensor:
     """The parameters of two nodes, if they are as the action promises."""
+    who = f"action {name!r}: initial_parameters"
     for attribute in ("num_parameters", "message_size", "memory_size"):
         value = getattr(action, attribute)
         if not isinstance(value, int) or value < 0:
             raise ActionError(f"action {name!r}: {attribute} is {value!r}; give a whole number")
-    try:
-        values = action.initial_parameters(2, generator)
-    except Exception as e:
-        raise ActionError(f"action {name!r}: initial_parameters raised {_reason(e)}") from e
-    shape = (2, action.num_parameters)
-    _expect(name, "initial_parameters", "values", values, shape, torch.float32)
+    values: Tensor = returned(ActionError, who, action.initial_parameters, ROWS, generator)
+    expect(ActionError, who, "values", values, (ROWS, action.num_parameters), torch.float32)
     if not values.isfinite().all():
-        raise ActionError(
-            f"action {name!r}: initial_parameters returned numbers that are not finite"
-        )
+        raise ActionError(f"{who} returned numbers that are not finite")
     return values
-
-
-def _expect(
-    name: str, method: str, what: str, value: object, shape: Sequence[int], dtype: torch.dtype
-) -> None:
-    if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
-        raise ActionError(
-            f"action {name!r}: {method} returned {what} as {_kind(value)}; "
-            f"return {_kind(torch.empty(*shape, dtype=dtype))}"
-        )
-
-
-def _kind(value: object) -> str:
-    if isinstance(value, Tensor):
-        return f"a tensor {tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
-    return f"a {type(value).__name__}"
 
 
 def _reason(e: Exception) -> str:

@@ -1,5 +1,6 @@
 """`cgtorch-train`: evolve a skill, stage by stage, from a robot description to a tested skill."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ Examples:
   cgtorch-train --stage S2
   cgtorch-train --stage S3 --seed 1 --run-dir runs/one
   cgtorch-train --resume runs/one --stage S3
+  cgtorch-train --resume runs/one --stage S3 --override population=600
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage auto --scenarios general --run-dir runs/general
   cgtorch-train --stage S1 --actions my_package.actions:Wait
@@ -34,6 +36,12 @@ Examples:
     "--run-dir", type=click.Path(path_type=Path), help="Folder of the run.  [runs/seed-N]"
 )
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run.")
+@click.option(
+    "--override",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="With --resume, go on with another value of a setting; may be given more than once.",
+)
 @click.option("--urdf", type=click.Path(path_type=Path), help="Another robot than the PR2.")
 @click.option("--robot", type=click.Path(path_type=Path), help="Its description.  [robot.json]")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
@@ -63,9 +71,8 @@ def command(context: click.Context, /, **options: Any) -> None:
     from cgtorch.ranks import together
 
     of_goal = {f.name for f in fields(Goal)}
+    of_run = {f.name for f in fields(RunSettings)} - {"actions"}
     every = options["checkpoint_seconds"]
-    here = {"resume", "stage", "quiet", "device", "checkpoint_seconds"}  # not what a run is about
-    names = here | {"run_dir", "urdf", "robot"} | of_goal
     given = {
         name
         for name in options
@@ -76,22 +83,43 @@ def command(context: click.Context, /, **options: Any) -> None:
     if stage != AUTO and (odd := sorted(given & of_goal)):
         raise SettingsError(f"--{odd[0]} is for --stage {AUTO}; add that or leave it out")
     import_from_here(options["actions"])
+    overrides = _overrides(context, options["override"])
     if options["resume"]:
-        if odd := sorted(given - here - {"actions"} - of_goal):
+        if odd := sorted(given & {"run_dir", "urdf", "robot"}):
             raise SettingsError(
                 f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
             )
+        wanted = {name: options[name] for name in given & of_run}
+        about = options["resume"], options["actions"], wanted, overrides
         with together():
-            carry_on(options["resume"], options["actions"], stage, goal, device, quiet, every)
+            carry_on(*about, stage, goal, device, quiet, every)
         return
-    values = {k: v for k, v in options.items() if k not in names}
-    settings = RunSettings(**{**values, "actions": tuple(values["actions"])})
+    if overrides:
+        raise SettingsError("--override is for a run that has begun; add --resume RUN")
+    values = {name: options[name] for name in of_run}
+    settings = RunSettings(**values, actions=tuple(options["actions"]))
     folder = options["run_dir"] or Path("runs") / f"seed-{settings.seed}"
     if (folder / "run.json").is_file() and (options["urdf"] or options["robot"]):
         raise RunError(f"run {str(folder)!r} has its robot already; choose another --run-dir")
     robot = options["urdf"], options["robot"]
     with together():
         begin(folder, settings, *robot, stage, goal, device, quiet, every)
+
+
+def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
+    """Settings by name from NAME=VALUE, read as their own options read them."""
+    options = {option.name: option for option in context.command.params}
+    found = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        name = name.removeprefix("--").replace("-", "_")
+        if "=" not in word or name not in {f.name for f in fields(RunSettings)}:
+            raise SettingsError(
+                f"--override {word!r:.40} names no setting; give NAME=VALUE, such as population=600"
+            )
+        value = options[name].type.convert(text, options[name], context)
+        found[name] = (value,) if options[name].multiple else value
+    return found
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """What `cgtorch-train` does once its options are understood."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from cgtorch.experiments.journal import recalled_generations
 from cgtorch.experiments.run import Run, create_run, open_run
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import check_stages, stages_up_to
+from cgtorch.experiments.takeover import TakenOver, overridden, refuse_others, take_over
 from cgtorch.experiments.train import finished_generations, train
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
@@ -51,23 +52,41 @@ def begin(
         create_run(folder, settings, urdf, robot)
     ranks.wait()
     run = open_run(folder, settings.actions)
-    _same(run, settings)
-    _train(run, stage, goal, where, quiet, checkpoint_seconds)
+    refuse_others(run, vars(settings), "choose another --run-dir")
+    _train(run, settings, stage, goal, where, quiet, checkpoint_seconds)
 
 
 def carry_on(
     folder: Path,
     trusted: Sequence[str],
+    given: Mapping[str, Any],
+    overrides: Mapping[str, Any],
     stage: str,
     goal: Goal,
     device: str,
     quiet: bool,
     checkpoint_seconds: float,
 ) -> None:
-    """Go on with a run under the settings it has; the arguments are those of `begin`."""
+    """Go on with a run under the settings it has, but for those that are taken over.
+
+    Args:
+        folder: of the run.
+        trusted: actions of its own that may be imported.
+        given: settings that must be the run's.
+        overrides: settings to go on with in place of the run's.
+        stage: this and the others as in `begin`.
+        goal: of "auto".
+        device: where populations are evaluated.
+        quiet: print the final table only.
+        checkpoint_seconds: between two notes of where an evolution stands.
+    """
     run = open_run(folder, trusted)
     _check(stage, run.settings)
-    _train(run, stage, goal, device_of(device), quiet, checkpoint_seconds)
+    where = device_of(device)
+    settings = overridden(run, overrides)
+    rest = {name: value for name, value in given.items() if name not in overrides}
+    refuse_others(run, rest, "leave it out")
+    _train(run, settings, stage, goal, where, quiet, checkpoint_seconds)
 
 
 def _check(stage: str, settings: RunSettings) -> None:
@@ -93,18 +112,9 @@ def device_of(name: str) -> torch.device:
     return device
 
 
-def _same(run: Run, settings: RunSettings) -> None:
-    was, now = run.settings.to_dict(), settings.to_dict()
-    for name in was:
-        if was[name] != now[name]:
-            raise SettingsError(
-                f"run {str(run.folder)!r} was begun with --{name.replace('_', '-')} {was[name]}, "
-                f"not {now[name]}; choose another --run-dir"
-            )
-
-
 def _train(
     run: Run,
+    settings: RunSettings,
     stage: str,
     goal: Goal,
     device: torch.device,
@@ -112,13 +122,17 @@ def _train(
     checkpoint_seconds: float,
 ) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
+    taken = take_over(run, settings, stage)
+    run = taken.run
     with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
         missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
-        settings = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
-        with _board(run, settings) as board:
+        for line in _changes(taken):
+            display.say(line)
+        shown = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
+        with _board(run, shown) as board:
 
             def watch(event: Event) -> None:
                 board(event)
@@ -132,6 +146,26 @@ def _train(
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
         display.console.print(final_table(results))
+
+
+def _changes(taken: TakenOver) -> Iterator[str]:
+    """What a run goes on with that was otherwise before."""
+    again = f"; {taken.before} begins again" if taken.set_aside else f" from {taken.before} on"
+    versions = [name for name in ("cgtorch", "torch") if name in taken.changed]
+    for name in (n for n in taken.changed if n not in versions):
+        was, now = taken.changed[name]
+        yield f"{name} is {now} in place of {was}{again}"
+    if versions:
+        was, now = (
+            " and ".join(f"{name} {taken.changed[name][i]!s:.20}" for name in versions)
+            for i in (0, 1)
+        )
+        yield (
+            f"run {taken.run.folder} was made with {was} so far, this is {now}: what is finished "
+            f"stays, what comes may differ from what {was} would make{again}"
+        )
+    if taken.set_aside:
+        yield f"what {taken.before} had come to is in {taken.run.folder / taken.set_aside}"
 
 
 @contextmanager

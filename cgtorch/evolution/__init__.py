@@ -6,6 +6,7 @@ from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
 from cgtorch.evolution.fitness import Evaluation as Evaluation
 from cgtorch.evolution.fitness import evaluate as evaluate
+from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population

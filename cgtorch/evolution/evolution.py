@@ -27,12 +27,14 @@ class EvolutionSettings:
     """How a population evolves.
 
     Attributes:
-        population: number of individuals.
+        population: number of individuals, of each island.
         selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
         tau: variance of the drift of strategy parameters (eq. 2).
+        islands: populations that evolve apart; see `cgtorch.evolution.islands`.
+        migration: generations between two migrations.
 
     Raises:
         SettingsError: a value that cannot work.
@@ -44,6 +46,8 @@ class EvolutionSettings:
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
     tau: float = TAU
+    islands: int = 1
+    migration: int = 5
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -56,6 +60,9 @@ class EvolutionSettings:
             raise SettingsError(
                 f"initial nodes are {low} to {high}; give a range within 1 to {self.capacity}"
             )
+        for name in ("islands", "migration"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} is {getattr(self, name)}; give at least 1")
         if not 0 <= self.tau < float("inf"):
             raise SettingsError(f"tau is {self.tau}; give a finite variance of at least 0")
 

@@ -45,6 +45,7 @@ def evaluate(
     keep: Tensor,
     max_transitions: int = MAX_TRANSITIONS,
     most_lanes: int = MOST_LANES,
+    crew: ranks.Crew | None = None,
 ) -> Evaluation:
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
 
@@ -60,17 +61,17 @@ def evaluate(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
-
-    Individuals are shared out among all ranks (`cgtorch.ranks`), each of which gets all results.
+        crew: the ranks (`cgtorch.ranks`) that have this population, all if not given. Individuals
+            are shared out among them, and each of them gets all results.
     """
     p, size = len(graphs), max(1, most_lanes // max(1, len(keep)))
-    mine = graphs[ranks.share(p)]
+    mine = graphs[ranks.share(p, crew)]
     parts = [
         _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions)
         for i in range(0, max(1, len(mine)), size)
     ]
     scores, succeeded, transitions, finite = (
-        ranks.gathered(torch.cat(column), p) for column in zip(*parts, strict=True)
+        ranks.gathered(torch.cat(column), p, crew) for column in zip(*parts, strict=True)
     )
     scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
     # The mean of all at once: that of some rows may round otherwise.

@@ -1,51 +1,60 @@
 """Algorithm 2 as a stream of generations."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
+from cgtorch import ranks
+from cgtorch.actions import ActionSet, check_action
+from cgtorch.dry_run import check_environment
 from cgtorch.environment import Environment
-from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, initial_state, tell
-from cgtorch.evolution.fitness import evaluate
+from cgtorch.evolution.evolution import EvolutionSettings
+from cgtorch.evolution.fitness import Evaluation, evaluate
+from cgtorch.evolution.islands import (
+    Island,
+    Tried,
+    emigrants,
+    first_islands,
+    migrated,
+    told_islands,
+)
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
+from cgtorch.graphs import SubSkill
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
 @dataclass(frozen=True)
 class Generation:
-    """One evaluated generation.
+    """One evaluated generation of all islands.
 
     Attributes:
         number: counted from 0.
-        population: the individuals that were evaluated.
-        fitness: (P,).
-        best: index of the best, of equal ones the smallest.
-        succeeded: (B,) bool, what the best solves in the models.
+        islands: those that this rank holds, with the individuals that were evaluated.
+        fitness: (P,) of the first of these.
+        champion: the best individual of all islands, as a population of one; of equal ones the
+            smallest, of these that of the first island.
+        best: its fitness.
+        succeeded: (B,) bool, what it solves in the models.
         transitions: actions executed by all.
         not_finite: individuals that count for nothing, as something about them was not finite.
     """
 
     number: int
-    population: Population
+    islands: Sequence[Island]
     fitness: Tensor
-    best: int
+    champion: Population
+    best: float
     succeeded: Tensor
     transitions: int
     not_finite: int = 0
 
     @property
-    def state(self) -> EvolutionState:
-        """From where `evolve` evaluates this generation again."""
-        return EvolutionState(self.population, self.number, self.champion, float("-inf"))
-
-    @property
-    def champion(self) -> Population:
-        """The best individual, as a population of one."""
-        return self.population[self.best : self.best + 1]
+    def population(self) -> Population:
+        """The individuals of the first island that this rank holds."""
+        return self.islands[0].state.population
 
 
 def evolve(
@@ -56,37 +65,93 @@ def evolve(
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
-    state: EvolutionState | None = None,
+    islands: Sequence[Island] | None = None,
     max_transitions: int = MAX_TRANSITIONS,
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
+
+    Islands are shared out among all ranks (`cgtorch.ranks`), each of which is told the same but
+    for the islands that it holds itself.
 
     Args:
         environment: the models, on B scenarios.
         actions: what nodes can do.
         settings: of the evolution.
-        generator: of all random choices.
+        generator: of all random choices; it goes on only where the first island is held.
         keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device; none if not
             given, which is on the CPU.
-        seeds: earlier individuals, which make up half of the first population.
-        state: where to begin, in place of a first population.
+        seeds: earlier individuals, which make up half of each first population.
+        islands: where to begin, in place of first populations: those that this rank holds.
         max_transitions: see `cgtorch.simulation.rollout`.
+
+    Raises:
+        WorldError: the environment, tried on two scenarios, breaks its interface.
+        ActionError: an action does.
     """
     if keep is None:
         keep = torch.zeros(environment.num_scenarios, dtype=torch.bool)
-    if state is None:
-        state = initial_state(settings, actions, generator, seeds)
+    check_environment(environment, keep.device)
+    for name, action in zip(actions.names, actions.actions, strict=True):
+        if not isinstance(action, SubSkill):
+            check_action(name, action, environment, keep.device)
+    count, crew = settings.islands, ranks.crew(settings.islands)
+    if islands is None:
+        islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
     while True:
-        population = state.population
-        result = evaluate(population.graphs, actions, environment, keep, max_transitions)
-        best = int(ranking(result.fitness, population.graphs.num_nodes)[0])
-        yield Generation(
-            number=state.generation,
-            population=population,
-            fitness=result.fitness,
-            best=best,
-            succeeded=result.succeeded[best],
-            transitions=result.transitions,
-            not_finite=result.not_finite,
-        )
-        state = tell(state, result.fitness, settings, actions, generator, result.scores)
+        results = [
+            evaluate(
+                island.state.population.graphs,
+                actions,
+                environment,
+                keep,
+                max_transitions,
+                crew=crew,
+            )
+            for island in islands
+        ]
+        tried = [
+            Tried(island.state.population, result.fitness, result.scores, result.succeeded)
+            for island, result in zip(islands, results, strict=True)
+        ]
+        generation = _generation(islands, tried, results, count)
+        yield generation
+        if count > 1 and (generation.number + 1) % settings.migration == 0:
+            arrivals = _passed_on([emigrants(each) for each in tried], count)
+            tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
+        islands = told_islands(islands, tried, settings, actions)
+
+
+def _generation(
+    islands: Sequence[Island], tried: Sequence[Tried], results: Sequence[Evaluation], count: int
+) -> Generation:
+    """The generation of all `count` islands, given those that this rank holds."""
+    leaders = _exchanged([each.best(1) for each in tried], count)
+    fitness = torch.cat([each.fitness for each in leaders])
+    sizes = torch.cat([each.population.graphs.num_nodes for each in leaders])
+    winner = int(ranking(fitness, sizes)[0])
+    counts = torch.tensor([[r.transitions, r.not_finite] for r in results])
+    transitions, not_finite = ranks.exchanged(counts, count).sum(0).tolist()
+    return Generation(
+        number=islands[0].state.generation,
+        islands=islands,
+        fitness=tried[0].fitness,
+        champion=leaders[winner].population,
+        best=float(fitness[winner]),
+        succeeded=leaders[winner].succeeded[0],
+        transitions=transitions,
+        not_finite=not_finite,
+    )
+
+
+def _exchanged(mine: Sequence[Tried], count: int) -> list[Tried]:
+    """Individuals of all `count` islands, given equally many of each that this rank holds."""
+    columns = zip(*(each.tensors() for each in mine), strict=True)
+    every = [ranks.exchanged(torch.stack(column), count) for column in columns]
+    return [Tried.of([values[i] for values in every]) for i in range(count)]
+
+
+def _passed_on(mine: Sequence[Tried], count: int) -> list[Tried]:
+    """For each island that this rank holds, what the one before sends, given what these send."""
+    columns = zip(*(each.tensors() for each in mine), strict=True)
+    found = [ranks.passed_on(torch.stack(column), count) for column in columns]
+    return [Tried.of([values[i] for values in found]) for i in range(len(mine))]

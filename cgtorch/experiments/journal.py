@@ -1,11 +1,13 @@
 """The journal of a stage as files, from which it goes on after whatever has stopped it.
 
-RUN/journal/STAGE/00007.safetensors     what the stage's seventh long step came to
-RUN/journal/STAGE/00008-3.safetensors   where the eighth stood when it was kept for the third time
+RUN/journal/STAGE/00007.safetensors       what the stage's seventh long step came to
+RUN/journal/STAGE/00008-3.safetensors     where the eighth stood when it was kept for the third time
+RUN/journal/STAGE/00008-3.0.safetensors   the first part of what it goes on from: of an island each
 
-Every file appears whole and carries a checksum. Of where a step stands the last two are kept. What
-is damaged is named and counts as never done, with all that came after it; so nothing is lost but
-time. The folder goes when the stage is finished.
+Every file appears whole and carries a checksum; that of where a step stands comes after its parts
+and names their checksums. Of where a step stands the last two are kept. What is damaged is named
+and counts as never done, with all that came after it; so nothing is lost but time. The folder goes
+when the stage is finished.
 """
 
 import hashlib
@@ -14,6 +16,7 @@ import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -27,12 +30,14 @@ from cgtorch import ranks
 from cgtorch.errors import RunError
 from cgtorch.files import read_bytes, write_bytes
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
+from cgtorch.improvement.journal import Standing
 from cgtorch.models.storage import notes_of, tensors_of
 
 FOLDER = "journal"
 MAX_BYTES = 2**30
 SECONDS = 20.0  # between two notes of where a step stands
 _STEP, _STANDING = re.compile(r"(\d{5})\.safetensors"), re.compile(r"(\d{5})-(\d+)\.safetensors")
+_PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
 
 
 class FileJournal:
@@ -61,9 +66,9 @@ class FileJournal:
         self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
         self.damaged: list[Path] = []
         self._steps: list[tuple[str, dict[str, Tensor]]] = []
-        self._standing: tuple[str, dict[str, Tensor]] | None = None
+        self._standing: tuple[str, Standing] | None = None
         self._notes, self._written_at = 0, time.monotonic()
-        self._unwritten: tuple[str, dict[str, Tensor]] | None = None
+        self._unwritten: tuple[str, Standing] | None = None
         self._read()
         self._next = 0
 
@@ -71,7 +76,7 @@ class FileJournal:
     def generations(self) -> int:
         """Generations that will be recalled."""
         known = [tensors for _, tensors in self._steps]
-        known += [] if self._standing is None else [self._standing[1]]
+        known += [] if self._standing is None else [self._standing[1].about]
         return sum(int(t["generations"]) for t in known if _counts(t))
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
@@ -86,26 +91,26 @@ class FileJournal:
     def record(self, step: str, result: dict[str, Tensor]) -> None:
         """See `Journal.record`."""
         self._standing = self._unwritten = None
-        self._write(f"{len(self._steps):05}.safetensors", step, result)
+        self._write(f"{len(self._steps):05}", {"step": step}, result)
         self._steps.append((step, {}))  # only its place is needed any more
         self._next = len(self._steps)
-        stale = self._files(_STEP)[len(self._steps) :] + self._files(_STANDING)
-        for path in stale if ranks.first() else ():
-            path.unlink(missing_ok=True)
+        self._remove(self._files(_STEP)[len(self._steps) :])
+        self._keep_standings(0)
 
-    def recall_standing(self, step: str) -> dict[str, Tensor] | None:
+    def recall_standing(self, step: str) -> Standing | None:
         """See `Journal.recall_standing`."""
         if self._standing is None:
             return None
-        name, tensors = self._standing
+        name, standing = self._standing
         self._check(step, name)
-        return tensors
+        return standing
 
-    def record_standing(self, step: str, standing: dict[str, Tensor]) -> None:
+    def record_standing(self, step: str, standing: Standing) -> None:
         """See `Journal.record_standing`."""
         self._unwritten = step, standing
-        if time.monotonic() - self._written_at >= self._seconds:
-            self._write_standing()
+        due = time.monotonic() - self._written_at >= self._seconds
+        if ranks.agreed(due):
+            self._write_standing(step, standing)
 
     def __enter__(self) -> Self:
         """The journal itself."""
@@ -114,13 +119,16 @@ class FileJournal:
     def __exit__(
         self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Where the stage ends early, keep where it stands; where it is finished, forget it."""
+        """Where the stage ends early, keep where it stands; where it is finished, forget it.
+
+        Who ends early does so alone, so what other ranks hold cannot be had any more.
+        """
         if kind is None and ranks.first():
             shutil.rmtree(self._folder, ignore_errors=True)
             with suppress(OSError):
                 self._folder.parent.rmdir()  # of all stages, if this was the only one
-        elif kind is not None and self._unwritten is not None and not issubclass(kind, RunError):
-            self._write_standing()
+        elif kind is not None and not issubclass(kind, RunError):
+            self._write_what_is_here()
 
     def _check(self, step: str, name: str) -> None:
         if step != name:
@@ -129,27 +137,47 @@ class FileJournal:
                 "remove it, and the stage is made again"
             )
 
-    def _write_standing(self) -> None:
-        assert self._unwritten is not None  # noqa: S101  callers have looked
-        step, standing = self._unwritten
+    def _write_what_is_here(self) -> None:
+        if self._unwritten is not None and not self._unwritten[1].apart:
+            self._write_standing(*self._unwritten)
+
+    def _write_standing(self, step: str, standing: Standing) -> None:
         self._notes += 1
-        self._write(f"{len(self._steps):05}-{self._notes}.safetensors", step, standing)
+        name, sums = f"{len(self._steps):05}-{self._notes}", []
+        for i, part in enumerate(standing.parts):  # one at a time, as they may be large
+            sums.append(self._write(f"{name}.{i}", {"step": step}, part()))
+        self._write(name, {"step": step, "parts": " ".join(sums)}, standing.about)
         self._unwritten, self._written_at = None, time.monotonic()
-        for path in self._files(_STANDING)[:-2] if ranks.first() else ():
+        self._keep_standings(2)
+
+    def _keep_standings(self, count: int) -> None:
+        """Remove notes of where steps stood, but for the last ones, and parts of no note."""
+        notes = self._files(_STANDING)
+        kept = notes[len(notes) - count :] if count else []
+        self._remove([path for path in notes if path not in kept])
+        stems = {path.stem for path in kept}
+        self._remove([p for p in self._files(_PART) if p.name.split(".")[0] not in stems])
+
+    @staticmethod
+    def _remove(paths: list[Path]) -> None:
+        for path in paths if ranks.first() else ():
             path.unlink(missing_ok=True)
 
-    def _write(self, name: str, step: str, tensors: dict[str, Tensor]) -> None:
+    def _write(self, name: str, about: dict[str, str], tensors: dict[str, Tensor]) -> str:
+        """Write a file, the first rank only, and return its checksum."""
         if not ranks.first():
-            return
+            return ""
         self._before_writing()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as e:
             raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
         plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
-        about = {"step": step, "version": cgtorch.__version__}
+        about = {**about, "version": cgtorch.__version__}
         about["sha256"] = checksum(plain, about)
-        write_bytes(self._folder / name, safetensors.torch.save(plain, metadata=about))
+        data = safetensors.torch.save(plain, metadata=about)
+        write_bytes(self._folder / f"{name}.safetensors", data)
+        return about["sha256"]
 
     def _files(self, pattern: re.Pattern[str]) -> list[Path]:
         """Files of that kind in their order."""
@@ -166,18 +194,40 @@ class FileJournal:
             known = self._whole(path) if path.name == f"{i:05}.safetensors" else None
             if known is None:
                 break
-            self._steps.append(known)
+            self._steps.append((known[0]["step"], known[1]))
         for path in self._files(_STANDING):
             self._notes = max(self._notes, int(path.stem.split("-")[1]))
             if path.name.startswith(f"{len(self._steps):05}-"):
-                self._standing = self._whole(path) or self._standing
+                self._standing = self._whole_standing(path) or self._standing
 
-    def _whole(self, path: Path) -> tuple[str, dict[str, Tensor]] | None:
-        """The step that a file is about and its tensors; None if it is damaged, which is noted."""
+    def _whole_standing(self, path: Path) -> tuple[str, Standing] | None:
+        """Where a step stood; None if the file or one of its parts is damaged."""
+        known = self._whole(path)
+        if known is None:
+            return None
+        about, tensors = known
+        sums, parts = about.get("parts", "").split(), []
+        if not sums:
+            self.damaged.append(path)
+            return None
+        for i, wanted in enumerate(sums):
+            part = path.with_name(f"{path.stem}.{i}.safetensors")
+            # Looked at now and read when it is needed: not all may fit into memory.
+            if (found := self._whole(part)) is None:
+                return None
+            if found[0]["sha256"] != wanted:
+                self.damaged.append(part)
+                return None
+            parts.append(partial(_tensors_of, part))
+        return about["step"], Standing(tensors, tuple(parts))
+
+    def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
+        """What a file is about and its tensors; None if it is damaged, which is noted."""
         try:
             about, tensors = _load(path)
-            if about.pop("sha256", None) == checksum(tensors, about):
-                return (about["step"], tensors) if about["version"] == cgtorch.__version__ else None
+            rest = {key: value for key, value in about.items() if key != "sha256"}
+            if about["sha256"] == checksum(tensors, rest) and "step" in about:
+                return (about, tensors) if about["version"] == cgtorch.__version__ else None
         except (RunError, KeyError, ValueError):
             pass
         self.damaged.append(path)
@@ -198,6 +248,10 @@ def recalled_generations(folder: Path) -> int:
     journals = (path for path in (folder / FOLDER).glob("*") if path.is_dir())
     begun = [path for path in journals if not (folder / path.name / "skill.json").is_file()]
     return sum(FileJournal(path).generations for path in begun)
+
+
+def _tensors_of(path: Path) -> dict[str, Tensor]:
+    return _load(path)[1]
 
 
 def _load(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:

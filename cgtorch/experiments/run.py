@@ -1,11 +1,12 @@
 """A run: a folder that holds everything it was made with and everything it produced.
 
-run.json            format, versions, settings
+run.json            format, versions, settings, and what was changed when
 robot/              the URDF and its description, as they were when the run began
 start/              what was known before the first stage: data, Γ, C
 S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
 auto-1/ auto-2/ …   each finished round of --stage auto: the same
 journal/            of the stage or round that is not finished: all it has come to so far
+set-aside/          journals of stages that were begun again, as settings or the version changed
 ledger/             every accepted skill, with the evidence for eq. 1
 summary.json        the final table
 events.out.…        TensorBoard
@@ -45,7 +46,7 @@ class Run:
 
     Attributes:
         folder: where it is.
-        settings: what it was begun with.
+        settings: what it is made with.
         robot: the robot it is about.
         actions: the primitive actions.
     """

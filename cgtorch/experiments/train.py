@@ -13,7 +13,7 @@ from torch import Generator
 from cgtorch import ranks
 from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
-from cgtorch.evolution import EvolutionSettings, tournament
+from cgtorch.evolution import EvolutionSettings, lexicase, tournament
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.journal import SECONDS, journal_of
@@ -245,11 +245,13 @@ def not_improved(run: Run, name: str) -> NotImprovedError:
 
 def evolution_of(settings: RunSettings) -> EvolutionSettings:
     """How populations evolve: as published for the method of the paper, else the default way."""
-    size = settings.population
-    if settings.method == "paper":
-        published = tournament(settings.tournament)
-        return EvolutionSettings(population=size, selection=published)
-    return EvolutionSettings(population=size)
+    published = settings.method == "paper"
+    return EvolutionSettings(
+        population=settings.population,
+        selection=tournament(settings.tournament) if published else lexicase,
+        islands=settings.islands,
+        migration=settings.migration,
+    )
 
 
 def make_setup(

@@ -6,9 +6,28 @@ it. Made again, the stage reads them instead of computing them, and goes on comp
 journal ends. Of an evolution there is, too, where it stood a while ago.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a step stands.
+
+    Attributes:
+        about: what it has come to so far.
+        parts: each gives a part of what it goes on from, which may be large, when it is called.
+            All ranks call those that they call in the same order; what is kept is what the first
+            one gets.
+        apart: whether parts are held by several ranks, so that no rank has all without the others.
+    """
+
+    about: dict[str, Tensor]
+    parts: tuple[Callable[[], dict[str, Tensor]], ...]
+    apart: bool = False
 
 
 class Journal(Protocol):
@@ -29,12 +48,12 @@ class Journal(Protocol):
         """Keep what a step that was not recalled has come to."""
         ...
 
-    def recall_standing(self, step: str) -> dict[str, Tensor] | None:
+    def recall_standing(self, step: str) -> Standing | None:
         """Where the next step stood when it was interrupted; None if that was not kept."""
         ...
 
-    def record_standing(self, step: str, standing: dict[str, Tensor]) -> None:
-        """Keep where a step stands, unless that was kept a moment ago."""
+    def record_standing(self, step: str, standing: Standing) -> None:
+        """Keep where a step stands, unless that was kept a moment ago; all ranks call it."""
         ...
 
 
@@ -48,9 +67,9 @@ class NoJournal:
     def record(self, step: str, result: dict[str, Tensor]) -> None:
         """Do nothing."""
 
-    def recall_standing(self, step: str) -> dict[str, Tensor] | None:
+    def recall_standing(self, step: str) -> Standing | None:
         """None."""
         return None
 
-    def record_standing(self, step: str, standing: dict[str, Tensor]) -> None:
+    def record_standing(self, step: str, standing: Standing) -> None:
         """Do nothing."""

@@ -7,12 +7,21 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
+from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
 from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.standing import Budget, Found, standing_from, standing_tensors
+from cgtorch.improvement.standing import (
+    Budget,
+    Found,
+    found_from,
+    found_tensors,
+    islands_from,
+    restore,
+    standing_of,
+)
 
 
 def evolve_candidate(
@@ -41,13 +50,16 @@ def evolve_candidate(
     """
     journal, step = journal or NoJournal(), f"evolution {name}"
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
-    state, found = None, None
-    if known := journal.recall(step) or journal.recall_standing(step):
-        found, state = standing_from(known, actions, generator, len(keep))
-        counts = found.generations, found.transitions, found.seconds
-        watch(EvolutionRecalled(stage, name, *counts, found.champion))
-        if state is None:
-            return found.champion, found.solved
+    found, islands = None, None
+    if known := journal.recall(step):
+        found = found_from(known, actions, len(keep))
+        watch(_recalled(stage, name, found))
+        restore(generator, known)
+        return found.champion, found.solved
+    if standing := journal.recall_standing(step):
+        found = found_from(standing.about, actions, len(keep))
+        islands = islands_from(standing, actions, generator, settings.islands)
+        watch(_recalled(stage, name, found))
     began = time.perf_counter()
     for generation in evolve(
         environment,
@@ -56,19 +68,27 @@ def evolve_candidate(
         generator,
         keep=keep.to(device),
         seeds=seeds,
-        state=state,
+        islands=islands,
         max_transitions=max_transitions,
     ):
         found = found or Found(generation.champion, keep, -1.0)
-        journal.record_standing(step, standing_tensors(found, generation.population, generator))
+        stands = standing_of(found, generation.islands, settings.islands)
+        journal.record_standing(step, stands)
         now = time.perf_counter()
         watch(_done(stage, name, generation, budget, keep, now - began))
         found, began = found.after(generation, now - began), now
         if found.ends(budget):
             break
     assert found is not None  # noqa: S101  the loop body has run
-    journal.record(step, standing_tensors(found, None, generator))
+    # Where the first island is not held, its random numbers have not been drawn.
+    generator.set_state(ranks.told(generator.get_state()))
+    journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
     return found.champion, found.solved
+
+
+def _recalled(stage: str, name: str, found: Found) -> EvolutionRecalled:
+    counts = found.generations, found.transitions, found.seconds
+    return EvolutionRecalled(stage, name, *counts, found.champion)
 
 
 def _done(

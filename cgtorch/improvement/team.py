@@ -7,6 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.data import Dataset
+from cgtorch.dry_run import check_environment
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.attempt import attempt
@@ -64,11 +65,17 @@ class Task:
 def make_task(
     setup: Setup, progress: Progress, stage: str, scenarios: Scenarios, targets: Tensor
 ) -> Task:
-    """W and the scenarios of a stage, with what the robot first sees in each."""
+    """W and the scenarios of a stage, with what the robot first sees in each.
+
+    Raises:
+        WorldError: the world, tried on two of them, breaks its interface.
+    """
     everything = concatenate_scenarios([progress.solved, scenarios])
     keep = torch.arange(len(everything)) < len(progress.solved)
     mask = torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets])
-    return Task(stage, everything, keep, mask, first_percepts(setup.world_of(everything)))
+    world = setup.world_of(everything)
+    check_environment(world)
+    return Task(stage, everything, keep, mask, first_percepts(world))
 
 
 def with_fresh(

@@ -159,7 +159,7 @@ class ProgressDisplay:
 
 def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
     generation = event.generation
-    best, mean = float(generation.fitness[generation.best]), float(generation.fitness.mean())
+    best, mean = generation.best, float(generation.fitness.mean())
     speed = "" if estimate.speed is None else f"  {_short(estimate.speed)} transitions/s"
     solved = f"  M {event.solved_m}/{event.size_m}"
     if event.size_w:

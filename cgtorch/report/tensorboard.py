@@ -33,6 +33,9 @@ table/successes                     image       what an accepted skill reaches
 settings                            text        hyper-parameters; also in the HPARAMS tab
 ==================================  ==========  ===================================================
 
+Of several islands, the best is the best of all, and so are speeds and what is not finite counted;
+means, shares and histograms are of the first island, which the first rank always holds.
+
 What is told of the first Γ and C only is written once. Learning curves have the number of rows as
 their step, so they are in a folder of their own, `by_rows`: `gamma/learning_curve/train`,
 `gamma/learning_curve/test`, `classifier/learning_curve/train`, `classifier/learning_curve/test`.
@@ -184,11 +187,11 @@ class TensorBoardWatch:
         fitness = generation.fitness
         self._scalars(
             {
-                "fitness/best": float(fitness[generation.best]),
+                "fitness/best": generation.best,
                 "fitness/mean": float(fitness.mean()),
                 "solved/W": event.solved_w,
                 "solved/M": event.solved_m,
-                "graph/nodes_best": int(nodes[generation.best]),
+                "graph/nodes_best": int(generation.champion.graphs.num_nodes),
                 "graph/nodes_mean": float(nodes.float().mean()),
                 "population/unsolved": float((fitness <= 0).float().mean()),
                 "population/not_finite": generation.not_finite,

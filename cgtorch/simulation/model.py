@@ -7,7 +7,9 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
+from cgtorch.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
 from cgtorch.environment import Lanes
+from cgtorch.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """Percepts (n, D) and controls (n, U) to the next percepts (n, D) and how novel (n,) each is."""
@@ -51,7 +53,11 @@ class ModelEnvironment:
             errors: (B, T, D) what to add to Γ's prediction at each motion of each scenario, so
                 that a skill is judged under what Γ may have got wrong; used in turn.
             most_novel: where a motion is more novel, the lane is lost.
+
+        Raises:
+            ModelError: one of these, tried on two percepts, gives something else than it should.
         """
+        _check(percepts, gamma, classifier, possible, control_size, errors)
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
         self.most_novel = most_novel
@@ -108,3 +114,35 @@ class ModelEnvironment:
             state[unknown, 2] = self.classifier(lanes.percept.index_select(0, unknown))
             lanes = replace(lanes, state=state)
         return lanes, lanes.state[:, 2]
+
+
+def _check(
+    percepts: Tensor,
+    gamma: Gamma,
+    classifier: Classifier,
+    possible: Possible,
+    control_size: int,
+    errors: Tensor | None,
+) -> None:
+    """Try the models on two percepts; ModelError says what is wrong with what they return."""
+    if percepts.dim() != 2 or not percepts.is_floating_point() or not percepts.numel():
+        raise ModelError(f"percepts are {kind(percepts)}; give floating numbers (B, D)")
+    if errors is not None and not (
+        errors.dim() == 3
+        and errors.shape[::2] == percepts.shape
+        and errors.shape[1]
+        and errors.is_floating_point()
+    ):
+        raise ModelError(
+            f"errors of Γ are {kind(errors)}; give (B, T, D) for percepts that are {kind(percepts)}"
+        )
+    rows = percepts[two_rows(len(percepts), percepts.device)]
+    control = rows.new_zeros(ROWS, control_size)
+    found = returned(ModelError, "Γ", gamma, rows, control)
+    after, novelty = expect_pair(ModelError, "Γ", "next percepts, novelty", found)
+    expect(ModelError, "Γ", "next percepts", after, rows.shape, rows.dtype)
+    expect(ModelError, "Γ", "novelty", novelty, (ROWS,), rows.dtype)
+    chance = returned(ModelError, "C", classifier, rows)
+    expect(ModelError, "C", "", chance, (ROWS,), rows.dtype)
+    free = returned(ModelError, "possible", possible, rows, control)
+    expect(ModelError, "possible", "", free, (ROWS,), torch.bool)

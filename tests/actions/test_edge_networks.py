@@ -11,7 +11,9 @@ from cgtorch.world.edge_frame import SCENE, edge_frame, motion_to, scene
 def environment(size: int) -> ModelEnvironment:
     """Some percepts with nothing to do in them."""
     percepts = torch.randn(6, size, generator=seeded(1))
-    return ModelEnvironment(percepts, lambda p, u: p, lambda p: p[:, 0], lambda p, u: p[:, 0] > 0)
+    return ModelEnvironment(
+        percepts, lambda p, u: (p, p[:, 0]), lambda p: p[:, 0], lambda p, u: p[:, 0] > 0
+    )
 
 
 @pytest.mark.parametrize("size", [7, 9, 13])

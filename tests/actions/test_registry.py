@@ -120,7 +120,14 @@ GOOD = torch.zeros(2, dtype=torch.long)
     [
         (lambda lanes: None, "forward returned a NoneType; return"),
         (lambda lanes: lanes, "forward returned a Lanes; return"),
-        (lambda lanes: (GOOD, lanes), "forward returned a tuple; return"),
+        (
+            lambda lanes: (GOOD, lanes),
+            r"forward returned a tensor \(2,\) of int64 as lanes; return Lanes",
+        ),
+        (
+            lambda lanes: (lanes, GOOD, 1),
+            r"forward returned \(a Lanes, .*, a int\); return \(lanes,",
+        ),
         (lambda lanes: (lanes, GOOD.float()), r"outcomes as a tensor \(2,\) of float32; return"),
         (lambda lanes: (lanes, GOOD[:1]), r"outcomes as a tensor \(1,\) of int64; return"),
         (lambda lanes: (lanes, 0), "outcomes as a int; return"),

@@ -37,7 +37,7 @@ def test_detect_looks_again_with_new_noise_and_stays_where_it_is() -> None:
 
 def test_grasp_succeeds_above_one_half() -> None:
     environment = model(0, 4)
-    environment = judged_by(environment, lambda p: torch.tensor([0.0, 0.5, 0.51, 1.0]))
+    environment = judged_by(environment, lambda p: torch.tensor([0.0, 0.5, 0.51, 1.0])[: len(p)])
     lanes = start_lanes(environment, torch.arange(4), 0, 0)
     after, outcome = Grasp()(lanes, NO_PARAMETERS, environment)
     assert outcome.tolist() == [1, 1, 0, 0]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -210,14 +211,57 @@ def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -
 def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
     message = shell.refuses(TRAIN, "--run-dir", run_folder, "--seed", 3)
-    assert "was begun with --seed 2, not 3; choose another --run-dir" in message
+    assert "has --seed 2, not 3, and cannot change it, as all that is there was drawn" in message
+    assert "choose another --run-dir" in message
     assert "has its robot already" in shell.refuses(
         TRAIN, "--run-dir", run_folder, "--urdf", PR2 / "pr2.urdf"
     )
-    for words in (["--seed", 2], ["--population", 60], ["--run-dir", "x"], ["--urdf", "x"]):
+    for words in (["--run-dir", "x"], ["--urdf", "x"]):
         message = shell.refuses(TRAIN, "--resume", run_folder, *words)
         assert f"{words[0]} cannot change in a run that has begun; leave it out" in message
+    message = shell.refuses(TRAIN, "--resume", run_folder, "--seed", 2, "--population", 80)
+    assert "has --population 60, not 80; leave it out, or take it over with" in message
+    assert f"--resume {run_folder} --override population=80" in message
     assert listing(run_folder) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["seed=3"], "--seed 2 of run .* cannot become 3, as all that is there was drawn from it"),
+        (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
+        (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
+        (["percept=yaw"], "--percept auto of run .* as the data and models that are there have it"),
+        (["method=paper"], "neither method goes on with what the other has made"),
+        (["population=80", "seed=3"], "--seed 2 of run"),
+        (["population"], "--override 'population' names no setting; give NAME=VALUE"),
+        (["colour=red"], "--override 'colour=red' names no setting"),
+        (["actions=x:Y"], "--actions .* as the graphs that are there are made of them"),
+        (["population=many"], "'many' is not a valid integer"),
+        (["population=0"], "population is 0; give a whole number of at least 2"),
+        (["tournament="], "'' is not a valid integer"),
+    ],
+)
+def test_what_cannot_be_taken_over(
+    words: list[str], message: str, shell: Shell, run_folder: Path
+) -> None:
+    about = (run_folder / "run.json").read_bytes()
+    parts = [part for word in words for part in ("--override", word)]
+    assert re.search(message, shell.refuses(TRAIN, "--resume", run_folder, *parts))
+    assert (run_folder / "run.json").read_bytes() == about
+
+
+def test_overrides_are_for_runs_that_have_begun(shell: Shell, run_folder: Path) -> None:
+    words = ["--run-dir", run_folder, "--override", "population=80"]
+    assert "--override is for a run that has begun; add --resume RUN" in shell.refuses(
+        TRAIN, *words
+    )
+
+
+def test_a_history_that_is_none(shell: Shell, run_folder: Path) -> None:
+    edited(run_folder / "run.json", history="long")
+    words = ["--resume", run_folder, "--override", "population=80"]
+    assert "history in" in shell.refuses(TRAIN, *words)
 
 
 MODULE = """

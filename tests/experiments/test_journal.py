@@ -1,6 +1,7 @@
 """The journal's files: what is kept, in what order it is read, and what damage does to it."""
 
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,17 @@ from cgtorch.errors import RunError
 from cgtorch.experiments.journal import FileJournal, journal_of, recalled_generations
 from cgtorch.files import write_bytes
 from cgtorch.improvement.events import AboutToKeep, Event, JournalDamaged
+from cgtorch.improvement.journal import Standing
 
 
 def result(number: int) -> dict[str, Tensor]:
     return {"x": torch.full((3,), float(number)), "generations": torch.tensor(number)}
+
+
+def standing(number: int, parts: int = 1, apart: bool = False) -> Standing:
+    """Whose parts are 100, 101, … more than its number."""
+    made = [partial(result, number + 100 + i) for i in range(parts)]
+    return Standing(result(number), tuple(made), apart)
 
 
 def filled(folder: Path, steps: int, notes: int = 0) -> None:
@@ -26,7 +34,7 @@ def filled(folder: Path, steps: int, notes: int = 0) -> None:
         assert journal.recall(f"step {i}") is None
         journal.record(f"step {i}", result(i))
     for i in range(notes):
-        journal.record_standing(f"step {steps}", result(10 + i))
+        journal.record_standing(f"step {steps}", standing(10 + i))
 
 
 def numbers(folder: Path) -> list[float]:
@@ -45,9 +53,10 @@ def test_steps_are_recalled_in_their_order(tmp_path: Path) -> None:
     for i in range(3):
         journal.recall(f"step {i}")
     assert journal.recall("step 3") is None
-    standing = journal.recall_standing("step 3")
-    assert standing is not None
-    assert float(standing["x"][0]) == 10
+    known = journal.recall_standing("step 3")
+    assert known is not None
+    assert float(known.about["x"][0]) == 10
+    assert [float(part()["x"][0]) for part in known.parts] == [110]
     journal.record("step 3", result(3))
     assert numbers(tmp_path / "S0") == [0, 1, 2, 3]
     assert FileJournal(tmp_path / "S0").recall_standing("step 4") is None
@@ -67,14 +76,15 @@ def test_the_last_two_notes_are_kept_and_a_damaged_one_gives_way_to_the_one_befo
     tmp_path: Path,
 ) -> None:
     filled(tmp_path, 1, notes=5)
-    notes = sorted(tmp_path.glob("00001-*"))
-    assert [p.name for p in notes] == ["00001-4.safetensors", "00001-5.safetensors"]
+    names = [f"00001-{note}{part}.safetensors" for note in (4, 5) for part in (".0", "")]
+    assert sorted(p.name for p in tmp_path.glob("00001-*")) == names
+    notes = [tmp_path / "00001-4.safetensors", tmp_path / "00001-5.safetensors"]
     notes[1].write_bytes(notes[1].read_bytes()[:-1] + b"?")
     journal = FileJournal(tmp_path)
     assert journal.damaged == [notes[1]]
-    standing = journal.recall("step 0") and journal.recall_standing("step 1")
-    assert standing
-    assert float(standing["x"][0]) == 13
+    known = journal.recall("step 0") and journal.recall_standing("step 1")
+    assert isinstance(known, Standing)
+    assert float(known.about["x"][0]) == 13
 
 
 @given(step=st.integers(0, 3), place=st.integers(0, 10**6), bit=st.integers(0, 7))
@@ -122,10 +132,10 @@ def test_the_journal_goes_with_its_stage_and_an_interrupted_one_stays(tmp_path: 
     told: list[Event] = []
     with suppress(KeyboardInterrupt), journal_of(tmp_path, "S0", told.append) as journal:
         journal.record("step 0", result(4))
-        journal.record_standing("step 1", result(5))
+        journal.record_standing("step 1", standing(5))
         raise KeyboardInterrupt
     assert all(isinstance(event, AboutToKeep) for event in told)
-    assert len(told) == 2  # the interruption kept where the step stood
+    assert len(told) == 3  # the interruption kept where the step stood, in two files
     assert recalled_generations(tmp_path) == 9
     (tmp_path / "journal" / "S0" / "00000.safetensors").write_bytes(b"")
     told.clear()
@@ -166,3 +176,73 @@ def test_types_that_numpy_lacks_are_kept_and_read(tmp_path: Path) -> None:
 def test_what_is_no_count_of_generations_is_none(tmp_path: Path, count: Tensor) -> None:
     FileJournal(tmp_path / "journal" / "S0").record("step 0", {"generations": count})
     assert recalled_generations(tmp_path) == 0
+
+
+@given(
+    parts=st.integers(1, 5), which=st.integers(0, 4), how=st.sampled_from(["gone", "cut", "old"])
+)
+@settings(max_examples=40, deadline=None)
+def test_a_note_counts_only_with_all_its_parts(
+    tmp_path_factory: pytest.TempPathFactory, parts: int, which: int, how: str
+) -> None:
+    folder = tmp_path_factory.mktemp("journal")
+    journal = FileJournal(folder, seconds=0)
+    for number in (1, 2):
+        journal.record_standing("step 0", standing(number, parts))
+    path = folder / f"00000-2.{which % parts}.safetensors"
+    match how:
+        case "gone":
+            path.unlink()
+        case "cut":
+            path.write_bytes(path.read_bytes()[:-1])
+        case "old":  # whole, but another note's
+            path.write_bytes((folder / f"00000-1.{which % parts}.safetensors").read_bytes())
+    journal = FileJournal(folder)
+    assert journal.damaged == [path]
+    known = journal.recall_standing("step 0")
+    assert known is not None
+    assert float(known.about["x"][0]) == 1
+    assert [float(part()["x"][0]) for part in known.parts] == [101 + i for i in range(parts)]
+
+
+def test_a_note_without_parts_is_none(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path, seconds=0)
+    journal.record_standing("step 0", standing(1))
+    journal.record_standing("step 0", Standing(result(2), ()))
+    journal = FileJournal(tmp_path)
+    assert journal.damaged == [tmp_path / "00000-2.safetensors"]
+    known = journal.recall_standing("step 0")
+    assert known is not None
+    assert float(known.about["x"][0]) == 1
+
+
+def test_parts_of_a_note_that_was_never_ended_are_no_note_and_go(tmp_path: Path) -> None:
+    """As when the disk is full, or power fails, between two of them."""
+
+    def fails() -> dict[str, Tensor]:
+        raise OSError
+
+    journal = FileJournal(tmp_path, seconds=0)
+    journal.record_standing("step 0", standing(1, 2))
+    with suppress(OSError):
+        journal.record_standing("step 0", Standing(result(2), (standing(2).parts[0], fails)))
+    assert (tmp_path / "00000-2.0.safetensors").exists()
+    journal = FileJournal(tmp_path, seconds=0)
+    assert not journal.damaged
+    known = journal.recall_standing("step 0")
+    assert known is not None
+    assert float(known.about["x"][0]) == 1
+    journal.record_standing("step 0", standing(3, 2))
+    journal.record_standing("step 0", standing(4, 2))
+    names = {f"00000-{note}{part}.safetensors" for note in (2, 3) for part in (".0", ".1", "")}
+    assert {p.name for p in tmp_path.iterdir()} == names
+
+
+def test_what_other_ranks_hold_is_not_asked_for_when_one_is_interrupted(tmp_path: Path) -> None:
+    def never() -> dict[str, Tensor]:
+        raise AssertionError
+
+    with suppress(KeyboardInterrupt), FileJournal(tmp_path / "S0") as journal:
+        journal.record_standing("step 0", Standing(result(1), (never,), apart=True))
+        raise KeyboardInterrupt
+    assert not (tmp_path / "S0").exists()

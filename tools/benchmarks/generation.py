@@ -15,7 +15,7 @@ from benchmarks.stopwatch import Stopwatch
 from benchmarks.workload import Workload, populations, workload
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
-from cgtorch.evolution import EvolutionSettings, Generation, Population
+from cgtorch.evolution import EvolutionSettings, Generation, Island, Population
 from cgtorch.evolution.evolution import EvolutionState, tell
 from cgtorch.evolution.fitness import evaluate
 from cgtorch.evolution.selection import ranking
@@ -125,10 +125,13 @@ def generation_split(
         state = EvolutionState(population, 0, population[:1], 0.0)
         tell(state, result.fitness, settings, timed.actions, generator, result.scores)
     after = watch.taken()
-    solved = result.succeeded[best]
+    solved, fitness = result.succeeded[best], float(result.fitness[best])
+    champion, islands = population[best : best + 1], [Island(state, generator)]
     with watch.running("logging"):
         for number in range(LOGGED):
-            done = Generation(number, population, result.fitness, best, solved, result.transitions)
+            done = Generation(
+                number, islands, result.fitness, champion, fitness, solved, result.transitions
+            )
             log(GenerationDone("S0", "S0", done, 150, 0, 0, int(solved.sum()), len(keep), 1.0))
     logged = watch.taken()["logging"] / LOGGED
     inside = {name: rollouts.get(name, 0.0) for name in (*MODELS, "possible motions")}

@@ -16,9 +16,9 @@ from torch import Generator
 from cgtorch.actions import ActionSet
 from cgtorch.data import Dataset
 from cgtorch.errors import RunError
-from cgtorch.evolution import Population
+from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
-from cgtorch.experiments.journal import FileJournal, recalled_generations
+from cgtorch.experiments.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.experiments.ledger import read_entry, read_index
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.storage import (
@@ -31,13 +31,22 @@ from cgtorch.experiments.storage import (
     save_population,
     save_scenarios,
 )
-from cgtorch.files import read_json, write_json
+from cgtorch.files import read_bytes, read_json, write_json
 from cgtorch.graphs import load_skill
 from cgtorch.improvement.attempt import trial_from
+from cgtorch.improvement.journal import Standing
 from cgtorch.improvement.knowledge import taken
-from cgtorch.improvement.standing import Found, standing_from, standing_tensors
+from cgtorch.improvement.standing import (
+    Found,
+    found_from,
+    found_tensors,
+    island_from,
+    island_tensors,
+    islands_from,
+)
 from cgtorch.kinematics import Robot, load_robot
 from cgtorch.models import compact_transition_model, load_model_and_report, save_model
+from cgtorch.models.storage import tensors_of
 from cgtorch.world import draw_of
 from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
 from hostile.small_robot import URDF, WORDS
@@ -46,6 +55,7 @@ ROOT = Path(__file__).resolve().parents[2]
 REFERENCE, PR2 = ROOT / "runs" / "reference", ROOT / "robots" / "pr2"
 SCENARIOS = 7  # that a journal is about
 STEP, NOTE = "journal/S4/00000.safetensors", "journal/S4/00000-1.safetensors"
+PART = "journal/S4/00000-1.0.safetensors"
 
 
 @dataclass(frozen=True)
@@ -112,22 +122,37 @@ def _population(actions: ActionSet) -> Population:
 
 
 def _journals(folder: Path, actions: ActionSet) -> list[bytes]:
-    """An evolution that is over, one that is not, and a trial."""
-    population, solved = _population(actions), torch.arange(SCENARIOS) < 3
-    found, generator = Found(population[:1], solved, 0.5, 3, 9, 1000, 1.5), Generator()
+    """An evolution that is over, and a trial."""
+    found = {**found_tensors(_found(actions)), "generator": Generator().get_state()}
     data = load_dataset(folder / "S3" / "data.safetensors")
-    own = {"succeeded": solved, "transitions": torch.arange(SCENARIOS)}
-    steps = (
-        ("evolution x", standing_tensors(found, None, generator)),
-        ("evolution x", standing_tensors(found, population, generator)),
-        ("trial of x", {**own, **vars(data)}),
-    )
+    own = {"succeeded": _found(actions).solved, "transitions": torch.arange(SCENARIOS)}
     files = []
-    for name, tensors in steps:
+    for name, tensors in (("evolution x", found), ("trial of x", {**own, **vars(data)})):
         shutil.rmtree(folder / "journal", ignore_errors=True)
         FileJournal(folder / "journal" / "S4").record(name, tensors)
         files.append((folder / STEP).read_bytes())
     return files
+
+
+def _found(actions: ActionSet) -> Found:
+    return Found(_population(actions)[:1], torch.arange(SCENARIOS) < 3, 0.5, 3, 9, 1000, 1.5)
+
+
+def _write_standing(folder: Path, actions: ActionSet) -> None:
+    """An evolution of two islands that is not over."""
+    shutil.rmtree(folder / "journal", ignore_errors=True)
+    state = EvolutionState(_population(actions), 9, _population(actions), 0.0)
+    part = island_tensors(Island(state, Generator()))
+    standing = Standing(found_tensors(_found(actions)), (lambda: part, lambda: part))
+    FileJournal(folder / "journal" / "S4", seconds=0).record_standing("evolution x", standing)
+
+
+def _standing(name: str) -> Callable[[Path, ActionSet], list[bytes]]:
+    def written(folder: Path, actions: ActionSet) -> list[bytes]:
+        _write_standing(folder, actions)
+        return [(folder / name).read_bytes()]
+
+    return written
 
 
 def _read_journal(folder: Path, actions: ActionSet) -> object:
@@ -135,13 +160,26 @@ def _read_journal(folder: Path, actions: ActionSet) -> object:
     journal = FileJournal(folder / "journal" / "S4")
     if journal.damaged:  # is told, and counts as never done
         raise RunError("damaged")
+    if standing := journal.recall_standing("evolution x"):
+        found_from(standing.about, actions, SCENARIOS)
+        return islands_from(standing, actions, Generator(), 2)
     try:
         known = journal.recall("evolution x")
     except RunError:
         known = journal.recall("trial of x")
         size = load_dataset(folder / "S3" / "data.safetensors").percept.shape[1]
         return known and trial_from(known, SCENARIOS, size)
-    return known and standing_from(known, actions, Generator(), SCENARIOS)
+    return known and found_from(known, actions, SCENARIOS)
+
+
+def _read_part(folder: Path, actions: ActionSet) -> object:
+    """Its checksum in the note aside, so that it is looked at."""
+    data = read_bytes(folder / PART, MAX_BYTES)
+    try:
+        tensors = tensors_of(data)
+    except ValueError as e:  # is told, and counts as never done
+        raise RunError("damaged") from e
+    return island_from(tensors, actions, Generator(), 9)
 
 
 def _read_models(folder: Path, actions: ActionSet) -> object:
@@ -215,7 +253,9 @@ FORMATS = {
         damaged_tensors, 4, "S3/classifier.safetensors", _read_models,
         _kept("S3/classifier.safetensors"),
     ),
-    "journal": Format(damaged_tensors, 10, STEP, _read_journal, _journals),
+    "journal": Format(damaged_tensors, 6, STEP, _read_journal, _journals),
+    "journal note": Format(damaged_tensors, 3, NOTE, _read_journal, _standing(NOTE)),
+    "journal part": Format(damaged_tensors, 3, PART, _read_part, _standing(PART)),
     "urdf": Format(damaged_xml, 2, "robot/robot.urdf", _read_run, _kept("robot/robot.urdf")),
     "urdf pr2": Format(
         damaged_xml, 1, "pr2.urdf", _read_pr2, lambda *_: [(PR2 / "pr2.urdf").read_bytes()]

@@ -28,7 +28,7 @@ def tried(
         transitions += generation.transitions
         generations += 1
         share = float(generation.succeeded.float().mean())
-        fitness = float(generation.fitness[generation.best])
+        fitness = generation.best
         if not steps or (share, fitness) > steps[-1][2:4]:
             nodes = int(generation.champion.graphs.num_nodes[0])
             steps.append((transitions, time.process_time() - began, share, fitness, nodes))

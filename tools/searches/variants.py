@@ -24,6 +24,7 @@ def search(
 SETTINGS = {
     "tournament": EvolutionSettings(selection=tournament()),
     "lexicase": EvolutionSettings(selection=lexicase),
+    "islands": EvolutionSettings(population=100, islands=4),
 }
 VARIANTS: dict[str, Search] = {name: partial(search, each) for name, each in SETTINGS.items()}
 """By name; the others are compared with the first."""

@@ -1,0 +1,150 @@
+"""Dry runs: what others plug in is tried on two rows at the door, where errors can say what it is.
+
+Actions (`cgtorch.actions.check_action`), Γ and C (`cgtorch.simulation.ModelEnvironment`) and whole
+environments (`check_environment`) are checked once, before anything long begins. Each error names
+the method, what it returned, and what it should have.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.errors import CgtorchError, WorldError
+
+ROWS = 2
+
+
+def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
+    """(2,) long, the first two indices of so many, or twice the only one."""
+    return torch.tensor([0, min(1, count - 1)], device=device)
+
+
+def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *given: Any) -> Any:
+    """What a method returns; whatever it raises becomes an `error` that names it."""
+    try:
+        with torch.no_grad():
+            return method(*given)
+    except CgtorchError:
+        raise
+    except Exception as e:
+        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
+        raise error(f"{who} raised {reason} on two rows") from e
+
+
+def expect(
+    error: type[CgtorchError],
+    who: str,
+    what: str,
+    value: object,
+    shape: Sequence[int],
+    dtype: torch.dtype,
+) -> None:
+    """An `error` unless a value is a tensor of that shape and type.
+
+    Args:
+        error: its class.
+        who: has returned it, such as "action 'Wave': forward".
+        what: it is, "" if it is all that was returned.
+        value: the value.
+        shape: that it should have.
+        dtype: that it should have.
+    """
+    if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
+        raise error(
+            f"{who} returned {f'{what} as ' if what else ''}{kind(value)}; "
+            f"return {kind(torch.empty(*shape, dtype=dtype))}"
+        )
+
+
+def kind(value: object) -> str:
+    """What a value is, in a few words."""
+    if isinstance(value, Tensor):
+        return f"a tensor {tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
+    if isinstance(value, tuple) and len(value) < 5:
+        return f"({', '.join(map(kind, value))})"
+    return f"a {type(value).__name__}"
+
+
+def expect_pair(error: type[CgtorchError], who: str, what: str, value: object) -> tuple[Any, Any]:
+    """The two things that should have been returned; an `error` if these are not two."""
+    if not isinstance(value, tuple) or len(value) != 2:
+        raise error(f"{who} returned {kind(value)}; return ({what})")
+    return value
+
+
+def copied(lanes: Lanes) -> Lanes:
+    """The same lanes in memory of their own."""
+    return Lanes(*(getattr(lanes, f.name).clone() for f in fields(Lanes)))
+
+
+def expect_lanes(
+    error: type[CgtorchError], who: str, lanes: Lanes, kept: Lanes, after: object
+) -> None:
+    """An `error` unless lanes as they were given came back.
+
+    Args:
+        error: its class.
+        who: has returned them.
+        lanes: that were given, which must not have changed.
+        kept: a copy from before.
+        after: what was returned.
+    """
+    if not isinstance(after, Lanes):
+        raise error(f"{who} returned {kind(after)} as lanes; return Lanes")
+    for f in fields(Lanes):
+        was: Tensor = getattr(kept, f.name)
+        expect(error, who, f"lanes.{f.name}", getattr(after, f.name), was.shape, was.dtype)
+        now: Tensor = getattr(lanes, f.name)
+        if not torch.equal(now.isnan(), was.isnan()) or not (now.isnan() | (now == was)).all():
+            raise error(
+                f"{who} changed lanes.{f.name} in place; return new lanes, as with "
+                f"dataclasses.replace(lanes, {f.name}=...)"
+            )
+
+
+def check_environment(environment: Environment, device: torch.device | str = "cpu") -> None:
+    """Try every method of an environment on two of its scenarios.
+
+    Args:
+        environment: a world, models, or a domain of one's own.
+        device: where it runs.
+
+    Raises:
+        WorldError: naming the method and what is wrong with what it returned.
+    """
+    name = type(environment).__name__
+    for attribute in ("num_scenarios", "percept_size", "control_size"):
+        value = getattr(environment, attribute, None)
+        if not isinstance(value, int) or value < 1:
+            raise WorldError(f"{name}: {attribute} is {value!r:.40}; give a whole number from 1 on")
+    scenario = two_rows(environment.num_scenarios, device)
+    first = returned(WorldError, f"{name}.start", environment.start, scenario)
+    state, percept = expect_pair(WorldError, f"{name}.start", "states, percepts", first)
+    floats = percept.dtype if _is_float(percept) else torch.float32
+    shape = (ROWS, environment.percept_size)
+    expect(WorldError, f"{name}.start", "percepts", percept, shape, floats)
+    if not isinstance(state, Tensor) or state.dim() != 2 or len(state) != ROWS:
+        raise WorldError(f"{name}.start returned states as {kind(state)}; return a tensor (2, S)")
+    lanes = start_lanes(environment, scenario, environment.control_size, 0)
+    kept = copied(lanes)
+    control = percept.new_zeros(ROWS, environment.control_size)
+    step = returned(WorldError, f"{name}.step", environment.step, lanes, control)
+    after, done = expect_pair(WorldError, f"{name}.step", "lanes, whether it could be done", step)
+    expect_lanes(WorldError, f"{name}.step", lanes, kept, after)
+    expect(WorldError, f"{name}.step", "whether it could be done", done, (ROWS,), torch.bool)
+    seen = returned(WorldError, f"{name}.observe", environment.observe, lanes)
+    expect_lanes(WorldError, f"{name}.observe", lanes, kept, seen)
+    found = returned(WorldError, f"{name}.success", environment.success, lanes)
+    tested, chance = expect_pair(WorldError, f"{name}.success", "lanes, probabilities", found)
+    expect_lanes(WorldError, f"{name}.success", lanes, kept, tested)
+    expect(WorldError, f"{name}.success", "probabilities", chance, (ROWS,), floats)
+    if ((chance < 0) | (chance > 1)).any():
+        raise WorldError(f"{name}.success returned {chance.tolist()}; return probabilities")
+
+
+def _is_float(value: object) -> bool:
+    return isinstance(value, Tensor) and value.is_floating_point()

@@ -1,0 +1,139 @@
+"""Islands: populations that evolve apart and send their best to the next one now and then.
+
+They are what a search grows by once one population no longer fits into the memory of a machine:
+each is evaluated, selected and bred by itself, with random numbers of its own, and all that passes
+between them is a few individuals. Every `EvolutionSettings.migration` generations the best tenth of
+each island replaces the worst of the next, the last one's those of the first. Share and interval
+are in the range that Fernández, Tomassini and Vanneschi recommend, a tenth every five to ten
+generations ("An empirical study of multipopulation genetic programming", Genetic Programming and
+Evolvable Machines 4, 2003).
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, initial_state, tell
+from cgtorch.evolution.population import Population
+from cgtorch.evolution.selection import ranking
+from cgtorch.graphs import Graphs
+
+MIGRANTS = 10  # one individual in so many
+
+
+@dataclass(frozen=True)
+class Island:
+    """A population with random numbers of its own.
+
+    Attributes:
+        state: where its evolution stands.
+        generator: of all its random choices.
+    """
+
+    state: EvolutionState
+    generator: Generator
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Tried:
+    """Individuals, and what they achieved.
+
+    Attributes:
+        population: P of them.
+        fitness: (P,).
+        scores: (P, B) on each scenario.
+        succeeded: (P, B) bool.
+    """
+
+    population: Population
+    fitness: Tensor
+    scores: Tensor
+    succeeded: Tensor
+
+    def best(self, count: int) -> "Tried":
+        """The best of them; of equal fitness the smaller graph first."""
+        rows = ranking(self.fitness, self.population.graphs.num_nodes)[:count]
+        return Tried.of([values[rows] for values in self.tensors()])
+
+    def tensors(self) -> list[Tensor]:
+        """All of it as tensors of P rows."""
+        graphs, strategy = vars(self.population.graphs).values(), self.population.strategy
+        return [*graphs, strategy, self.fitness, self.scores, self.succeeded]
+
+    @staticmethod
+    def of(tensors: Sequence[Tensor]) -> "Tried":
+        """What `tensors` gave."""
+        *graphs, strategy, fitness, scores, succeeded = tensors
+        return Tried(Population(Graphs(*graphs), strategy), fitness, scores, succeeded)
+
+
+def generator_of(generator: Generator, number: int) -> Generator:
+    """The random numbers of an island: the first one's are those given, others derive from them.
+
+    Nothing is drawn for it, so with one island all is as it would be without islands.
+    """
+    if number == 0:
+        return generator
+    state = generator.get_state().numpy().tobytes()
+    digest = hashlib.sha256(state + number.to_bytes(8, "big")).digest()
+    return Generator().manual_seed(int.from_bytes(digest[:7], "big"))
+
+
+def first_islands(
+    numbers: Iterable[int],
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+    seeds: Population | None = None,
+) -> list[Island]:
+    """Those of the islands, counted from 0, whose numbers are given, with first populations.
+
+    Args:
+        numbers: of islands.
+        settings: of the evolution.
+        actions: what nodes can do.
+        generator: that all their random numbers come from.
+        seeds: earlier individuals, which make up half of each first population.
+    """
+    own = [generator_of(generator, number) for number in numbers]
+    return [Island(initial_state(settings, actions, each, seeds), each) for each in own]
+
+
+def emigrants(tried: Tried) -> Tried:
+    """Those that an island sends to the next one: its best, one at least."""
+    return tried.best(max(1, len(tried.population) // MIGRANTS))
+
+
+def migrated(tried: Tried, arrivals: Tried) -> Tried:
+    """An island's individuals with `arrivals` in place of the worst of them."""
+    order = ranking(tried.fitness, tried.population.graphs.num_nodes)
+    stay = order[: len(order) - len(arrivals.population)].sort().values
+    pairs = zip(tried.tensors(), arrivals.tensors(), strict=True)
+    return Tried.of([torch.cat([old[stay], new]) for old, new in pairs])
+
+
+def told_islands(
+    islands: Sequence[Island],
+    tried: Sequence[Tried],
+    settings: EvolutionSettings,
+    actions: ActionSet,
+) -> list[Island]:
+    """Each island's next generation, given how this one did; see `tell`."""
+    return [
+        replace(
+            island,
+            state=tell(
+                replace(island.state, population=each.population),
+                each.fitness,
+                settings,
+                actions,
+                island.generator,
+                each.scores,
+            ),
+        )
+        for island, each in zip(islands, tried, strict=True)
+    ]

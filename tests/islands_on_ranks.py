@@ -1,0 +1,65 @@
+"""Evolutions of one to four islands, alone or as one of several ranks, broken off where asked.
+
+    torchrun … islands_on_ranks.py FOLDER STOP
+
+Prints for each count of islands what was told, and what it came to or was kept of it, as JSON.
+"""
+
+import hashlib
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import click
+import torch
+from support import custom_actions, model, seeded
+
+from cgtorch import ranks
+from cgtorch.evolution import EvolutionSettings
+from cgtorch.experiments.journal import FileJournal
+from cgtorch.improvement.events import Event, GenerationDone
+from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.standing import Budget
+from cgtorch.models.storage import notes_of
+
+COUNTS = range(1, 5)
+BUDGET = Budget(generations=9, patience=99)
+
+
+def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
+    """Nine generations of 13 individuals an island, or those up to `stop`."""
+    sizes = {"capacity": 10, "initial_nodes": (2, 8), "islands": islands, "migration": 2}
+    settings = EvolutionSettings(13, **sizes)  # type: ignore[arg-type]
+    generator, told = seeded(3), list[Any]()
+
+    def watch(event: Event) -> None:
+        if isinstance(event, GenerationDone):
+            found = event.generation
+            told.append([found.number, found.best, found.transitions, found.succeeded.tolist()])
+            assert len(found.islands) == len(ranks.held(islands))
+            if found.number == stop:
+                raise KeyboardInterrupt
+
+    about = settings, BUDGET, generator, watch, "S0", "x"
+    with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
+        champion, solved = evolve_candidate(model(0, 7), custom_actions(), *about, journal=journal)
+        after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
+        found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
+        return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]
+    parts = sorted(folder.glob("*.*.safetensors"))
+    return [told, [[p.name, notes_of(p.read_bytes())["sha256"]] for p in parts]]
+
+
+def everything(folder: Path, stop: int) -> list[list[Any]]:
+    """For each count of islands."""
+    return [evolved(folder / str(islands), islands, stop) for islands in COUNTS]
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    with ranks.together():
+        result = everything(Path(sys.argv[1]), int(sys.argv[2]))
+        if ranks.first():
+            click.echo(json.dumps(result))
