@@ -39,7 +39,7 @@ def test_every_format_has_its_least() -> None:
     assert set(counts) == set(FORMATS)
     assert min(counts.values()) >= fuzz.LEAST
     assert 99_000 < sum(counts.values()) < 110_000
-    assert min(shares(140).values()) >= 10
+    assert min(shares(10 * len(FORMATS)).values()) >= 10
 
 
 def raises(error: BaseException) -> None:
