@@ -17,6 +17,7 @@ Examples:
   cgtorch-export runs/reference --format onnx --output S3.onnx
   cgtorch-export runs/reference --format state-machine --output skill.py
   cgtorch-export runs/reference/S1 --format dot --output S1.dot
+  cgtorch-export runs/reference/S1 --format graphml --output S1.graphml
   cgtorch-export runs/auto --skill auto-1 --format json --output auto-1.json
   cgtorch-export skill.json --format mermaid --output skill.mmd --force
 """

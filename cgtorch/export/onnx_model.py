@@ -71,7 +71,7 @@ def _blame(step: SkillStep) -> None:
     Raises:
         ActionError: naming it.
     """
-    for one in step.computed:
+    for one in step.carried:
         try:
             _converted(torch.export.export(one, one.arguments))
         except Exception as e:

@@ -226,6 +226,11 @@ class SkillStep(nn.Module):
             torch.zeros(self.mind_size),
         )
 
+    @property
+    def carried(self) -> list[Computed]:
+        """The actions that run inside."""
+        return [action for action in self.computed if isinstance(action, Computed)]
+
     def about(self) -> dict[str, Any]:
         """What whoever runs the steps has to know: names and sizes, as plain data."""
         return {

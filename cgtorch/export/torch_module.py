@@ -42,7 +42,7 @@ def exported(skill: Skill) -> ExportedProgram:
     if not hasattr(torch, "while_loop"):
         raise SettingsError(f"torch {torch.__version__} cannot export loops; install a newer one")
     step = SkillStep(skill)
-    step.computed = nn.ModuleList(traced(one) for one in step.computed)
+    step.computed = nn.ModuleList(traced(action) for action in step.carried)
     program = torch.export.export(step, step.first())
     for module in program.graph_module.modules():
         if isinstance(module, torch.fx.GraphModule):
