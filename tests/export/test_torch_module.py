@@ -67,7 +67,7 @@ def elsewhere(data: bytes, runs: list[Execution], folder: Path) -> tuple[Tensor,
 
 def test_a_thousand_percepts_without_cgtorch(tmp_path: Path) -> None:
     _, skill = reference()
-    runs, _ = by_the_library(skill, world(11, 70))
+    runs, _ = by_the_library(skill, world(12, 70))
     assert sum(len(run.percepts) for run in runs) >= 1000
     assert {run.end for run in runs} >= {"success", "timeout"}
     right, found, expected = elsewhere(reference_module(), runs, tmp_path)

@@ -1,6 +1,6 @@
 """State machines in the manner of SMACH and YASMIN, in plain Python.
 
-What these lack is a limit on transitions, after which a skill hands back to the one it is in.
+What is added is a limit on transitions, after which a skill hands back to the one it is in.
 """
 
 import logging
