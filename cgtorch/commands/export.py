@@ -1,0 +1,97 @@
+"""`cgtorch-export`: a skill as something that others read or run."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.errors import RunError
+
+if TYPE_CHECKING:
+    from cgtorch.graphs import Skill
+
+EXAMPLES = """\b
+Examples:
+  cgtorch-export runs/reference --format module --output S3.pt2
+  cgtorch-export runs/reference --format onnx --output S3.onnx
+  cgtorch-export runs/reference --format state-machine --output skill.py
+  cgtorch-export runs/reference/S1 --format dot --output S1.dot
+  cgtorch-export runs/reference/S1 --format graphml --output S1.graphml
+  cgtorch-export runs/auto --skill auto-1 --format json --output auto-1.json
+  cgtorch-export skill.json --format mermaid --output skill.mmd --force
+"""
+
+FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
+
+
+@click.command("cgtorch-export", epilog=EXAMPLES)
+@click.argument("path", metavar="RUN_OR_SKILL", type=click.Path(path_type=Path))
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(FORMATS),
+    required=True,
+    help="json: a skill file; module: a torch.nn.Module for torch.export.load; onnx: the same for "
+    "any ONNX runtime; state-machine: a Python file with classes to fill in; dot, graphml, "
+    "mermaid: drawings as text.",
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The file to write.",
+)
+@click.option("--skill", "name", help="An earlier skill of the run, by its name in its ledger.")
+@click.option("--actions", multiple=True, help="Further actions that the skill uses.")
+@click.option(
+    "--scenarios",
+    default="perimeter",
+    show_default=True,
+    help="Of a skill file: what the skill was evolved on, which says what it perceives.",
+)
+@click.option("--force", is_flag=True, help="Replace the file if there is one.")
+@click.version_option(package_name="cgtorch")
+def command(
+    path: Path,
+    form: str,
+    output: Path,
+    name: str | None,
+    actions: tuple[str, ...],
+    scenarios: str,
+    force: bool,
+) -> None:
+    """Write a skill as something that others read or run, without cgtorch.
+
+    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
+    skill file.
+    """
+    if output.exists() and not force:
+        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+    from cgtorch.export import FORMATS
+    from cgtorch.files import write_bytes
+
+    import_from_here(actions)
+    skill = _chosen(path, name, actions, scenarios)
+    data = FORMATS[form](skill)
+    write_bytes(output, data)
+    click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
+
+
+def _chosen(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str) -> "Skill":
+    """The skill to export."""
+    from cgtorch.experiments.ledger import read_entry
+    from cgtorch.experiments.run import last_skill, lone_skill, open_run
+    from cgtorch.world import draw_of
+
+    if name is not None:
+        return read_entry(path, name, open_run(path, actions).actions).skill
+    if path.is_file():
+        draw_of(scenarios)  # there must be such scenarios
+        return lone_skill(path, actions, scenarios)[1]
+    return last_skill(path, actions)[1]
+
+
+def main() -> None:
+    """Entry point of `cgtorch-export`."""
+    run_command(command)

@@ -1,0 +1,25 @@
+"""Export: a skill as something that others read or run, without the library."""
+
+from collections.abc import Callable, Mapping
+
+from cgtorch.export.clusters import clusters_of as clusters_of
+from cgtorch.export.dot import to_dot as to_dot
+from cgtorch.export.graphml import to_graphml as to_graphml
+from cgtorch.export.mermaid import to_mermaid as to_mermaid
+from cgtorch.export.onnx_model import to_onnx as to_onnx
+from cgtorch.export.skill_file import to_json as to_json
+from cgtorch.export.state_machine import to_state_machine as to_state_machine
+from cgtorch.export.step import SkillStep as SkillStep
+from cgtorch.export.torch_module import to_module as to_module
+from cgtorch.graphs import Skill
+
+FORMATS: Mapping[str, Callable[[Skill], bytes]] = {
+    "json": to_json,
+    "module": to_module,
+    "onnx": to_onnx,
+    "state-machine": to_state_machine,
+    "dot": to_dot,
+    "graphml": to_graphml,
+    "mermaid": to_mermaid,
+}
+"""What `cgtorch-export --format` knows: functions from a skill to the content of a file."""

@@ -1,0 +1,148 @@
+"""Actions that only compute: those that an exported skill can carry in it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NoReturn
+
+import torch
+from torch import Tensor, nn
+
+from cgtorch.actions import Action
+from cgtorch.environment import Lanes
+from cgtorch.errors import ActionError
+from cgtorch.graphs import NO_NODE, Skill, SubSkill
+
+INSTEAD = "export the skill as state-machine, where it is a class to fill in"
+
+
+def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tuple[str, Action]]:
+    """The actions of the nodes of a skill and of all in it that are no skills, each once."""
+    seen = set() if seen is None else seen
+    for i in sorted(set(skill.graph.action[0].tolist()) - {NO_NODE}):
+        name, action = skill.actions.names[i], skill.actions.actions[i]
+        if id(action) in seen:
+            continue
+        seen.add(id(action))
+        if isinstance(action, SubSkill):
+            yield from named_primitives(action.skill, seen)
+        else:
+            yield name, action
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Lengths of what an action reads and writes: percept, control, message and memory."""
+
+    percept: int
+    control: int
+    message: int
+    memory: int
+
+    def arguments(self, parameters: int) -> tuple[Tensor, ...]:
+        """Zeros for an action with that many parameters."""
+        percept, message, memory, values = (
+            torch.zeros(1, size) for size in (self.percept, self.message, self.memory, parameters)
+        )
+        has, step = torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.long)
+        return percept, message, has, memory, step, values
+
+
+class Computed(nn.Module):
+    """An action that only computes, as a function of tensors."""
+
+    def __init__(self, name: str, action: Action, sizes: Sizes):
+        """Try the action on zeros.
+
+        Raises:
+            ActionError: it needs its environment, draws random numbers, writes what belongs to the
+                robot, or fails.
+        """
+        super().__init__()
+        self.name, self.action, self.sizes = name, action, sizes
+        if not action.deterministic:
+            raise refused(name, "it is not deterministic")
+        try:
+            self(*self.arguments)
+        except Exception as e:  # whatever a foreign action raises
+            raise refused(name, _reason(e)) from e
+
+    @property
+    def arguments(self) -> tuple[Tensor, ...]:
+        """Arguments to try it with."""
+        return self.sizes.arguments(self.action.num_parameters)
+
+    def forward(
+        self,
+        percept: Tensor,
+        message: Tensor,
+        has: Tensor,
+        memory: Tensor,
+        step: Tensor,
+        parameters: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """From percept (1, D), message (1, M), whether there is one (1,) bool, memory (1, C), step
+        (1,) long and parameters (1, K) to message, whether there is one, and memory as they are
+        then, and the outcome (1,) long.
+        """  # noqa: D205
+        nowhere = _Nowhere(self.sizes.percept, self.sizes.control)
+        lanes = Lanes(percept, percept[:, :0], message, has, memory, torch.zeros_like(step), step)
+        after, outcome = self.action(lanes, parameters, nowhere)
+        for field in ("percept", "state", "scenario", "step"):
+            if getattr(after, field) is not getattr(lanes, field):
+                raise ActionError(f"it writes lanes.{field}, which belongs to the robot")
+        return after.message, after.has_message, after.memory, outcome
+
+
+def traced(computed: Computed) -> nn.Module:
+    """The same function as a graph of its own, so that its constants are part of it.
+
+    Raises:
+        ActionError: the action does what `torch.export` cannot follow.
+    """
+    try:
+        program = torch.export.export(computed, computed.arguments)
+    except Exception as e:  # whatever torch.export raises
+        raise refused(computed.name, _reason(e)) from e
+    return program.module(check_guards=False)
+
+
+@dataclass(frozen=True)
+class _Nowhere:
+    """The environment of an exported skill: it has sizes, but nothing can be done in it."""
+
+    percept_size: int
+    control_size: int
+
+    @property
+    def num_scenarios(self) -> int:
+        """None, and none are known."""
+        return self._missing("num_scenarios")
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """Refused."""
+        return self._missing("start")
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """Refused."""
+        return self._missing("step")
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        """Refused."""
+        return self._missing("observe")
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """Refused."""
+        return self._missing("success")
+
+    def _missing(self, what: str) -> NoReturn:
+        raise ActionError(f"it asks its environment for {what!r}")
+
+
+def refused(name: str, reason: str) -> ActionError:
+    """The error that says which action cannot be exported, why, and what to do."""
+    return ActionError(f"action {name!r} cannot be exported: {reason}; {INSTEAD}")
+
+
+def _reason(e: Exception) -> str:
+    text = " ".join(str(e).split())[:200]
+    return text if isinstance(e, ActionError) else f"{type(e).__name__}: {text}"

@@ -1,0 +1,113 @@
+"""A skill as an ONNX model: the whole step, the networks in it, for any runtime."""
+
+import json
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import torch
+from torch.export import ExportedProgram
+
+from cgtorch.errors import CgtorchError, SettingsError
+from cgtorch.export.computed import refused
+from cgtorch.export.step import SkillStep
+from cgtorch.export.torch_module import exported
+from cgtorch.graphs import Skill
+
+if TYPE_CHECKING:
+    import onnx
+
+INPUTS = ["percept", "outcome", "place", "mind"]
+OUTPUTS = ["request", "control", "next_place", "next_mind"]
+ABOUT = "cgtorch"
+"""The metadata property with names and sizes as JSON, see `SkillStep.about`."""
+
+
+def to_onnx(skill: Skill) -> bytes:
+    """The skill's `SkillStep` as an ONNX model with inputs `INPUTS` and outputs `OUTPUTS`.
+
+    Raises:
+        SettingsError: packages that write ONNX are missing.
+        ActionError: an action does more than compute, or computes what ONNX has no operator for.
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401  # torch.onnx needs it
+    except ImportError as e:
+        raise SettingsError(
+            f"ONNX needs package {e.name!r}, which is not installed; pip install 'cgtorch[onnx]'"
+        ) from e
+    step = SkillStep(skill)
+    with _silence():
+        try:
+            model = _converted(exported(skill), INPUTS, OUTPUTS)
+        except CgtorchError:
+            raise
+        except Exception:  # torch.onnx raises whatever it meets
+            _blame(step)
+            raise
+    model.producer_name = "cgtorch"
+    _tidy(model.graph, set())
+    onnx.helper.set_model_props(model, {ABOUT: json.dumps(step.about())})
+    onnx.checker.check_model(model, full_check=True)
+    return model.SerializeToString()
+
+
+def _converted(
+    program: ExportedProgram, inputs: list[str] | None = None, outputs: list[str] | None = None
+) -> "onnx.ModelProto":
+    converted = torch.onnx.export(
+        program, dynamo=True, verbose=False, input_names=inputs, output_names=outputs
+    )
+    assert converted is not None  # it is only without dynamo  # noqa: S101
+    return converted.model_proto
+
+
+def _blame(step: SkillStep) -> None:
+    """Find the action that cannot be converted by itself.
+
+    Raises:
+        ActionError: naming it.
+    """
+    for one in step.carried:
+        try:
+            _converted(torch.export.export(one, one.arguments))
+        except Exception as e:
+            raise refused(
+                one.name, f"ONNX lacks something that it does ({type(e).__name__})"
+            ) from e
+
+
+def _tidy(graph: "onnx.GraphProto", used: set[str]) -> set[str]:
+    """Drop what only torch reads, and constants that nothing does; all names that are `used`."""
+    for node in graph.node:
+        del node.metadata_props[:]
+        used.update(node.input)
+        for attribute in node.attribute:
+            if attribute.HasField("g"):
+                _tidy(attribute.g, used)
+    for value in (*graph.input, *graph.output, *graph.value_info):
+        del value.metadata_props[:]
+    used.update(value.name for value in graph.output)
+    kept = [constant for constant in graph.initializer if constant.name in used]
+    del graph.initializer[:]
+    graph.initializer.extend(kept)
+    return used
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Without what is said about optional packages and what could not be made smaller."""
+    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,1 @@
+"""What goes into an exported state machine as it stands: plain Python, and nothing else."""

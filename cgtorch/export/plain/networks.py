@@ -1,0 +1,68 @@
+"""The networks of `cgtorch.actions.networks`, one percept at a time, in plain Python."""
+
+import math
+from collections.abc import Sequence
+
+from cgtorch.export.plain.machine import SUCCESS, State, Userdata
+
+
+class Network(State):
+    """One hidden layer; the parameters are W1, b1, W2, b2 one after the other, row by row."""
+
+    def __init__(self, parameters: Sequence[float], inputs: int, hidden: int, outputs: int):
+        super().__init__(parameters)
+        self.inputs, self.hidden, self.outputs = inputs, hidden, outputs
+
+    def sees(self, percept: list[float]) -> list[float]:
+        """What of the percept the network reads."""
+        return percept[: self.inputs]
+
+    def output(self, percept: list[float]) -> list[float]:
+        """Sigmoid hidden layer, linear output."""
+        first = self.hidden * (self.inputs + 1)
+        hidden = layer(self.parameters[:first], self.sees(percept))
+        return layer(self.parameters[first:], [sigmoid(x) for x in hidden])
+
+
+class ContinuousNN(Network):
+    """From the percept to a motion, sent as message."""
+
+    outcomes = (SUCCESS,)
+
+    def motion(self, percept: list[float]) -> list[float]:
+        """What is sent."""
+        return self.output(percept)
+
+    def execute(self, userdata: Userdata) -> str:
+        """Send it."""
+        userdata.message[: self.outputs] = self.motion(userdata.percept)
+        userdata.has_message = True
+        return SUCCESS
+
+
+class BranchingNN(Network):
+    """From the percept to one of two branches: the larger output wins."""
+
+    outcomes = ("out1", "out2")
+
+    def execute(self, userdata: Userdata) -> str:
+        """Choose."""
+        one, two = map(sigmoid, self.output(userdata.percept))
+        return self.outcomes[two > one]
+
+
+def sigmoid(x: float) -> float:
+    """The logistic function."""
+    return 1 / (1 + math.exp(min(-x, 80)))
+
+
+def layer(weights: Sequence[float], inputs: Sequence[float]) -> list[float]:
+    """W x + b, with the rows of W and then b in `weights`."""
+    n = len(inputs)
+    units = len(weights) // (n + 1)
+    rows = [weights[i * n : (i + 1) * n] for i in range(units)]
+    biases = weights[units * n :]
+    return [
+        bias + sum(w * x for w, x in zip(row, inputs, strict=True))
+        for row, bias in zip(rows, biases, strict=True)
+    ]

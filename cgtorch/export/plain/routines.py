@@ -1,0 +1,54 @@
+"""What a robot has to do for a skill: the classes of an exported state machine to fill in."""
+
+import math
+
+from cgtorch.export.plain.machine import FAILURE, SUCCESS, State, Userdata
+
+
+class MoveBase(State):
+    """Drives the base by the message, in the robot's own frame."""
+
+    outcomes = (SUCCESS, FAILURE)
+
+    def execute(self, userdata: Userdata) -> str:
+        """Fail without a message that is a motion; else `move`."""
+        motion = userdata.message[:3]
+        if not userdata.has_message or not all(map(math.isfinite, motion)):
+            return FAILURE
+        return SUCCESS if self.move(userdata, *motion) else FAILURE
+
+    def move(self, userdata: Userdata, *motion: float) -> bool:
+        """Drive by dx, dy (m), then turn by dθ (rad); then keep the new `userdata.percept`.
+
+        False, without moving, where something is in the way.
+        """
+        raise NotImplementedError("MoveBase.move is to be filled in")
+
+
+class Detect(State):
+    """Perceives again without moving."""
+
+    outcomes = (SUCCESS,)
+
+    def execute(self, userdata: Userdata) -> str:
+        """Keep the new percept."""
+        userdata.percept = list(self.detect(userdata))
+        return SUCCESS
+
+    def detect(self, userdata: Userdata) -> list[float]:
+        """The new percept."""
+        raise NotImplementedError("Detect.detect is to be filled in")
+
+
+class Grasp(State):
+    """Tries to grasp the object."""
+
+    outcomes = (SUCCESS, FAILURE)
+
+    def execute(self, userdata: Userdata) -> str:
+        """Whether it was grasped."""
+        return SUCCESS if self.grasp(userdata) else FAILURE
+
+    def grasp(self, userdata: Userdata) -> bool:
+        """Try with either arm; whether the robot holds the object."""
+        raise NotImplementedError("Grasp.grasp is to be filled in")

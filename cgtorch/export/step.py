@@ -1,0 +1,256 @@
+"""A skill as one module that says, step by step, what a robot is to do next.
+
+It is written so that `torch.export` can follow it: no Python decision depends on a number. The
+engine (`cgtorch.simulation`) runs a population; this runs one skill, and asks instead of acting.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from cgtorch.actions import Action, Detect, Grasp, MoveBase
+from cgtorch.errors import SettingsError
+from cgtorch.export.computed import Computed, Sizes, named_primitives
+from cgtorch.graphs import Skill
+from cgtorch.simulation import MAX_STEPS
+from cgtorch.simulation.frames import TIMEOUT
+from cgtorch.simulation.program import SUCCESS, compile_graphs
+
+ENDS = ("success", "failure", "timeout")
+ROUTINES: dict[type[Action], str] = {MoveBase: "MoveBase", Detect: "Detect", Grasp: "Grasp"}
+REQUESTS = (*ENDS, *ROUTINES.values())
+"""What each number in `request` means: how the skill has ended, or what the robot is to do."""
+
+FRESH, RUNNING = 0, 1
+STATUS, NODE, LEVEL, STEP, STACK = range(5)  # columns of `place`
+
+
+class SkillStep(nn.Module):
+    """One step of a skill.
+
+    Networks and other actions that only compute are run inside; what needs a robot is asked for.
+    Where a skill stands is in `place` and what it remembers in `mind`, both zeros at the beginning,
+    and nothing is kept in the module. Everything the engine knows is the same here: skills in
+    skills with transitions of their own, messages and the common memory, `max_steps` on all levels.
+    A MoveBase without a message, or with one that is not finite, fails without being asked for.
+
+    Attributes:
+        name: the skill's.
+        percept_size: D, the length of a percept.
+        control_size: U, the length of a control; of a mobile base dx, dy (m), dθ (rad).
+        place_size: columns of `place`.
+        mind_size: columns of `mind`: the message, whether there is one, the common memory.
+    """
+
+    kind: Tensor
+    heads: Tensor
+    values: Tensor
+    entry: Tensor
+    limit: Tensor
+    request: Tensor
+
+    def __init__(
+        self,
+        skill: Skill,
+        percept_size: int | None = None,
+        control_size: int = 3,
+        max_steps: int = MAX_STEPS,
+    ):
+        """Lay the skill out.
+
+        Args:
+            skill: the skill.
+            percept_size: D; what its networks read if not given.
+            control_size: U.
+            max_steps: actions on all levels together after which it has timed out.
+
+        Raises:
+            ActionError: a node's action is neither a built-in routine nor one that only computes.
+            SettingsError: the percept's size is not given and no network tells it.
+        """
+        super().__init__()
+        self.name = skill.name
+        self.percept_size = _percept_size(skill) if percept_size is None else percept_size
+        self.control_size, self.max_steps = control_size, max_steps
+        program = compile_graphs(skill.graph, skill.actions)
+        self.depth, self.start = program.depth, int(program.start[0])
+        self.max_transitions = skill.max_transitions
+        self.message_size, self.memory_size = program.message_size, program.memory_size
+        self.place_size = STACK + 2 * self.depth
+        self.mind_size = self.message_size + 1 + self.memory_size
+        self.num_primitives = len(program.primitives)
+        sizes = Sizes(self.percept_size, control_size, self.message_size, self.memory_size)
+        request = torch.full((self.num_primitives + len(program.limit),), -1)
+        self.kinds: list[int] = []
+        self.computed = nn.ModuleList()
+        for name, action in named_primitives(skill):
+            i = next(i for i, p in enumerate(program.primitives) if p is action)
+            if type(action) in ROUTINES:
+                request[i] = REQUESTS.index(ROUTINES[type(action)])
+            else:
+                self.kinds.append(i)
+                self.computed.append(Computed(name, action, sizes))
+        self.widths = [program.primitives[i].num_parameters for i in self.kinds]
+        self.register_buffer("kind", program.kind)
+        self.register_buffer("heads", program.heads)
+        self.register_buffer("values", program.parameters.detach().float())
+        # One row more than there are sub-skills, so that a skill without any can be indexed, too.
+        self.register_buffer("entry", torch.cat([program.entry, program.entry.new_zeros(1)]))
+        self.register_buffer("limit", torch.cat([program.limit, program.limit.new_zeros(1)]))
+        self.register_buffer("request", request[program.kind])
+
+    def forward(
+        self, percept: Tensor, outcome: Tensor, place: Tensor, mind: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What the robot is to do next.
+
+        Args:
+            percept: (D,) what it perceives now.
+            outcome: () long, the outcome of what it was last asked to do, in the order of the
+                action's outcomes; not looked at in the first step, nor after the end.
+            place: (place_size,) long, from the last step; zeros in the first.
+            mind: (mind_size,) float, from the last step; zeros in the first.
+
+        Returns:
+            `request` () long, an index into `REQUESTS`; `control` (U,), by what to move where that
+            is MoveBase, else zeros; and `place` and `mind` for the next step. After its end a skill
+            asks for nothing and stays as it is.
+        """
+        percept, outcome, place, mind = (x[None] for x in (percept, outcome, place, mind))
+        fresh = place[:, STATUS] == FRESH
+        place = torch.where(fresh[:, None], self._begun(place), self._follow(place, outcome))
+
+        def thinking(place: Tensor, mind: Tensor) -> Tensor:
+            return self._thinks(place, mind).any()
+
+        def think(place: Tensor, mind: Tensor) -> tuple[Tensor, Tensor]:
+            return self._think(percept, place, mind)
+
+        if torch.compiler.is_exporting():
+            place, mind = torch.while_loop(thinking, think, (place, mind))
+        else:
+            while thinking(place, mind):
+                place, mind = think(place, mind)
+        status = place[:, STATUS]
+        request = torch.where(status == RUNNING, self.request[place[:, NODE]], SUCCESS - status)
+        moves = (request == REQUESTS.index("MoveBase"))[:, None]
+        control = torch.where(moves, mind[:, : self.control_size], 0.0)
+        return request[0], control[0], place[0], mind[0]
+
+    def _begun(self, place: Tensor) -> Tensor:
+        """Everyone at the start of the outermost skill."""
+        head = torch.full_like(place[:, 0], self.start)
+        nothing = torch.zeros_like(place[:, STACK:])
+        caller, left = nothing.split(self.depth, 1)
+        left = left + self._at(torch.zeros_like(head)) * self.max_transitions
+        return self._entered(head, torch.zeros_like(head), torch.zeros_like(head), caller, left)
+
+    def _follow(self, place: Tensor, outcome: Tensor) -> Tensor:
+        """Along the edge of an outcome, out of skills that end with it and into those it leads to.
+
+        The same as `cgtorch.simulation.frames.follow` without shortcuts; who does not run stays.
+        """
+        caller, left = place[:, STACK:].split(self.depth, 1)
+        level = place[:, LEVEL]
+        head = self.heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
+        left = left - self._at(level)
+        head = self._in_time(head, level, left)
+        for _ in range(self.depth - 1):
+            leaves = (head < 0) & (level > 0)
+            node = (caller * self._at(level)).sum(1)
+            back = torch.where(head == SUCCESS, self.heads[node, 0], self.heads[node, 1])
+            head = torch.where(leaves, back, head)
+            level = level - leaves.long()
+            left = left - self._at(level) * leaves.long()[:, None]
+            head = self._in_time(head, level, left)
+        step = place[:, STEP] + 1
+        head = torch.where((head >= 0) & (step >= self.max_steps), TIMEOUT, head)
+        followed = self._entered(head, level, step, caller, left)
+        return torch.where((place[:, STATUS] == RUNNING)[:, None], followed, place)
+
+    def _in_time(self, head: Tensor, level: Tensor, left: Tensor) -> Tensor:
+        """The heads (n,), `TIMEOUT` where the level has no transitions left to go there."""
+        remain = (left * self._at(level)).sum(1)
+        return torch.where((head >= 0) & (remain <= 0), TIMEOUT, head)
+
+    def _entered(
+        self, head: Tensor, level: Tensor, step: Tensor, caller: Tensor, left: Tensor
+    ) -> Tensor:
+        """The places at nodes (n,), in the innermost skill; the ends where `head` is one."""
+        status = torch.where(head < 0, head, RUNNING)
+        node = head.clamp_min(0)
+        for _ in range(self.depth - 1):
+            enters = (self.kind[node] >= self.num_primitives) & (status == RUNNING)
+            level = level + enters.long()
+            opened = self._at(level) * enters.long()[:, None]
+            skill = (self.kind[node] - self.num_primitives).clamp_min(0)
+            caller = caller + opened * (node[:, None] - caller)
+            left = left + opened * (self.limit[skill][:, None] - left)
+            node = torch.where(enters, self.entry[skill], node)
+        return torch.cat([torch.stack([status, node, level, step], 1), caller, left], 1)
+
+    def _at(self, level: Tensor) -> Tensor:
+        """(n, depth) long, 1 in the column of each level."""
+        return (torch.arange(self.depth, device=level.device) == level[:, None]).long()
+
+    def _thinks(self, place: Tensor, mind: Tensor) -> Tensor:
+        """(n,) bool, who runs and is at a node that needs no robot."""
+        asks = self.request[place[:, NODE]]
+        finite = mind[:, : self.control_size].isfinite().all(1)
+        possible = (mind[:, self.message_size] > 0) & finite
+        needs_robot = (asks >= 0) & ((asks != REQUESTS.index("MoveBase")) | possible)
+        return (place[:, STATUS] == RUNNING) & ~needs_robot
+
+    def _think(self, percept: Tensor, place: Tensor, mind: Tensor) -> tuple[Tensor, Tensor]:
+        """One action of all who think."""
+        node = place[:, NODE]
+        thinks, kind = self._thinks(place, mind), self.kind[node]
+        outcome = torch.ones_like(node)  # a MoveBase that is not possible fails
+        message, has, memory = mind.split([self.message_size, 1, self.memory_size], 1)
+        lanes = (percept, message, has[:, 0] > 0, memory, place[:, STEP])
+        for i, width, action in zip(self.kinds, self.widths, self.computed, strict=True):
+            here = thinks & (kind == i)
+            message, has_message, memory, out = action(*lanes, self.values[node][:, :width])
+            after = torch.cat([message, has_message[:, None].to(mind.dtype), memory], 1)
+            mind = torch.where(here[:, None], after, mind)
+            outcome = torch.where(here, out, outcome)
+        return torch.where(thinks[:, None], self._follow(place, outcome), place), mind
+
+    def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Arguments of a first step where all that is perceived is zero."""
+        return (
+            torch.zeros(self.percept_size),
+            torch.tensor(0),
+            torch.zeros(self.place_size, dtype=torch.long),
+            torch.zeros(self.mind_size),
+        )
+
+    @property
+    def carried(self) -> list[Computed]:
+        """The actions that run inside."""
+        return [action for action in self.computed if isinstance(action, Computed)]
+
+    def about(self) -> dict[str, Any]:
+        """What whoever runs the steps has to know: names and sizes, as plain data."""
+        return {
+            "format": "cgtorch-step",
+            "version": 1,
+            "skill": self.name,
+            "percept": self.percept_size,
+            "control": self.control_size,
+            "place": self.place_size,
+            "mind": self.mind_size,
+            "requests": list(REQUESTS),
+            "outcomes": {name: list(routine.outcomes) for routine, name in ROUTINES.items()},
+        }
+
+
+def _percept_size(skill: Skill) -> int:
+    """What the networks of a skill, or of one in it, read."""
+    for _, action in named_primitives(skill):
+        if isinstance(size := getattr(action, "percept_size", None), int):
+            return size
+    raise SettingsError(
+        f"skill {skill.name!r} has no network that tells the length of a percept; give percept_size"
+    )

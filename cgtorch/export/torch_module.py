@@ -1,0 +1,52 @@
+"""A skill as a file for `torch.export.load`: one module, which needs torch and nothing else."""
+
+import io
+import json
+
+import torch
+from torch import nn
+from torch.export import ExportedProgram
+
+from cgtorch.errors import SettingsError
+from cgtorch.export.computed import traced
+from cgtorch.export.step import SkillStep
+from cgtorch.graphs import Skill
+
+ABOUT = "skill.json"
+"""The extra file that tells names and sizes, see `SkillStep.about`."""
+
+
+def to_module(skill: Skill) -> bytes:
+    """The skill's `SkillStep` as a .pt2 archive.
+
+    Its graph and its description are JSON and its weights raw numbers; unlike torch's own archives
+    it holds no example inputs, which would be the one pickle in it.
+
+    Raises:
+        ActionError: an action does more than compute, see `SkillStep`.
+    """
+    step, program = SkillStep(skill), exported(skill)
+    program.example_inputs = None
+    file = io.BytesIO()
+    torch.export.save(program, file, extra_files={ABOUT: json.dumps(step.about())})
+    return file.getvalue()
+
+
+def exported(skill: Skill) -> ExportedProgram:
+    """The skill's step as torch.export sees it, without the lines of source that it comes from.
+
+    Raises:
+        ActionError: an action does more than compute, or what torch.export cannot follow.
+        SettingsError: torch is too old.
+    """
+    if not hasattr(torch, "while_loop"):
+        raise SettingsError(f"torch {torch.__version__} cannot export loops; install a newer one")
+    step = SkillStep(skill)
+    step.computed = nn.ModuleList(traced(action) for action in step.carried)
+    program = torch.export.export(step, step.first())
+    for module in program.graph_module.modules():
+        if isinstance(module, torch.fx.GraphModule):
+            for node in module.graph.nodes:
+                for source in ("stack_trace", "nn_module_stack", "source_fn_stack", "torch_fn"):
+                    node.meta.pop(source, None)
+    return program

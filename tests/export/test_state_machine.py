@@ -1,0 +1,258 @@
+"""The state machine's file runs on plain Python and does what the library does in the world."""
+
+import importlib.util
+import logging
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import torch
+from driving import act, by_the_library, reference
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import Counter, custom_actions, model, nested_actions, random_graphs, random_skill
+
+from cgtorch.actions import ActionSet, edge_actions
+from cgtorch.environment import Environment, start_lanes
+from cgtorch.export import to_state_machine
+from cgtorch.export.plain import edge_networks, networks
+from cgtorch.graphs import Skill, SubSkill
+from cgtorch.simulation import rollout
+from cgtorch.world import draw_of
+from cgtorch.world.edge_frame import edge_frame, motion_to, scene
+
+
+def imported(data: bytes, folder: Path, name: str = "skill") -> ModuleType:
+    path = folder / f"{name}.py"
+    path.write_bytes(data)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look there
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        del sys.modules[name]
+    return module
+
+
+def filled_in(module: ModuleType, environment: Environment, scenario: int) -> dict[str, Any]:
+    """Classes that act in an environment, as a user would write them for a robot."""
+    lanes = start_lanes(environment, torch.tensor([scenario]), 0, 0)
+
+    def do(what: str, userdata: Any, motion: tuple[float, ...] = (0.0, 0.0, 0.0)) -> int:
+        nonlocal lanes
+        lanes, out = act(what, lanes, torch.tensor(motion), environment)
+        userdata.percept = lanes.percept[0].tolist()
+        return out
+
+    class Drive(module.MoveBase):
+        def move(self, userdata: Any, *motion: float) -> bool:
+            return do("MoveBase", userdata, motion) == 0
+
+    class Look(module.Detect):
+        def detect(self, userdata: Any) -> list[float]:
+            do("Detect", userdata)
+            return userdata.percept
+
+    class Grip(module.Grasp):
+        def grasp(self, userdata: Any) -> bool:
+            return do("Grasp", userdata) == 0
+
+    return {"MoveBase": Drive, "Detect": Look, "Grasp": Grip}
+
+
+def executed(
+    module: ModuleType,
+    environment: Environment,
+    scenario: int,
+    caplog: pytest.LogCaptureFixture,
+    more: dict[str, Any] | None = None,
+) -> tuple[list[tuple[str, str]], str]:
+    """All actions with their outcomes, and the end."""
+    caplog.clear()
+    percept = environment.start(torch.tensor([scenario]))[1][0].tolist()
+    states = {**filled_in(module, environment, scenario), **(more or {})}
+    with caplog.at_level(logging.DEBUG, logger="skill"):
+        end = module.run(percept, states)
+    lines = [record.args for record in caplog.records if record.name == "skill"]
+    return [(str(a[1]).rpartition("_")[0], str(a[2])) for a in lines if isinstance(a, tuple)], end
+
+
+def test_a_hundred_runs_in_the_world(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run, skill = reference()
+    place = run.world_of(draw_of("perimeter")(100, torch.Generator().manual_seed(21)))
+    runs, actions = by_the_library(skill, place)
+    module = imported(to_state_machine(skill), tmp_path)
+    for scenario in range(100):
+        expected = [(type(a).__name__, a.outcomes[out]) for a, out in actions[scenario]]
+        found, end = executed(module, place, scenario, caplog)
+        assert found == expected
+        assert end == runs[scenario].end
+    assert len({len(some) for some in actions}) > 3
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**31 - 1))
+def test_actions_of_ones_own_memory_and_messages(
+    seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    skill = random_skill(seed, "S2", nested_actions(seed))
+    environment = model(seed, 4)
+    runs = rollout(skill.graph, skill.actions, environment, max_transitions=skill.max_transitions)
+    module = imported(to_state_machine(skill), tmp_path_factory.mktemp("machine"))
+
+    class Count(getattr(module, "Counter", module.State)):  # type: ignore[misc]
+        def execute(self, userdata: Any) -> str:
+            userdata.memory[0] += 1
+            userdata.memory[1] = userdata.percept[4]
+            userdata.message[3] += self.parameters[0]
+            if userdata.percept[4] > 1.2 + abs(self.parameters[1]):
+                return "lost"
+            return "enough" if userdata.memory[0] + userdata.message[3] > 3 else "again"
+
+    for scenario in range(4):
+        states = {**filled_in(module, environment, scenario), "Counter": Count}
+        userdata = module.Userdata(
+            environment.start(torch.tensor([scenario]))[1][0].tolist(),
+            [0.0] * 4,
+            memory=[0.0] * 2,
+        )
+        end = module.build(states).execute(userdata)
+        timed_out = "timeout" if runs.timed_out[0, scenario] else "failure"
+        assert end == ("success" if runs.succeeded[0, scenario] else timed_out)
+        assert userdata.steps == runs.transitions[0, scenario]
+
+
+def test_plain_python_is_enough(tmp_path: Path) -> None:
+    _, skill = reference()
+    (tmp_path / "skill.py").write_bytes(to_state_machine(skill))
+    (tmp_path / "use.py").write_text(
+        "import sys\n"
+        "sys.path.insert(0, '.')\n"
+        "import skill\n"
+        "class Stay(skill.MoveBase):\n"
+        "    def move(self, userdata, dx, dy, dtheta): return True\n"
+        "class Miss(skill.Grasp):\n"
+        "    def grasp(self, userdata): return False\n"
+        "mine = {'MoveBase': Stay, 'Grasp': Miss}\n"
+        "print(skill.run([0.5, 1.5, -0.5, 0.5, 0.7, 0.1, 0.75], mine))\n"
+        "print(sorted(m for m in ('cgtorch', 'torch', 'numpy') if m in sys.modules))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-I", "-S", "use.py"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (ended.stdout, ended.stderr) == ("timeout\n[]\n", "")
+
+
+def test_what_is_not_filled_in_or_wrong_is_said(tmp_path: Path) -> None:
+    skill = random_skill(0, "S", custom_actions())
+    module = imported(to_state_machine(skill), tmp_path)
+    for name in ("MoveBase", "Detect", "Grasp", "Counter"):
+        userdata = module.Userdata([0.0] * 7, [0.0] * 4, True, [0.0] * 2)
+        with pytest.raises(NotImplementedError, match=f"{name}.* is to be filled in"):
+            getattr(module, name)().execute(userdata)
+
+    class Wrong(module.State):  # type: ignore[name-defined]
+        outcomes = ("a",)
+
+        def execute(self, userdata: Any) -> str:
+            return "b"
+
+    machine = module.StateMachine("m", "one", 1, 1)
+    machine.add("one", Wrong(), {"a": "success"})
+    with pytest.raises(ValueError, match=r"one returned 'b'; return one of \('a',\)"):
+        machine.execute(module.Userdata([]))
+
+
+names = st.text(min_size=1, max_size=30)
+
+
+@settings(max_examples=20)
+@given(names, names, names)
+def test_no_name_becomes_code(skill_name: str, action: str, sub: str) -> None:
+    base = custom_actions()
+    if {action, sub} & set(base.names) or action == sub:
+        return
+    base = ActionSet((*base.names[:-1], action), base.actions)
+    inner = Skill(sub, random_graphs(0, 1, base), base)
+    actions = base.extended([sub], [SubSkill(inner)])
+    skill = random_skill(1, skill_name, actions)
+    text = to_state_machine(skill).decode()
+    found: dict[str, Any] = {"__name__": "skill"}
+    sys.modules["skill"] = ModuleType("skill")
+    try:
+        exec(compile(text, "skill.py", "exec"), found)  # noqa: S102
+    finally:
+        del sys.modules["skill"]
+    machine = found["build"]()
+    assert machine.name == skill_name
+    own = [c for c in vars(machine).values() if isinstance(c, dict)]
+    assert own
+    kinds = {type(state).__name__ for state in machine.states.values()}
+    assert sum(getattr(found[k], "name", None) == action for k in kinds) <= 1
+    extra = set(found) - set(vars(networks)) - set(vars(edge_networks))
+    assert all(name.isidentifier() or name == "__builtins__" for name in extra)
+
+
+def test_hostile_names_of_actions_become_classes_of_their_own() -> None:
+    class Mine(Counter):
+        pass
+
+    for name in ("class", "State", "print", "MoveBase", "a b", "ä", "1", 'x"\n', "_"):
+        base = ActionSet((name,), (Mine(),))
+        skill = Skill("S", random_graphs(0, 1, base), base)
+        found: dict[str, Any] = {"__name__": "__skill__"}
+        sys.modules["__skill__"] = ModuleType("__skill__")
+        try:
+            exec(compile(to_state_machine(skill).decode(), "s", "exec"), found)  # noqa: S102
+        finally:
+            del sys.modules["__skill__"]
+        (kind, *_) = {type(state) for state in found["build"]().states.values()}
+        assert (kind.name, kind.outcomes) == (name, Counter.outcomes)
+        assert found["State"] in kind.__mro__
+        assert kind is not found["State"]
+
+
+@settings(max_examples=15)
+@given(
+    st.integers(0, 2**31 - 1),
+    st.sampled_from(["perimeter", "general", "general-clutter"]),
+    st.sampled_from(["box", "yaw"]),
+)
+def test_the_edge_s_frame_in_plain_numbers(seed: int, scenes: str, percept: str) -> None:
+    from cgtorch.world import TabletopWorld
+
+    drawn = draw_of(scenes)(6, torch.Generator().manual_seed(seed))
+    place = TabletopWorld(drawn, lambda at, table: at[:, 0] > 0, (-0.3, 0.3, -0.3, 0.3),
+                          percept=percept)  # fmt: skip
+    seen = place.start(torch.arange(6))[1].double()
+    frame, whole = edge_frame(seen), scene(seen)
+    pose = torch.randn(6, 3, generator=torch.Generator().manual_seed(seed)).double()
+    motions = motion_to(frame, pose)
+    for row, p in enumerate(seen.tolist()):
+        plain = edge_networks.edge_frame(p)
+        numbers = edge_networks.table_scene(plain, p) + edge_networks.obstacles(plain, p)
+        assert numbers == pytest.approx(whole[row].tolist(), abs=1e-6)
+        net = edge_networks.EdgeNN([0.0] * 30 + [0.0] * 9 + pose[row].tolist(), 9, 3, 3)
+        motion = net.motion(p)
+        assert motion[:2] == pytest.approx(motions[row, :2].tolist(), abs=1e-6)
+        turn = (motion[2] - motions[row, 2].item() + 1) % (2 * torch.pi) - 1
+        assert turn == pytest.approx(0, abs=1e-6)
+
+
+def test_edge_actions_are_the_networks_in_the_file(tmp_path: Path) -> None:
+    """Of the sizes that percepts with an obstacle take."""
+    actions = edge_actions(13)
+    skill = random_skill(3, "S", actions)
+    module = imported(to_state_machine(skill), tmp_path)
+    machine = module.build()
+    inputs = {type(s).__name__: s.inputs for s in machine.states.values() if hasattr(s, "inputs")}
+    assert set(inputs) == {"EdgeNN", "EdgeBranchingNN"}
+    assert inputs["EdgeNN"] == 9
+    assert inputs["EdgeBranchingNN"] == 12
