@@ -9,7 +9,7 @@ from torch import Tensor
 from cgtorch.models.pivoted_cholesky import pivoted_cholesky
 
 _SMALL = 0.25  # rank, as a share of the rows, up to which a factor is faster than the whole
-_REST = 1e-3  # trace of what the factor lacks, in mean diagonal elements
+_REST = 0.05  # trace of what the factor lacks, in mean diagonal elements
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Whole:
     total: Tensor
 
     def add(self, x: Tensor, v: Tensor) -> Tensor:
-        """x + rho v (K + rho)^-1 (P, n), the part added projected on sums of 0."""
+        """Rho v (K + rho)^-1 (P, n), projected on sums of 0, added to x."""
         return torch.addmm(x, v, self.projected)
 
 
@@ -52,7 +52,7 @@ class Factored:
     total: Tensor
 
     def add(self, x: Tensor, v: Tensor) -> Tensor:
-        """x + rho v (K + rho)^-1 (P, n), the part added projected on sums of 0."""
+        """Rho v (K + rho)^-1 (P, n), projected on sums of 0, added to x."""
         return torch.addmm(x + v, v @ self.left, self.right, alpha=-1)
 
 

@@ -20,7 +20,7 @@ def pivoted_cholesky(
         diagonal: Diagonal of the matrix (n,).
         column: Gives one of its columns (n,).
         most: Largest rank.
-        trace: Trace of the rest at which to stop.
+        trace: Trace of the rest at which to stop; it also stops when that is not to be expected.
 
     Returns:
         The factor (rank, n), whose transpose times itself is nearly the matrix, the rows taken in
@@ -30,13 +30,16 @@ def pivoted_cholesky(
     factor = diagonal.new_zeros(min(most, len(diagonal)), len(diagonal))
     chosen: list[int] = []
     floor = _FLOOR * float(rest.max())
+    # Traces fall geometrically at best, so what is not half way by a quarter will not arrive.
+    quarter, hopeful = len(factor) // 4, (trace * float(rest.sum())) ** 0.5 if trace else torch.inf
     for step in range(len(factor)):
         pivot = int(rest.argmax())
         largest = float(rest[pivot])
-        if largest <= floor or float(rest.sum()) <= trace:
+        left = float(rest.sum())
+        if largest <= floor or left <= trace or (step == quarter and left > hopeful):
             break
-        torch.addmv(column(pivot), factor[:step].T, factor[:step, pivot], alpha=-1, out=factor[step])
-        factor[step] /= largest**0.5
+        row = torch.addmv(column(pivot), factor[:step].T, factor[:step, pivot], alpha=-1)
+        factor[step] = row / largest**0.5
         rest = (rest - factor[step] ** 2).clamp_min_(0)
         rest[pivot] = 0
         chosen.append(pivot)

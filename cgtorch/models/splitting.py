@@ -7,8 +7,8 @@ every fold, C and output, and an iteration of all problems is one product with i
 are in float32, of changes only; each round of iterations begins with residuals in float64, which
 say how optimal z is and take the errors of the round before out of x.
 
-It converges in some hundred iterations where many eigenvalues of K are above rho, as they are where
-many coefficients are free. Where few are it is slow, and Newton's method fast.
+Within some dozen iterations the statuses of the coefficients are nearly right, long before their
+values are; a few exact Newton steps on these statuses (`cgtorch.models.polish`) give the values.
 """
 
 import math
@@ -18,16 +18,16 @@ import torch
 from torch import Tensor
 
 from cgtorch.models.gram import Gram
-from cgtorch.models.inverses import Inverse, inverse, low_rank
+from cgtorch.models.inverses import Factored, Inverse, inverse, low_rank
 from cgtorch.models.polish import polish
 from cgtorch.models.problems import Problems, violation
 from cgtorch.models.rounded import soft
 
 _LADDER = 8.0  # rho is a power of it
 _RELAX = 1.6
-_ROUND = 20  # iterations between two checks
-_ROUNDS = 60
-_POLISHED = range(2, 60, 2)  # rounds before which exact solutions are tried
+_ROUND = 40  # iterations between two checks, twice as many where they cost little
+_ROUNDS = 30
+_SEVERAL = 16  # rows for each problem, above which one inverse has to do for all
 _CHEAP = 300  # how many products with a vector a factor of the free coefficients may cost
 _UNEVEN = 8.0  # rho changes where one residual is so many times the other
 _CONDITION = 1e6  # of the largest inverse, so that float32 holds it
@@ -67,13 +67,16 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     scale = max(float(gram.matrix.diagonal().mean()), 1e-12)
     least = math.ceil(math.log(scale * len(gram) / _CONDITION, _LADDER))
     level = (0.5 * (scale / problems.cap).sqrt()).log() / math.log(_LADDER)
-    level = level.round().clamp_min(least)
-    live = torch.arange(len(zero), device=zero.device)
     factor = low_rank(gram.matrix)
+    # A whole inverse costs as much as n / P iterations: only many problems pay for several.
+    alone = factor is None and len(gram) > _SEVERAL * len(zero)
+    level = (level.mean().expand_as(level) if alone else level).round()
+    level = level.clamp_min(least)
+    live = torch.arange(len(zero), device=zero.device)
     kept: dict[float, Inverse] = {}
     for number in range(_ROUNDS + 1):
-        rest = []
-        if number in _POLISHED:
+        rest: list[Tensor] = []
+        if number:
             live = _polish(gram, problems, found, live, tolerance)
         levels = level[live]
         for power in levels.unique().tolist():
@@ -84,7 +87,7 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
             if number < _ROUNDS and bool(go.any()):
                 rows = rows[go]
                 step = _iterate(problems.take(rows), shifted, found, rows, x[go])
-                level[rows] = (level[rows] + step).clamp_min(least)
+                level[rows] = (level[rows] + step * (not alone or number > 1)).clamp_min(least)
                 rest.append(rows)
         if not rest:
             break
@@ -92,9 +95,7 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     return replace(found, beta=_balanced(problems, found.beta))
 
 
-def _polish(
-    gram: Gram, problems: Problems, found: Split, live: Tensor, tolerance: float
-) -> Tensor:
+def _polish(gram: Gram, problems: Problems, found: Split, live: Tensor, tolerance: float) -> Tensor:
     """The problems of `live` that a try at their exact solutions leaves unsolved."""
     part = problems.take(live)
     free = _free(part, found.beta[live]).sum(1)
@@ -114,9 +115,7 @@ def _free(problems: Problems, beta: Tensor) -> Tensor:
     return (beta > problems.lower) & (beta < problems.upper) & (beta != 0)
 
 
-def _kept(
-    kept: dict[float, Inverse], gram: Gram, factor: Tensor | None, power: float
-) -> Inverse:
+def _kept(kept: dict[float, Inverse], gram: Gram, factor: Tensor | None, power: float) -> Inverse:
     """The inverse for rho = ladder ** power, from those kept or new in the place of the oldest."""
     if power not in kept:
         if len(kept) == _KEPT:
@@ -139,7 +138,7 @@ def _check(gram: Gram, problems: Problems, inverse: Inverse, found: Split, rows:
     lack = excess.abs() * gram.matrix.diagonal().mean() / _free(problems, beta).sum(1).clamp_min(1)
     wrong = violation(problems, beta, residual - bias[:, None])
     found.violation[rows] = torch.maximum(wrong, lack)
-    change = inverse.add(torch.zeros_like(right, dtype=torch.float32), (right / inverse.rho).float())
+    change = inverse.add(torch.zeros_like(beta).float(), (right / inverse.rho).float())
     share = (excess / inverse.total).float()[:, None] * inverse.rows.float()
     return change - share + beta.float()
 
@@ -152,9 +151,7 @@ def _balanced(problems: Problems, beta: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(moved, problems.lower), problems.upper)
 
 
-def _iterate(
-    problems: Problems, inverse: Inverse, found: Split, rows: Tensor, x: Tensor
-) -> Tensor:
+def _iterate(problems: Problems, inverse: Inverse, found: Split, rows: Tensor, x: Tensor) -> Tensor:
     """One round of iterations for the problems `rows` from x (P, n).
 
     Gives by how much rho's power (P,) should change: up where x and z differ more than z moves,
@@ -166,7 +163,7 @@ def _iterate(
     )
     z, u = found.beta[rows].float(), (found.slope[rows] / rho).float()
     pull = z - u
-    for _ in range(_ROUND):
+    for _ in range(_ROUND * (1 + isinstance(inverse, Factored))):
         v = torch.add(u, x, alpha=_RELAX).add_(z, alpha=1 - _RELAX)
         before, z = z, torch.minimum(torch.maximum(soft(v, width), lower), upper)
         u = v - z
