@@ -9,7 +9,7 @@ from torch import Tensor
 from cgtorch.models.pivoted_cholesky import pivoted_cholesky
 
 _SMALL = 0.25  # rank, as a share of the rows, up to which a factor is faster than the whole
-_REST = 0.05  # trace of what the factor lacks, in mean diagonal elements
+_REST = 5e-3  # trace of what the factor lacks, in mean diagonal elements
 
 
 @dataclass(frozen=True)
