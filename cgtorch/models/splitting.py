@@ -28,7 +28,7 @@ _RELAX = 1.6
 _ROUND = 40  # iterations between two checks, twice as many where they cost little
 _ROUNDS = 30
 _SEVERAL = 16  # rows for each problem, above which one inverse has to do for all
-_CHEAP = 300  # how many products with a vector a factor of the free coefficients may cost
+_CHEAP = 150  # products with K that an exact try may cost for each round of splitting before it
 _UNEVEN = 8.0  # rho changes where one residual is so many times the other
 _CONDITION = 1e6  # of the largest inverse, so that float32 holds it
 _KEPT = 5  # inverses kept, of n^2 numbers each
@@ -77,7 +77,8 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     for number in range(_ROUNDS + 1):
         rest: list[Tensor] = []
         if number:
-            live = _polish(gram, problems, found, live, tolerance)
+            worth = number * _CHEAP * len(gram) ** 2
+            live = _polish(gram, problems, found, live, tolerance, worth)
         levels = level[live]
         for power in levels.unique().tolist():
             shifted = _kept(kept, gram, factor, power)
@@ -95,11 +96,16 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     return replace(found, beta=_balanced(problems, found.beta))
 
 
-def _polish(gram: Gram, problems: Problems, found: Split, live: Tensor, tolerance: float) -> Tensor:
-    """The problems of `live` that a try at their exact solutions leaves unsolved."""
+def _polish(
+    gram: Gram, problems: Problems, found: Split, live: Tensor, tolerance: float, worth: float
+) -> Tensor:
+    """The problems of `live` that a try at their exact solutions leaves unsolved.
+
+    Those whose cubed number of free coefficients is above `worth` are not tried.
+    """
     part = problems.take(live)
     free = _free(part, found.beta[live]).sum(1)
-    cheap = free.double() ** 3 <= _CHEAP * len(gram) ** 2
+    cheap = free.double() ** 3 <= worth
     tried = live[cheap]
     if len(tried) == 0:
         return live
