@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.models.gram import Gram
-from cgtorch.models.newton import direction
+from cgtorch.models.newton import direction, with_pivot
 from cgtorch.models.problems import Problems
 from cgtorch.models.rounded import line_search, slope, statuses
 
@@ -130,7 +130,7 @@ def _step(
 ) -> Active:
     """One Newton step of every problem; `done` are those that seem to be solved."""
     h = state.rung / problems.cap
-    old = _with_pivot(problems, h, state.residual, state.clipped, state.status)
+    old = with_pivot(problems, h, state.residual, state.clipped, state.status)
     free = old.abs() == 1
     d, shift, move = direction(gram, problems, h, state.beta, state.residual, old, free, precise)
     to = _move(problems, h, state, d, shift, move)
@@ -280,30 +280,3 @@ def _confirm(gram: Gram, problems: Problems, state: Active) -> Active:
     again = rows[~fine]
     state.done[again], state.jump[again], state.former[again] = False, True, state.rung[again]
     return state
-
-
-def _with_pivot(
-    problems: Problems, h: Tensor, residual: Tensor, clipped: Tensor, status: Tensor
-) -> Tensor:
-    """Statuses (P, n) with one coefficient freed in each problem that has no free one.
-
-    Without a free coefficient the bias would have no equation. The sum of the coefficients says
-    which way the bias has to go, and the first coefficient that leaves its bound on that way is
-    the one to free.
-    """
-    empty = (status.abs() != 1).all(1).nonzero().flatten()
-    if len(empty) == 0:
-        return status
-    part, h, r, old = problems.take(empty), h[empty, None], residual[empty], status[empty]
-    width = part.epsilon[:, None]
-    excess = clipped[empty].sum(1, keepdim=True) > 0
-    down = torch.where(old == 2, r - width - h * part.upper, torch.inf)
-    down = torch.where((old == 0) & (part.lower < 0), r + width, down)
-    up = torch.where(old == -2, h * part.lower - width - r, torch.inf)
-    up = torch.where((old == 0) & (part.upper > 0), width - r, up)
-    pivot = torch.where(excess, down, up).clamp_min(0).argmin(1, keepdim=True)
-    at = old.gather(1, pivot)
-    side = torch.where(at == 0, 1 - 2 * excess.to(at), at.sign())
-    status = status.clone()
-    status[empty] = old.scatter(1, pivot, side)
-    return status

@@ -14,6 +14,7 @@ from torch import Tensor
 from cgtorch.errors import SettingsError
 from cgtorch.models.inputs import as_rows
 from cgtorch.models.kernels import Kernel, make_kernel
+from cgtorch.models.pivoted_cholesky import pivoted_cholesky
 from cgtorch.models.success import SuccessClassifier
 from cgtorch.models.svc import SVC
 from cgtorch.models.svr import SVR
@@ -70,19 +71,8 @@ def compact_success_classifier(
 
 def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
     """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first."""
-    rest = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
-    factor = x.new_zeros(count, len(x))
-    chosen = []
-    floor = 1e-12 * float(rest.max())
-    for step in range(min(count, len(x))):
-        pivot = int(rest.argmax())
-        if float(rest[pivot]) <= floor:
-            break
-        column = kernel(x[pivot : pivot + 1], x)[0] - factor[:step, pivot] @ factor[:step]
-        factor[step] = column / rest[pivot].sqrt()
-        rest = (rest - factor[step] ** 2).clamp_min(0)
-        rest[pivot] = 0
-        chosen.append(pivot)
+    diagonal = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
+    chosen = pivoted_cholesky(diagonal, lambda row: kernel(x[row : row + 1], x)[0], count)[1]
     return torch.tensor(chosen, dtype=torch.long, device=x.device)
 
 

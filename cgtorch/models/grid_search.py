@@ -2,8 +2,9 @@
 
 One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
 only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
-Where many coefficients are free, all problems of a gamma are split on one inverse; the others are
-solved by Newton's method, folds from the solution on all rows (`cgtorch.models.cells`).
+All problems of a gamma are split on one inverse and ended by exact steps; what that leaves is
+solved by Newton's method with a line search, folds from the solution on all rows
+(`cgtorch.models.cells`).
 """
 
 import itertools

@@ -13,7 +13,7 @@ from cgtorch.models.fused import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nea
 from cgtorch.models.gram import Gram, gram
 from cgtorch.models.kernels import Kernel, make_kernel, resolve_gamma
 from cgtorch.models.problems import Problems
-from cgtorch.models.solver import classify
+from cgtorch.models.rounded import classify
 
 
 class KernelMachine(nn.Module):

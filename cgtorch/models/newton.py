@@ -52,6 +52,33 @@ def direction(
     return d + inner, shift, outer + gram.times(inner)
 
 
+def with_pivot(
+    problems: Problems, h: Tensor, residual: Tensor, clipped: Tensor, status: Tensor
+) -> Tensor:
+    """Statuses (P, n) with one coefficient freed in each problem that has no free one.
+
+    Without a free coefficient the bias would have no equation. The sum of the coefficients says
+    which way the bias has to go, and the first coefficient that leaves its bound on that way is
+    the one to free.
+    """
+    empty = (status.abs() != 1).all(1).nonzero().flatten()
+    if len(empty) == 0:
+        return status
+    part, h, r, old = problems.take(empty), h[empty, None], residual[empty], status[empty]
+    width = part.epsilon[:, None]
+    excess = clipped[empty].sum(1, keepdim=True) > 0
+    down = torch.where(old == 2, r - width - h * part.upper, torch.inf)
+    down = torch.where((old == 0) & (part.lower < 0), r + width, down)
+    up = torch.where(old == -2, h * part.lower - width - r, torch.inf)
+    up = torch.where((old == 0) & (part.upper > 0), width - r, up)
+    pivot = torch.where(excess, down, up).clamp_min(0).argmin(1, keepdim=True)
+    at = old.gather(1, pivot)
+    side = torch.where(at == 0, 1 - 2 * excess.to(at), at.sign())
+    status = status.clone()
+    status[empty] = old.scatter(1, pivot, side)
+    return status
+
+
 def solve_free(
     gram: Gram, free: Tensor, h: Tensor, right: Tensor, precise: list[bool]
 ) -> tuple[Tensor, Tensor]:

@@ -72,3 +72,16 @@ def regression(targets: Tensor, cap: Tensor, epsilon: Tensor, weight: Tensor) ->
     """
     width = cap[:, None] * weight
     return Problems(z=targets, lower=-width, upper=width, epsilon=epsilon, cap=cap)
+
+
+def inside(problems: Problems, beta: Tensor) -> Tensor:
+    """Coefficients (P, n) clipped to their boxes."""
+    return torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
+
+
+def violation(problems: Problems, beta: Tensor, residual: Tensor) -> Tensor:
+    """The largest distance (P,) of residuals z - K beta - bias (P, n) from what beta allows."""
+    width = problems.epsilon[:, None]
+    most = torch.where(beta >= 0, width, -width).masked_fill(beta >= problems.upper, torch.inf)
+    least = torch.where(beta <= 0, -width, width).masked_fill(beta <= problems.lower, -torch.inf)
+    return torch.maximum(residual - most, least - residual).amax(1).clamp_min(0)

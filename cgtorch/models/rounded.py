@@ -30,6 +30,11 @@ def statuses(value: Tensor, clipped: Tensor) -> Tensor:
     return clipped.sign() * (2 - (value == clipped).to(value))
 
 
+def classify(beta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+    """Statuses (P, n) that coefficients in their boxes show; those on a bound stay there."""
+    return beta.sign() * (1 + ((beta >= upper) | (beta <= lower)).to(beta))
+
+
 def on_bounds(problems: Problems, status: Tensor) -> Tensor:
     """The bound (P, n) of every coefficient that has one by its status, 0 for the others."""
     upper, lower = (status - 1).clamp_min(0), (-1 - status).clamp_min(0)

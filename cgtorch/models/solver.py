@@ -18,7 +18,8 @@ from torch import Tensor
 from cgtorch.models import smo
 from cgtorch.models.active_set import Active, active_set
 from cgtorch.models.gram import Gram
-from cgtorch.models.problems import Problems
+from cgtorch.models.problems import Problems, inside
+from cgtorch.models.rounded import classify
 
 Start = tuple[Tensor, Tensor, Tensor]
 """Coefficients (P, n), which may lie outside the boxes, biases (P,) and statuses (P, n)."""
@@ -146,7 +147,7 @@ def solve(
     """
     gram = Gram(kernel) if isinstance(kernel, Tensor) else kernel
     found = descend(gram, problems, start or quarter_start(gram, problems, generator), last)
-    beta, bias = _inside(problems, found.beta), found.bias.clone()
+    beta, bias = inside(problems, found.beta), found.bias.clone()
     direct = found.done & _small_gap(problems, found, last)
     failed = (~direct).nonzero().flatten()
     for problem in failed.tolist():
@@ -173,16 +174,6 @@ def solve(
         dual_objective(problems, beta, product),
         direct,
     )
-
-
-def classify(beta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
-    """Statuses (P, n) that coefficients in their boxes show; those on a bound stay there."""
-    return beta.sign() * (1 + ((beta >= upper) | (beta <= lower)).to(beta))
-
-
-def _inside(problems: Problems, beta: Tensor) -> Tensor:
-    """Coefficients (P, n) clipped to their boxes."""
-    return torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
 
 
 def _small_gap(problems: Problems, found: Active, last: float | Tensor) -> Tensor:

@@ -7,8 +7,8 @@ every fold, C and output, and an iteration of all problems is one product with i
 are in float32, of changes only; each round of iterations begins with residuals in float64, which
 say how optimal z is and take the errors of the round before out of x.
 
-It converges in some hundred iterations where many eigenvalues of K are above rho, as they are where
-many coefficients are free. Where few are it is slow, and Newton's method fast.
+Within some dozen iterations the statuses of the coefficients are nearly right, long before their
+values are; a few exact Newton steps on these statuses (`cgtorch.models.polish`) give the values.
 """
 
 import math
@@ -18,16 +18,17 @@ import torch
 from torch import Tensor
 
 from cgtorch.models.gram import Gram
-from cgtorch.models.problems import Problems
+from cgtorch.models.inverses import Factored, Inverse, inverse, low_rank
+from cgtorch.models.polish import polish
+from cgtorch.models.problems import Problems, violation
 from cgtorch.models.rounded import soft
 
 _LADDER = 8.0  # rho is a power of it
 _RELAX = 1.6
-_ROUND = 20  # iterations between two checks
-_ROUNDS = 60
-_EARLY, _NEAR, _FREE = 4, 0.1, 0.125  # who violates more after so many rounds with so few free
-_LATE, _FAR = 15, 0.1  # and who violates more after so many, is left
-_DIMENSION, _MANY = 0.15, 50  # least mean effective dimension for so many problems, in rows
+_ROUND = 40  # iterations between two checks, twice as many where they cost little
+_ROUNDS = 30
+_SEVERAL = 16  # rows for each problem, above which one inverse has to do for all
+_CHEAP = 150  # products with K that an exact try may cost for each round of splitting before it
 _UNEVEN = 8.0  # rho changes where one residual is so many times the other
 _CONDITION = 1e6  # of the largest inverse, so that float32 holds it
 _KEPT = 5  # inverses kept, of n^2 numbers each
@@ -50,16 +51,6 @@ class Split:
     violation: Tensor
 
 
-@dataclass(frozen=True)
-class _Inverse:
-    """(K + rho)^-1: projected on sums of 0 (n, n), its row sums before that (n,) and their sum."""
-
-    rho: float
-    projected: Tensor
-    rows: Tensor
-    total: Tensor
-
-
 def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     """Iterate until each of P problems violates its optimality conditions by at most `tolerance`.
 
@@ -76,27 +67,28 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     scale = max(float(gram.matrix.diagonal().mean()), 1e-12)
     least = math.ceil(math.log(scale * len(gram) / _CONDITION, _LADDER))
     level = (0.5 * (scale / problems.cap).sqrt()).log() / math.log(_LADDER)
-    level = level.round().clamp_min(least)
-    # An iteration reads the whole inverse, so it pays for many problems sooner than for few.
-    least_dimension = len(gram) * min(_DIMENSION, _DIMENSION * _MANY / len(zero))
-    pays = bool(_dimension(gram, _LADDER**level).mean() >= least_dimension)
-    live = torch.arange(len(zero) if pays else 0, device=zero.device)
-    kept: dict[float, _Inverse] = {}
+    factor = low_rank(gram.matrix)
+    # A whole inverse costs as much as n / P iterations: only many problems pay for several.
+    alone = factor is None and len(gram) > _SEVERAL * len(zero)
+    level = (level.mean().expand_as(level) if alone else level).round()
+    level = level.clamp_min(least)
+    live = torch.arange(len(zero), device=zero.device)
+    kept: dict[float, Inverse] = {}
     for number in range(_ROUNDS + 1):
-        rest = []
-        for power in level[live].unique().tolist():
-            inverse = _kept(kept, gram, power)
-            rows = live[level[live] == power]
-            x = _check(gram, problems.take(rows), inverse, found, rows)
+        rest: list[Tensor] = []
+        if number:
+            worth = number * _CHEAP * len(gram) ** 2
+            live = _polish(gram, problems, found, live, tolerance, worth)
+        levels = level[live]
+        for power in levels.unique().tolist():
+            shifted = _kept(kept, gram, factor, power)
+            rows = live[levels == power]
+            x = _check(gram, problems.take(rows), shifted, found, rows)
             go = found.violation[rows] > tolerance
-            if number >= _EARLY:
-                go &= _hopeful(problems, found, rows)
-            if number >= _LATE:
-                go &= found.violation[rows] <= _FAR
             if number < _ROUNDS and bool(go.any()):
                 rows = rows[go]
-                step = _iterate(problems.take(rows), inverse, found, rows, x[go])
-                level[rows] = (level[rows] + step).clamp_min(least)
+                step = _iterate(problems.take(rows), shifted, found, rows, x[go])
+                level[rows] = (level[rows] + step * (not alone or number > 1)).clamp_min(least)
                 rest.append(rows)
         if not rest:
             break
@@ -104,19 +96,24 @@ def split(gram: Gram, problems: Problems, tolerance: float) -> Split:
     return replace(found, beta=_balanced(problems, found.beta))
 
 
-def _dimension(gram: Gram, rho: Tensor) -> Tensor:
-    """Effective dimension (P,) of K at rho (P,), the trace of K (K + rho)^-1, by every fourth row.
+def _polish(
+    gram: Gram, problems: Problems, found: Split, live: Tensor, tolerance: float, worth: float
+) -> Tensor:
+    """The problems of `live` that a try at their exact solutions leaves unsolved.
 
-    About so many coefficients can be free.
+    Those whose cubed number of free coefficients is above `worth` are not tried.
     """
-    values = 4 * torch.linalg.eigvalsh(gram.matrix[::4, ::4].contiguous()).clamp_min(0)
-    return (values / (values + rho[:, None])).sum(1)
-
-
-def _hopeful(problems: Problems, found: Split, rows: Tensor) -> Tensor:
-    """Whether problems `rows` are nearly solved or have so many free ones that Newton's is slow."""
-    free = _free(problems.take(rows), found.beta[rows])
-    return (found.violation[rows] <= _NEAR) | (free.sum(1) >= _FREE * free.shape[1])
+    part = problems.take(live)
+    free = _free(part, found.beta[live]).sum(1)
+    cheap = free.double() ** 3 <= worth
+    tried = live[cheap]
+    if len(tried) == 0:
+        return live
+    exact = polish(gram, part.take(cheap), found.beta[tried], found.bias[tried], tolerance)
+    rows = tried[exact.solved]
+    found.beta[rows], found.bias[rows] = exact.beta[exact.solved], exact.bias[exact.solved]
+    found.violation[rows] = tolerance
+    return torch.cat([live[~cheap], tried[~exact.solved]]).sort().values
 
 
 def _free(problems: Problems, beta: Tensor) -> Tensor:
@@ -124,30 +121,16 @@ def _free(problems: Problems, beta: Tensor) -> Tensor:
     return (beta > problems.lower) & (beta < problems.upper) & (beta != 0)
 
 
-def _kept(kept: dict[float, _Inverse], gram: Gram, power: float) -> _Inverse:
+def _kept(kept: dict[float, Inverse], gram: Gram, factor: Tensor | None, power: float) -> Inverse:
     """The inverse for rho = ladder ** power, from those kept or new in the place of the oldest."""
     if power not in kept:
         if len(kept) == _KEPT:
             del kept[next(iter(kept))]
-        kept[power] = _inverse(gram.matrix, _LADDER**power)
+        kept[power] = inverse(gram.matrix, factor, _LADDER**power)
     return kept[power]
 
 
-def _inverse(matrix: Tensor, rho: float) -> _Inverse:
-    """The inverse of K + rho, in float32 if it can be."""
-    for kind in (torch.float32, torch.float64):
-        shifted = matrix.to(kind, copy=True)
-        shifted.diagonal().add_(rho)
-        factor, info = torch.linalg.cholesky_ex(shifted)
-        if int(info) == 0:
-            break
-    whole = torch.cholesky_inverse(factor).float()
-    rows = whole.sum(1)
-    total = rows.sum()
-    return _Inverse(rho, whole.addr_(rows, rows / -total), rows.double(), total.double())
-
-
-def _check(gram: Gram, problems: Problems, inverse: _Inverse, found: Split, rows: Tensor) -> Tensor:
+def _check(gram: Gram, problems: Problems, inverse: Inverse, found: Split, rows: Tensor) -> Tensor:
     """Write biases and violations of the problems `rows`, and give x that belongs to their z.
 
     x - z solves (K + rho) (x - z) + bias = z-residual - slope with sum(x) = 0.
@@ -161,7 +144,7 @@ def _check(gram: Gram, problems: Problems, inverse: _Inverse, found: Split, rows
     lack = excess.abs() * gram.matrix.diagonal().mean() / _free(problems, beta).sum(1).clamp_min(1)
     wrong = violation(problems, beta, residual - bias[:, None])
     found.violation[rows] = torch.maximum(wrong, lack)
-    change = right.float() @ inverse.projected
+    change = inverse.add(torch.zeros_like(beta).float(), (right / inverse.rho).float())
     share = (excess / inverse.total).float()[:, None] * inverse.rows.float()
     return change - share + beta.float()
 
@@ -174,17 +157,7 @@ def _balanced(problems: Problems, beta: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(moved, problems.lower), problems.upper)
 
 
-def violation(problems: Problems, beta: Tensor, residual: Tensor) -> Tensor:
-    """The largest distance (P,) of residuals z - K beta - bias (P, n) from what beta allows."""
-    width = problems.epsilon[:, None]
-    most = torch.where(beta >= 0, width, -width).masked_fill(beta >= problems.upper, torch.inf)
-    least = torch.where(beta <= 0, -width, width).masked_fill(beta <= problems.lower, -torch.inf)
-    return torch.maximum(residual - most, least - residual).amax(1).clamp_min(0)
-
-
-def _iterate(
-    problems: Problems, inverse: _Inverse, found: Split, rows: Tensor, x: Tensor
-) -> Tensor:
+def _iterate(problems: Problems, inverse: Inverse, found: Split, rows: Tensor, x: Tensor) -> Tensor:
     """One round of iterations for the problems `rows` from x (P, n).
 
     Gives by how much rho's power (P,) should change: up where x and z differ more than z moves,
@@ -196,12 +169,12 @@ def _iterate(
     )
     z, u = found.beta[rows].float(), (found.slope[rows] / rho).float()
     pull = z - u
-    for _ in range(_ROUND):
+    for _ in range(_ROUND * (1 + isinstance(inverse, Factored))):
         v = torch.add(u, x, alpha=_RELAX).add_(z, alpha=1 - _RELAX)
         before, z = z, torch.minimum(torch.maximum(soft(v, width), lower), upper)
         u = v - z
         apart, former, pull = x - z, pull, z - u
-        x = torch.addmm(x, pull - former, inverse.projected, alpha=rho)
+        x = inverse.add(x, pull - former)
     found.beta[rows], found.slope[rows] = z.double(), u.double() * rho
     far = apart.norm(dim=1) / z.norm(dim=1).clamp_min(1e-30)
     moved = (z - before).norm(dim=1) / u.norm(dim=1).clamp_min(1e-30)

@@ -8,7 +8,7 @@ from sklearn.model_selection import GridSearchCV, PredefinedSplit
 from tabletop import labelled, transitions
 
 from cgtorch.errors import DataError, SettingsError
-from cgtorch.models import SVC, SVR, grid_search
+from cgtorch.models import SVC, SVR, grid_search, splitting
 
 COSTS, WIDTHS = [0.5, 8.0, 128.0], [0.01, 0.1, 1.0]
 
@@ -55,6 +55,16 @@ def test_regression_scores_equal_scikit_learn_in_every_cell():
         held = found.held_out[g, e, COSTS.index(best.C), output].numpy()[rows]
         np.testing.assert_allclose(held, same.predict(x[rows]), atol=0.01)
     assert len({choice.gamma for choice in found.common}) == 1
+
+
+def test_what_splitting_leaves_is_solved_by_the_active_set(monkeypatch):
+    x, y = labelled(200)
+    grid = {"C": [0.5, 128.0], "gamma": [0.1, 1.0]}
+    plain = grid_search(SVC(), _scaled(x), y, **grid)
+    monkeypatch.setattr(splitting, "_ROUNDS", 0)
+    other = grid_search(SVC(), _scaled(x), y, folds=plain.folds, **grid)
+    assert bool(other.direct.all())
+    np.testing.assert_allclose(other.held_out, plain.held_out, atol=5e-3)
 
 
 def test_given_folds_are_used_and_seeds_repeat():

@@ -4,10 +4,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.models import smo
+from cgtorch.models import smo, splitting
 from cgtorch.models.gram import gram
-from cgtorch.models.problems import Problems, classification, regression
-from cgtorch.models.splitting import split, violation
+from cgtorch.models.problems import Problems, classification, regression, violation
+from cgtorch.models.splitting import split
 
 
 def _rows(seed: int, n: int) -> torch.Tensor:
@@ -53,12 +53,25 @@ def test_problems_with_many_free_coefficients_are_solved():
     assert float(found.violation.max()) <= 1e-3
 
 
-def test_problems_with_few_free_coefficients_are_left():
+def test_problems_with_few_free_coefficients_are_solved_exactly():
     x = _rows(0, 300)
     cap = torch.tensor([512.0], dtype=torch.float64)
     signs = torch.where(x[:, 0] > 0, 1.0, -1.0).double()
     problems = classification(signs, cap, torch.ones(1, 300, dtype=torch.float64))
-    assert not bool((split(gram("rbf", x, 0.001), problems, 1e-3).violation <= 1e-3).any())
+    kernel = gram("rbf", x, 0.001)
+    found = split(kernel, problems, 1e-3)
+    assert float(found.violation) <= 1e-3
+    wrong = found.beta[0] @ kernel.matrix - _slow(kernel.matrix, problems, 0)
+    assert float((wrong - wrong.mean()).abs().max()) < 5e-3  # what is common belongs to the bias
+
+
+def test_what_too_few_iterations_leave_is_said(monkeypatch):
+    monkeypatch.setattr(splitting, "_ROUNDS", 0)
+    x = _rows(0, 300)
+    cap = torch.tensor([512.0], dtype=torch.float64)
+    signs = torch.where(x[:, 0] > 0, 1.0, -1.0).double()
+    problems = classification(signs, cap, torch.ones(1, 300, dtype=torch.float64))
+    assert float(split(gram("rbf", x, 0.1), problems, 1e-3).violation) > 1e-3
 
 
 def test_violation_is_the_distance_from_what_coefficients_allow():
