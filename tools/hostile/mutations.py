@@ -4,6 +4,7 @@ Most changes keep the rest of the file in order, so that they get past the first
 depends on the `random.Random` alone.
 """
 
+import copy
 import json
 import random
 import re
@@ -101,8 +102,8 @@ def _changed_value(data: Any, draw: random.Random, raws: list[bytes]) -> Any:
     value = holder[key]
     match draw.randrange(10):
         case 0 | 1:
-            holder[key] = draw.choice(VALUES)
-        case 2 | 3 if type(value) in (int, float):
+            holder[key] = copy.deepcopy(draw.choice(VALUES))  # which may be changed next
+        case 2 | 3 if type(value) in (int, float) and abs(value) < 1e300:
             holder[key] = draw.choice(
                 [value + 1, value - 1, -value, value * 1.0, value * 1.001, int(value), str(value)]
             )
