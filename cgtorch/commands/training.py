@@ -175,10 +175,11 @@ def _board(run: Run, settings: dict[str, Any]) -> Iterator[Watch]:
         yield lambda event: None
         return
     recalled = recalled_generations(run.folder)
+    models = int((run.folder / "start").is_dir())
     with TensorBoardWatch(
         run.folder,
         settings,
-        finished_generations(run) + len(run.stages) + recalled,
+        models + finished_generations(run) + len(run.stages) + recalled,
         recalled=recalled,
         actions=run.actions,
         footprint=run.robot.description.footprint,

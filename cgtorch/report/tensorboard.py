@@ -99,7 +99,8 @@ class TensorBoardWatch:
             folder: of the event files; made if it is missing.
             settings: hyper-parameters by name; what is no number, truth value or text is written
                 as its text.
-            first_step: generations evaluated and stages finished so far, where a run goes on. What
+            first_step: first models fitted (one step), generations evaluated and stages finished
+                so far, where a run goes on. What
                 earlier files hold from this step on is hidden by TensorBoard, and written again as
                 it is told.
             recalled: generations among these that will be told to be recalled.
@@ -239,6 +240,7 @@ class TensorBoardWatch:
         self._scalars(values)
         self._curves({"gamma": gamma.learning_curve, "classifier": classifier.learning_curve})
         self._writer.flush()
+        self.step += 1  # so that all generations can be hidden and the first models still be seen
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
         """Write learning curves where the step is the number of rows.

@@ -42,7 +42,7 @@ def written(events: list[Event], tmp_path_factory: pytest.TempPathFactory) -> Ev
     with watch:
         for event in events:
             watch(event)
-    assert watch.step == 47
+    assert watch.step == 48
     assert len([p for p in folder.iterdir() if p.is_file()]) == 1
     return read(folder)
 
@@ -94,7 +94,7 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
     }
     for tag, values in wanted.items():
         scalars = written.Scalars(tag)
-        assert [s.step for s in scalars] == list(range(47)), tag
+        assert [s.step for s in scalars] == list(range(1, 48)), tag
         assert [s.value for s in scalars] == pytest.approx(values, rel=1e-5), tag
     assert len(set(best)) > 1  # the evolution has got somewhere
 
@@ -117,10 +117,10 @@ def test_models_and_world(written: EventAccumulator, events: list[Event]) -> Non
     for tag, value in wanted.items():
         (scalar,) = written.Scalars(tag)
         assert (scalar.step, scalar.value) == (0, pytest.approx(value, rel=1e-5)), tag
-    assert [s.step for s in written.Scalars("world/solved_W")] == [45, 47, 47]
-    assert [s.step for s in written.Scalars("world/kept")] == [45, 47]
+    assert [s.step for s in written.Scalars("world/solved_W")] == [46, 48, 48]
+    assert [s.step for s in written.Scalars("world/kept")] == [46, 48]
     (fresh,) = written.Scalars("world/fresh_rate")
-    assert (fresh.step, fresh.value) == (47, 0.75)
+    assert (fresh.step, fresh.value) == (48, 0.75)
     accepted = events[-1]
     assert isinstance(accepted, SkillAccepted)
     (targets,) = written.Scalars("stage/targets")
@@ -161,9 +161,9 @@ def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Even
     told = [e for e in events if isinstance(e, GenerationDone)]
     for i, name in enumerate(STRATEGY):
         histograms = written.Histograms(f"strategy/{name}")
-        assert [h.step for h in histograms] == [0, 20, 40, 45]
+        assert [h.step for h in histograms] == [1, 21, 41, 46]
         for h in histograms:
-            values = told[h.step].generation.population.strategy[:, i]
+            values = told[h.step - 1].generation.population.strategy[:, i]
             seen = h.histogram_value
             assert seen.num == 60
             assert (seen.min, seen.max, seen.sum) == pytest.approx(
@@ -172,8 +172,8 @@ def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Even
 
 
 def test_pictures_are_png_of_the_size_they_claim(written: EventAccumulator) -> None:
-    assert [p.step for p in written.Images("graph/best")] == [45, 47, 47]
-    assert [p.step for p in written.Images("table/successes")] == [47]
+    assert [p.step for p in written.Images("graph/best")] == [46, 48, 48]
+    assert [p.step for p in written.Images("table/successes")] == [48]
     assert [p.step for p in written.Images("classifier/reliability")] == [0]
     for tag in ("graph/best", "table/successes", "classifier/reliability"):
         for picture in written.Images(tag):
@@ -254,14 +254,14 @@ def test_without_actions_only_accepted_skills_are_drawn(
     with TensorBoardWatch(tmp_path, {}, picture_seconds=0) as watch:
         for event in events:
             watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [47]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [48]
 
 
 def test_pictures_of_evolutions_keep_their_distance(events: list[Event], tmp_path: Path) -> None:
     with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
         for event in events:
             watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [45, 47]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == [46, 48]
 
 
 def test_an_evolution_that_is_broken_off_is_drawn_too(events: list[Event], tmp_path: Path) -> None:
