@@ -257,11 +257,11 @@ def _change_element(root: Any, draw: random.Random) -> None:
         case 3 if element is not root:
             element.getparent().remove(element)
         case 4 if element is not root:
-            copy = etree.fromstring(etree.tostring(element))
+            twin = copy.deepcopy(element)  # which may be a comment, and is no document by itself
             for _ in range(draw.choice([1, 1, 1, 300])):
-                element.addnext(etree.fromstring(etree.tostring(copy)))
+                element.addnext(copy.deepcopy(twin))
         case 5 if element is not root:  # within another, or within itself again and again
-            draw.choice(elements[:1] + named).append(etree.fromstring(etree.tostring(element)))
+            draw.choice(elements[:1] + named).append(copy.deepcopy(element))
         case 6:  # joints and links that exist, in other places
             names = [e.get("link") for e in root.iter("parent", "child") if e.get("link")]
             end = draw.choice(list(root.iter("parent", "child")) or [root])
