@@ -71,7 +71,7 @@ def test_every_format(shell: Shell, tmp_path: Path, form: str) -> None:
         case "dot":
             assert len(pydot.graph_from_dot_data(data.decode())) == 1
         case "graphml":
-            assert len(nx.parse_graphml(data.decode())) == 6
+            assert len(nx.parse_graphml(data.decode())) == data.count(b"<node ") > 5
         case "mermaid":
             assert data.startswith(b"flowchart TD\n")
 
@@ -114,6 +114,8 @@ from cgtorch.actions import Action
 class Asks(Action):
     """Perceives again."""
 
+    outcomes = ("success", "failure")
+
     def forward(self, lanes, parameters, environment):
         return environment.observe(lanes), lanes.step * 0
 '''
@@ -122,20 +124,9 @@ class Asks(Action):
 def test_an_action_of_ones_own(shell: Shell, tmp_path: Path) -> None:
     """It is a class to fill in; where it cannot be carried along, it is named."""
     (tmp_path / "asking_actions.py").write_text(ASKS)
-    data = json.loads((REFERENCE / "S0" / "skill.json").read_text())
-    text = (
-        json.dumps(data)
-        .replace('"MoveBase', '"Asks')
-        .replace('"outcome": "failure"', '"outcome": "X"')
-    )
-    data = json.loads(text)
-    asks = {n["name"] for n in data["nodes"] if n["action"] == "Asks"}
-    data["edges"] = [
-        {**e, "outcome": e["outcome"].replace("X", "failure")}
-        for e in data["edges"]
-        if not (e["tail"] in asks and e["outcome"] == "X")
-    ]
-    (tmp_path / "own.json").write_text(json.dumps(data))
+    text = (REFERENCE / "S0" / "skill.json").read_text()
+    assert '"action": "MoveBase"' in text
+    (tmp_path / "own.json").write_text(text.replace('"action": "MoveBase"', '"action": "Asks"'))
     words = (EXPORT, "own.json", "--actions", "asking_actions:Asks", "--output")
     for form in ("module", "onnx"):
         line = shell.refuses(*words, "out", "--format", form)
