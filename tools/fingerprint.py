@@ -9,9 +9,6 @@ last bit. The population, 61, divides by none.
 
 import hashlib
 import json
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +16,7 @@ from pathlib import Path
 import click
 import torch
 from kill_and_resume import SMALL, told
+from measure_ranks import torchrun
 
 
 @click.command()
@@ -38,21 +36,9 @@ def command(stage: str, seed: int, counts: Sequence[int]) -> None:
 
 
 def train(run: Path, stage: str, seed: int, ranks: int) -> None:
-    """Make a small run with so many ranks, one thread each."""
-    torchrun = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={ranks}"]
-    ended = subprocess.run(
-        [
-            *(sys.executable, *(torchrun if ranks > 1 else ()), "-m", "cgtorch.commands.train"),
-            *("--stage", stage, "--seed", str(seed), "--run-dir", str(run)),
-            *(*SMALL, "--population", "61"),
-        ],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if ended.returncode:
-        raise click.ClickException(f"training failed: {ended.stderr[-2000:]}")
+    """Make a small run with so many ranks."""
+    about = ["--stage", stage, "--seed", str(seed), "--run-dir", str(run)]
+    torchrun(ranks, ["-m", "cgtorch.commands.train", *about, *SMALL, "--population", "61"])
 
 
 def fingerprint(run: Path) -> str:

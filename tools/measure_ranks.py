@@ -43,7 +43,7 @@ def command(counts: Sequence[int], population: int, repeats: int, as_rank: bool)
     if as_rank:
         evaluate_as_rank(population, repeats)
         return
-    found = {count: torchrun(count, population, repeats) for count in counts}
+    found = {count: measured(count, population, repeats) for count in counts}
     if len({result["fitness"] for result in found.values()}) > 1:
         raise click.ClickException("ranks came to different fitness")
     one = found[counts[0]]
@@ -57,21 +57,26 @@ def command(counts: Sequence[int], population: int, repeats: int, as_rank: bool)
         )
 
 
-def torchrun(count: int, population: int, repeats: int) -> dict[str, Any]:
+def measured(count: int, population: int, repeats: int) -> dict[str, Any]:
     """What so many ranks measured."""
-    program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
     options = ["--as-rank", "--population", str(population), "--repeats", str(repeats)]
+    result: dict[str, Any] = json.loads(torchrun(count, [__file__, *options]))
+    return result
+
+
+def torchrun(count: int, words: Sequence[str]) -> str:
+    """What a program prints on so many ranks of one thread each."""
+    program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
     ended = subprocess.run(
-        [*program, f"--nproc-per-node={count}", str(Path(__file__)), *options],
+        [*program, f"--nproc-per-node={count}", *words],
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         check=False,
     )
     if ended.returncode:
-        raise click.ClickException(f"{count} ranks: {ended.stderr[-500:]}")
-    result: dict[str, Any] = json.loads(ended.stdout)
-    return result
+        raise click.ClickException(f"{count} ranks: {ended.stderr[-2000:]}")
+    return ended.stdout
 
 
 def evaluate_as_rank(population: int, repeats: int) -> None:

@@ -68,12 +68,12 @@ def command(
     """
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
-    from cgtorch.export import FORMATS
+    from cgtorch.export import FORMATS as WRITERS
     from cgtorch.files import write_bytes
 
     import_from_here(actions)
     skill = _chosen(path, name, actions, scenarios)
-    data = FORMATS[form](skill)
+    data = WRITERS[form](skill)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
 

@@ -18,10 +18,10 @@ def test_ranks_are_started_and_come_to_the_same() -> None:
 
 
 def test_a_difference_is_told(monkeypatch) -> None:
-    def torchrun(count: int, population: int, repeats: int) -> dict[str, object]:
+    def measured(count: int, population: int, repeats: int) -> dict[str, object]:
         return {"seconds": [1.0], "transitions": 10, "fitness": str(count)}
 
-    monkeypatch.setattr(measure_ranks, "torchrun", torchrun)
+    monkeypatch.setattr(measure_ranks, "measured", measured)
     result = CliRunner().invoke(measure_ranks.command, [])
     assert result.exit_code == 1
     assert "different fitness" in result.output

@@ -104,7 +104,7 @@ class Simulation:
                     first, second = map(sigmoid, network(percept, state.parameters, 2))
                     outcome = int(second > first)
                 case unknown:
-                    raise NotImplementedError(unknown)
+                    raise ValueError(f"no state machine knows the action {unknown!r}")
             head = state.heads[outcome]
             if head is None:
                 return True, percept, step
