@@ -1,0 +1,83 @@
+/* Vectors of 64 bytes of REAL, float or double, whatever registers the CPU has: sums of sixteen or
+   eight parts are made in the same order everywhere, and a row never meets another one. */
+#ifndef CGTORCH_REAL_H
+#define CGTORCH_REAL_H
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+typedef REAL real;
+#define BYTES 64
+#define WIDTH ((int)(BYTES / sizeof(real)))
+typedef real vec __attribute__((vector_size(BYTES), aligned(8)));
+
+#ifdef REAL_IS_FLOAT
+typedef int32_t whole;
+#define FN(name) name##f
+#define MAGIC 12582912.0f /* 1.5 * 2^23: adding it rounds to a whole number */
+#define MANTISSA 23
+#define SMALLEST -126.0f
+#else
+typedef int64_t whole;
+#define FN(name) name
+#define MAGIC 6755399441055744.0 /* 1.5 * 2^52 */
+#define MANTISSA 52
+#define SMALLEST -1022.0
+#endif
+typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
+
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
+INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
+INLINE vec all(real x) { return x - (vec){0}; }
+INLINE vec select_vec(vwhole yes, vec a, vec b) {
+  return (vec)(((vwhole)a & yes) | ((vwhole)b & ~yes));
+}
+INLINE vec vec_max(vec a, vec b) { return select_vec(a > b, a, b); }
+INLINE vec vec_min(vec a, vec b) { return select_vec(a < b, a, b); }
+
+/* The sum and the least of a vector's parts, pairwise. */
+INLINE real sum(vec v) {
+  real part[WIDTH];
+  store(part, v);
+  for (int n = WIDTH / 2; n; n /= 2)
+    for (int i = 0; i < n; i++) part[i] += part[i + n];
+  return part[0];
+}
+INLINE real least(vec v) {
+  real part[WIDTH];
+  store(part, v);
+  for (int n = WIDTH / 2; n; n /= 2)
+    for (int i = 0; i < n; i++) part[i] = part[i + n] < part[i] ? part[i + n] : part[i];
+  return part[0];
+}
+
+/* 2^x for x <= 0 to the last digit or two; what would be denormal is the smallest normal number. */
+INLINE vec exp2_vec(vec x) {
+  x = vec_max(x, all(SMALLEST));
+  vec big = x + MAGIC;
+  vec f = (x - (big - MAGIC)) * (real)0.69314718055994530942;
+#ifdef REAL_IS_FLOAT
+  vec p = all(1.0f / 5040);
+  p = p * f + 1.0f / 720;
+#else
+  vec p = all(1.0 / 6227020800.0);
+  p = p * f + 1.0 / 479001600;
+  p = p * f + 1.0 / 39916800;
+  p = p * f + 1.0 / 3628800;
+  p = p * f + 1.0 / 362880;
+  p = p * f + 1.0 / 40320;
+  p = p * f + 1.0 / 5040;
+  p = p * f + 1.0 / 720;
+#endif
+  p = p * f + (real)(1.0 / 120);
+  p = p * f + (real)(1.0 / 24);
+  p = p * f + (real)(1.0 / 6);
+  p = p * f + (real)0.5;
+  p = p * f + (real)1;
+  p = p * f + (real)1;
+  return (vec)((vwhole)p + ((vwhole)big << MANTISSA));
+}
+#endif
