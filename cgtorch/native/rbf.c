@@ -31,11 +31,9 @@ static void some_rows(void *what, int64_t begin, int64_t end) {
 }
 
 /* Values (n, k) and scaled squared distances (n,) to the nearest centre of rows x (n, d). */
-int rbf_values(const real *centres, const real *weights, const real *bias, real scale, int64_t m,
-               int64_t d, int64_t k, const real *x, int64_t n, real *values, real *nearest,
+int rbf_values(const Machine *machine, const real *x, int64_t n, real *values, real *nearest,
                int64_t threads) {
-  if (d > MOST_FEATURES || k > MOST_OUTPUTS) return 1;
-  Rows rows = {{centres, weights, bias, scale, m, d, k}, x, values, nearest};
+  Rows rows = {*machine, x, values, nearest};
   in_parallel(some_rows, &rows, n, 256, (int)threads);
   return 0;
 }
