@@ -1,8 +1,5 @@
 """The hot path: values of an RBF machine with the fewest passes over memory.
 
-Compiled where that is possible (`cgtorch.models.compiled`), and else, also on other devices, in
-torch, which is the rest of this file.
-
 With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2): one product of the matrix
 2 s [C, -1/2, -|c|^2 / 2] with the columns (x, |x|^2, 1)', one exp2 in place, and one product of the
 weights with that, in chunks whose buffer stays in cache. Both x and c are taken from the centres'
@@ -25,9 +22,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.models.compiled import machine_values
 from cgtorch.models.threads import one_thread_each, side_by_side
-from cgtorch.native.structures import suits
 
 LOG2E = math.log2(math.e)
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2
@@ -57,8 +52,6 @@ def fused_rbf(x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: 
     machine = centres, weights, bias, gamma
     if _wants_gradient(x, *machine):
         return _exponents(x, centres, gamma).exp2() @ weights + bias
-    if suits(x, *machine) and (found := machine_values(x, *machine)):
-        return found[0]
     values = x.new_empty(len(x), len(bias))
     _compute(x, machine, values, None)
     return values
@@ -75,8 +68,6 @@ def fused_rbf_and_nearest(
     if _wants_gradient(x, *machine):
         exponent = _exponents(x, centres, gamma)
         return exponent.exp2() @ weights + bias, -exponent.amax(1)
-    if suits(x, *machine) and (found := machine_values(x, *machine)):
-        return found
     values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x))
     _compute(x, machine, values, nearest)
     return values, nearest.neg_()

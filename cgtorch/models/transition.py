@@ -59,9 +59,7 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
-        scene = self._scene(percept, motion)
-        value = self.machine.values(self._features(scene))[..., 0]
-        return _following(scene, motion, value.to(percept), self.trust)
+        return self.predict_with_novelty(percept, motion)[0]
 
     def novelty(self, percept: Tensor, motion: Tensor) -> Tensor:
         """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
