@@ -57,12 +57,17 @@ INLINE real least(vec v) {
 /* 2^x for x <= 0 to the last digit or two; what would be denormal is the smallest normal number. */
 INLINE vec exp2_vec(vec x) {
   x = vec_max(x, all(SMALLEST));
-  vec big = x + MAGIC;
-  vec f = (x - (big - MAGIC)) * (real)0.69314718055994530942;
-#ifdef REAL_IS_FLOAT
-  vec p = all(1.0f / 5040);
-  p = p * f + 1.0f / 720;
-#else
+  vec big = x + MAGIC, f = x - (big - MAGIC);
+#ifdef REAL_IS_FLOAT /* near the best polynomial of its degree, 2.5e-9 off at most */
+  vec p = all(0.00015461445f);
+  p = p * f + 0.0013400428f;
+  p = p * f + 0.009618057f;
+  p = p * f + 0.055503272f;
+  p = p * f + 0.24022651f;
+  p = p * f + 0.6931472f;
+  p = p * f + 1.0f;
+#else /* Taylor's series */
+  f = f * 0.69314718055994530942;
   vec p = all(1.0 / 6227020800.0);
   p = p * f + 1.0 / 479001600;
   p = p * f + 1.0 / 39916800;
@@ -71,13 +76,24 @@ INLINE vec exp2_vec(vec x) {
   p = p * f + 1.0 / 40320;
   p = p * f + 1.0 / 5040;
   p = p * f + 1.0 / 720;
+  p = p * f + 1.0 / 120;
+  p = p * f + 1.0 / 24;
+  p = p * f + 1.0 / 6;
+  p = p * f + 0.5;
+  p = p * f + 1.0;
+  p = p * f + 1.0;
 #endif
-  p = p * f + (real)(1.0 / 120);
-  p = p * f + (real)(1.0 / 24);
-  p = p * f + (real)(1.0 / 6);
-  p = p * f + (real)0.5;
-  p = p * f + (real)1;
-  p = p * f + (real)1;
   return (vec)((vwhole)p + ((vwhole)big << MANTISSA));
+}
+
+/* 1 / (1 + exp(-x)) of up to WIDTH numbers, in place; what is not a number stays so. */
+INLINE void sigmoids(real *x, int count) {
+  vec v = all(0);
+  memcpy(&v, x, (size_t)count * sizeof(real));
+  vec size = select_vec(v < 0, v, -v); /* -|x|, whose power of two is never large */
+  vec power = exp2_vec(size * (real)1.44269504088896340736);
+  vec p = select_vec(v < 0, power, all(1)) / (1 + power);
+  p = select_vec(v == v, p, v);
+  memcpy(x, &p, (size_t)count * sizeof(real));
 }
 #endif

@@ -6,6 +6,7 @@
 #define MOST_DEPTH 16
 #define MOST_MESSAGE 16
 #define MOST_HIDDEN 64
+#define PIECE 8 /* graphs that a thread takes at once */
 #define SUCCESS (-1)
 #define TIMEOUT (-3)
 #define UNKNOWN (-1)
@@ -72,19 +73,29 @@ INLINE int64_t now(void) {
   } while (0)
 
 /* A network with one hidden layer, `one_hidden_layer`. */
-INLINE void network(const real *x, const real *w, const Action *a, real *out) {
-  real hidden[MOST_HIDDEN];
-  const real *b1 = w + a->hidden * a->inputs, *w2 = b1 + a->hidden, *b2 = w2 + a->outputs * a->hidden;
-  for (int64_t i = 0; i < a->hidden; i++) {
+INLINE void layers(const real *x, const real *w, int inputs, int hidden, int outputs, real *out) {
+  real at[MOST_HIDDEN];
+  const real *b1 = w + hidden * inputs, *w2 = b1 + hidden, *b2 = w2 + outputs * hidden;
+  for (int i = 0; i < hidden; i++) {
     real total = 0;
-    for (int64_t j = 0; j < a->inputs; j++) total += w[i * a->inputs + j] * x[j];
-    hidden[i] = sigmoid(total + b1[i]);
+    for (int j = 0; j < inputs; j++) total += w[i * inputs + j] * x[j];
+    at[i] = total + b1[i];
   }
-  for (int64_t i = 0; i < a->outputs; i++) {
+  for (int i = 0; i < hidden; i += WIDTH) sigmoids(at + i, hidden - i < WIDTH ? hidden - i : WIDTH);
+  for (int i = 0; i < outputs; i++) {
     real total = 0;
-    for (int64_t j = 0; j < a->hidden; j++) total += w2[i * a->hidden + j] * hidden[j];
+    for (int j = 0; j < hidden; j++) total += w2[i * hidden + j] * at[j];
     out[i] = total + b2[i];
   }
+}
+INLINE void network(const real *x, const real *w, const Action *a, int outputs, real *out) {
+  if (a->hidden == 3 && a->inputs == 7) layers(x, w, 7, 3, outputs, out);
+  else if (a->hidden == 3 && a->inputs == 9) layers(x, w, 9, 3, outputs, out);
+  else layers(x, w, (int)a->inputs, (int)a->hidden, outputs, out);
+}
+INLINE int64_t branch(real *out) {
+  sigmoids(out, 2);
+  return out[1] > out[0];
 }
 
 INLINE void say(Lane *lane, const real *said, int64_t count, int *changed) {
@@ -138,7 +149,7 @@ static int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
     outcome = lane->state[2] <= (real)0.5;
     break;
   case CONTINUOUS:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, out));
+    TIMED(IN_NETWORKS, network(lane->percept, weights, action, (int)action->outputs, out));
     say(lane, out, action->outputs, changed);
     break;
   case EDGE:
@@ -146,23 +157,23 @@ static int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
       Edge edge = edge_frame(lane->percept, layout);
       real pose[3];
       table_scene(&edge, lane->percept, seen);
-      network(seen, weights, action, pose);
+      network(seen, weights, action, 3, pose);
       motion_to(&edge, pose, out);
     });
     say(lane, out, 3, changed);
     break;
   case BRANCHING:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, out));
-    outcome = sigmoid(out[1]) > sigmoid(out[0]);
+    TIMED(IN_NETWORKS, network(lane->percept, weights, action, 2, out));
+    outcome = branch(out);
     break;
   case EDGE_BRANCHING:
     TIMED(IN_NETWORKS, {
       Edge edge = edge_frame(lane->percept, layout);
       table_scene(&edge, lane->percept, seen);
       obstacle_scene(&edge, lane->percept, layout, seen + SCENE);
-      network(seen, weights, action, out);
+      network(seen, weights, action, 2, out);
     });
-    outcome = sigmoid(out[1]) > sigmoid(out[0]);
+    outcome = branch(out);
     break;
   default: /* DETECT: Γ predicts what would be perceived */
     break;
@@ -208,40 +219,105 @@ INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int c
   return 0;
 }
 
-static void run_lane(const Task *task, Layout layout, int64_t graph, int64_t index) {
+/* A lane from its start to its end: `SUCCESS`, FAILURE, `TIMEOUT`, or 0 out of steps. */
+static int64_t run_lane(const Task *task, Layout layout, int64_t graph, int64_t scenario, Lane *lane) {
   const Models *m = task->models;
-  Lane lane = {.scenario = task->scenarios[index], .node = task->program->start[graph], .anchor = -1};
-  size_t wide = (size_t)layout.size * sizeof(real);
-  memcpy(lane.percept, m->percepts + lane.scenario * layout.size, wide);
-  memcpy(lane.state, m->state + lane.scenario * 3, sizeof lane.state);
-  lane.left[0] = task->max_transitions;
-  enter(task->program, &lane);
+  memcpy(lane->percept, m->percepts + scenario * layout.size, (size_t)layout.size * sizeof(real));
+  memcpy(lane->state, m->state + scenario * 3, sizeof lane->state);
+  memset(lane->message, 0, sizeof lane->message);
+  lane->has_message = 0;
+  lane->step = lane->level = lane->since = 0;
+  lane->anchor = -1;
+  lane->scenario = scenario;
+  lane->node = task->program->start[graph];
+  lane->left[0] = task->max_transitions;
+  enter(task->program, lane);
   int64_t end = 0, skipped;
   do {
     int changed;
-    int64_t outcome = act(task, layout, &lane, &changed);
-    end = follow(task->program, &lane, outcome, changed, &skipped);
-    lane.step += 1 + skipped;
-    if (lane.step >= task->max_steps) {
+    int64_t outcome = act(task, layout, lane, &changed);
+    end = follow(task->program, lane, outcome, changed, &skipped);
+    lane->step += 1 + skipped;
+    if (lane->step >= task->max_steps) {
       if (skipped) end = TIMEOUT;
+      lane->step = task->max_steps;
       break;
     }
   } while (!end);
-  int64_t row = graph * task->count + index;
-  memcpy(task->percept + row * layout.size, lane.percept, wide);
-  memcpy(task->state + row * 3, lane.state, sizeof lane.state);
-  task->status[row] = end;
-  task->transitions[row] = lane.step < task->max_steps ? lane.step : task->max_steps;
+  return end;
 }
 
 static void run_graphs(void *what, int64_t begin, int64_t end) {
   const Task *task = what;
   Layout layout = layout_of(task->models->size);
-  for (int64_t graph = begin; graph < end; graph++)
-    for (int64_t i = 0; i < task->count; i++) run_lane(task, layout, graph, i);
+  size_t wide = (size_t)layout.size * sizeof(real);
+  Lane lane;
+  for (int64_t row = begin * task->count; row < end * task->count; row++) {
+    int64_t scenario = task->scenarios[row % task->count];
+    task->status[row] = run_lane(task, layout, row / task->count, scenario, &lane);
+    task->transitions[row] = lane.step;
+    memcpy(task->percept + row * layout.size, lane.percept, wide);
+    memcpy(task->state + row * 3, lane.state, sizeof lane.state);
+  }
 }
 
 int rollouts(Task *task, int64_t threads) {
-  in_parallel(run_graphs, task, task->graphs, 8, task->ticks ? 1 : (int)threads);
+  in_parallel(run_graphs, task, task->graphs, PIECE, task->ticks ? 1 : (int)threads);
+  return 0;
+}
+
+/* Eq. 3 for graphs whose nodes lie `nodes` after `nodes` in the table; of `task` only what there is
+   to do is read, and its scenarios are those of W, `keep` of them, and then those of M. */
+typedef struct {
+  Task task;
+  int64_t nodes, keep;
+  real *score;              /* (P, B) */
+  unsigned char *succeeded; /* (P, B) */
+  unsigned char *finite;    /* (P,) */
+  int64_t *transitions;     /* (P,) */
+} Evaluation;
+
+INLINE int all_finite(const real *x, int64_t count) {
+  real total = 0; /* 0 times what is not finite is not a number */
+#pragma omp simd reduction(+ : total)
+  for (int64_t i = 0; i < count; i++) total += x[i] * 0;
+  return total == 0;
+}
+
+static void evaluate_graph(const Evaluation *e, Layout layout, int64_t graph) {
+  const Task *task = &e->task;
+  const Program *program = task->program;
+  Lane lane;
+  int64_t first = graph * e->nodes * program->width, done = 0, lost = 0;
+  int finite = all_finite(program->parameters + first, e->nodes * program->width);
+  real *score = e->score + graph * task->count;
+  unsigned char *succeeded = e->succeeded + graph * task->count;
+  for (int64_t i = 0; i < task->count && !(lost && i >= e->keep); i++) {
+    int64_t scenario = task->scenarios[i];
+    int success = run_lane(task, layout, graph, scenario, &lane) == SUCCESS;
+    real chance = lane.state[2];
+    if (chance == UNKNOWN)
+      TIMED(IN_C, chance = success_row(&task->models->classifier, layout, lane.percept));
+    int real_numbers = isfinite(chance) && all_finite(lane.percept, layout.size);
+    finite &= real_numbers;
+    chance = real_numbers ? (chance < 0 ? 0 : chance > 1 ? 1 : chance) : 0;
+    score[scenario] = success ? chance : chance / 2;
+    succeeded[scenario] = (unsigned char)success;
+    lost |= i < e->keep && !success;
+    done += lane.step;
+  }
+  if (lost) memset(score, 0, (size_t)task->count * sizeof(real));
+  e->finite[graph] = (unsigned char)finite;
+  e->transitions[graph] = done;
+}
+
+static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
+  const Evaluation *e = what;
+  Layout layout = layout_of(e->task.models->size);
+  for (int64_t graph = begin; graph < end; graph++) evaluate_graph(e, layout, graph);
+}
+
+int evaluations(Evaluation *e, int64_t threads) {
+  in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : (int)threads);
   return 0;
 }
