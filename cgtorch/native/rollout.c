@@ -6,6 +6,7 @@
 #define MOST_DEPTH 16
 #define MOST_MESSAGE 16
 #define MOST_HIDDEN 64
+#define MOST_BEEN 32 /* in longer loops every transition is made */
 #define PIECE 8 /* graphs that a thread takes at once */
 #define SUCCESS (-1)
 #define TIMEOUT (-3)
@@ -50,7 +51,8 @@ typedef struct {
 typedef struct {
   real percept[MOST_PERCEPT], state[3], message[MOST_MESSAGE];
   int has_message;
-  int64_t scenario, step, node, level, anchor, since;
+  int64_t scenario, step, node, level;
+  int64_t been[MOST_BEEN], places; /* nodes it was at since anything has changed, on this level */
   int64_t caller[MOST_DEPTH], left[MOST_DEPTH];
 } Lane;
 
@@ -192,12 +194,18 @@ INLINE void enter(const Program *program, Lane *lane) {
   }
 }
 
+INLINE int has_been(const Lane *lane, int64_t node) {
+  int found = 0;
+  for (int64_t i = 0; i < lane->places; i++) found |= lane->been[i] == node;
+  return found;
+}
+
 /* `frames.follow`: how the lane ended, 0 if it goes on; `skipped` transitions need not be made. */
 INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int changed,
                       int64_t *skipped) {
   int64_t level = lane->level, head = program->heads[lane->node * program->outcomes + outcome];
   int64_t remain = lane->left[level] - 1;
-  *skipped = !changed && head >= 0 && head == lane->anchor ? remain : 0;
+  *skipped = !changed && has_been(lane, head) ? remain : 0;
   remain -= *skipped;
   if (head >= 0 && remain <= 0) head = TIMEOUT;
   while (head < 0 && level > 0) {
@@ -210,8 +218,8 @@ INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int c
   lane->left[level] = remain;
   int64_t next = head < 0 ? 0 : head;
   int same = !changed && level == lane->level && program->kind[next] < program->primitives;
-  lane->since = same ? lane->since + 1 : 0;
-  if ((lane->since & (lane->since - 1)) == 0) lane->anchor = head; /* Brent's cycle detection */
+  if (!same) lane->places = 0;
+  if (lane->places < MOST_BEEN) lane->been[lane->places++] = next;
   lane->node = next;
   lane->level = level;
   if (head < 0) return head;
@@ -226,8 +234,7 @@ static int64_t run_lane(const Task *task, Layout layout, int64_t graph, int64_t 
   memcpy(lane->state, m->state + scenario * 3, sizeof lane->state);
   memset(lane->message, 0, sizeof lane->message);
   lane->has_message = 0;
-  lane->step = lane->level = lane->since = 0;
-  lane->anchor = -1;
+  lane->step = lane->level = lane->places = 0;
   lane->scenario = scenario;
   lane->node = task->program->start[graph];
   lane->left[0] = task->max_transitions;
@@ -315,6 +322,12 @@ static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
   const Evaluation *e = what;
   Layout layout = layout_of(e->task.models->size);
   for (int64_t graph = begin; graph < end; graph++) evaluate_graph(e, layout, graph);
+}
+
+/* The clock that `ticks` are of. */
+int clock_now(int64_t *ticks) {
+  *ticks = now();
+  return 0;
 }
 
 int evaluations(Evaluation *e, int64_t threads) {
