@@ -38,20 +38,34 @@ INLINE vec select_vec(vwhole yes, vec a, vec b) {
 INLINE vec vec_max(vec a, vec b) { return select_vec(a > b, a, b); }
 INLINE vec vec_min(vec a, vec b) { return select_vec(a < b, a, b); }
 
-/* The sum and the least of a vector's parts, pairwise. */
+/* The sum and the least of a vector's parts, the first half with the second and so on. */
+#ifdef REAL_IS_FLOAT
+#define HALF(v) __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7)
+#define QUARTER(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11)
+#define EIGHTH(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13)
+#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14)
+#else
+#define HALF(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)
+#define QUARTER(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)
+#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6)
+#endif
 INLINE real sum(vec v) {
-  real part[WIDTH];
-  store(part, v);
-  for (int n = WIDTH / 2; n; n /= 2)
-    for (int i = 0; i < n; i++) part[i] += part[i + n];
-  return part[0];
+  v += HALF(v);
+  v += QUARTER(v);
+#ifdef REAL_IS_FLOAT
+  v += EIGHTH(v);
+#endif
+  v += LAST(v);
+  return v[0];
 }
 INLINE real least(vec v) {
-  real part[WIDTH];
-  store(part, v);
-  for (int n = WIDTH / 2; n; n /= 2)
-    for (int i = 0; i < n; i++) part[i] = part[i + n] < part[i] ? part[i + n] : part[i];
-  return part[0];
+  v = vec_min(v, HALF(v));
+  v = vec_min(v, QUARTER(v));
+#ifdef REAL_IS_FLOAT
+  v = vec_min(v, EIGHTH(v));
+#endif
+  v = vec_min(v, LAST(v));
+  return v[0];
 }
 
 /* 2^x for x <= 0 to the last digit or two; what would be denormal is the smallest normal number. */
