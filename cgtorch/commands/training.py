@@ -155,7 +155,7 @@ def _train(
 def _changes(taken: TakenOver) -> Iterator[str]:
     """What a run goes on with that was otherwise before."""
     again = f"; {taken.before} begins again" if taken.set_aside else f" from {taken.before} on"
-    versions = [name for name in ("cgtorch", "torch") if name in taken.changed]
+    versions = [name for name in ("cgtorch", "torch", "engine") if name in taken.changed]
     for name in (n for n in taken.changed if n not in versions):
         was, now = taken.changed[name]
         yield f"{name} is {now} in place of {was}{again}"
