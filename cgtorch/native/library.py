@@ -25,7 +25,7 @@ import torch
 SOURCES = Path(__file__).parent
 FLAGS = (
     "-O3", "-march=native", "-std=c11", "-fPIC", "-shared", "-pthread",
-    "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math",
+    "-fopenmp-simd", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
 SECONDS = 120
 """A compiler that has not ended by then is taken for none."""
