@@ -3,9 +3,20 @@
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.evolution import compiled
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import bernoulli, choose, choose_many
-from cgtorch.graphs import NO_NODE, Graphs, pruned
+from cgtorch.evolution.sampling import nth_true, pick
+from cgtorch.graphs import (
+    NO_NODE,
+    Graphs,
+    compacted,
+    concatenate,
+    narrowed,
+    nodes_first,
+    pruned,
+    rearranged,
+    widened,
+)
 
 
 def crossover(first: Population, second: Population, generator: Generator) -> Population:
@@ -26,28 +37,72 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
         2 Q children, those that take the frame of the first parents before the others.
     """
     a, b = first.graphs, second.graphs
-    probability = (first.strategy[:, 0] + second.strategy[:, 0]) / 2
-    crossed = bernoulli(probability, (), generator)
-    half = torch.minimum(a.num_nodes, b.num_nodes) // 2
-    k = 1 + (torch.rand(len(half), generator=generator) * half).long().clamp_max(half - 1)
-    k = torch.where(crossed & (half > 0), k, 0)
-    group_a, group_b = _group(a, generator), _group(b, generator)
-    one = _graft(a, group_a, b, group_b, k, generator)
-    two = _graft(b, group_b, a, group_a, k, generator)
-    graphs = Graphs(
-        *(torch.cat(pair) for pair in zip(vars(one).values(), vars(two).values(), strict=True))
+    nodes = torch.stack([a.num_nodes, b.num_nodes])
+    half = nodes.amin(0) // 2
+    draws = torch.rand(len(a), 2, generator=generator)
+    probability = (first.strategy[:, 0] + second.strategy[:, 0]).float() / 2
+    crossed = (draws[:, 0] < probability) & (half > 0)
+    size = 1 + pick(draws[:, 1], half)
+    chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
+    width = int(nodes.max()) if len(a) else 0
+    draws = torch.rand(int(crossed.sum()), columns(width, a.edges.shape[2]), generator=generator)
+    way = compiled.swapped if compiled.takes(a) else swapped
+    graphs = way(a, b, chosen, size, draws, width)
+    return Population(graphs, torch.cat([first.strategy, second.strategy]))
+
+
+def columns(width: int, outcomes: int) -> int:
+    """How many draws a pair needs whose graphs have up to `width` nodes."""
+    return sum(_parts(width, outcomes))
+
+
+def _parts(width: int, outcomes: int) -> list[int]:
+    """Of either parent where its group begins and the order of nodes, of either child its heads."""
+    return [1, 1, width, width, width * outcomes, width * outcomes]
+
+
+def swapped(
+    first: Graphs, second: Graphs, chosen: Tensor, size: Tensor, draws: Tensor, width: int
+) -> Graphs:
+    """Children as draws say, in torch; `native/crossover.c` makes them one pair after the other.
+
+    Args:
+        first: Q parents.
+        second: Q parents.
+        chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
+        size: (Q,) how many nodes are swapped.
+        draws: (C, columns(width, O)) uniform in [0, 1).
+        width: nodes of the largest parent.
+    """
+    q, n, o = first.edges.shape
+    at = chosen >= 0
+    every = torch.zeros(q, draws.shape[1]).masked_scatter(at[:, None], draws)
+    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = every.split(_parts(width, o), 1)
+    size = torch.where(at, size, 0)
+    order_a, order_b = nodes_first(first), nodes_first(second)
+    a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
+    group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)
+    one = graft(a, group_a, b, group_b, size, heads_a.view(q, width, o))
+    two = graft(b, group_b, a, group_a, size, heads_b.view(q, width, o))
+    return pruned(
+        concatenate(
+            [
+                rearranged(widened(child, n), torch.argsort(order, dim=1), order)
+                for child, order in ((one, order_a), (two, order_b))
+            ]
+        )
     )
-    return Population(pruned(graphs), torch.cat([first.strategy, second.strategy]))
 
 
-def _group(graphs: Graphs, generator: Generator) -> Tensor:
+def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """(Q, N) long, slots in the order an undirected breadth-first search meets them.
 
-    The search begins at a random node; within one distance the order is random.
+    The search begins at the node that `begin` (Q, 1) draws; within one distance the order is that
+    of `jitter` (Q, N).
     """
-    distance = undirected_distance(graphs, choose(graphs.used, generator))
-    jitter = torch.rand(distance.shape, generator=generator)
-    return torch.argsort(distance + jitter, dim=1)
+    distance = undirected_distance(graphs, nth_true(graphs.used, begin)[:, 0])
+    # Whole numbers, as a sum of floats could round up to the next distance.
+    return torch.argsort((distance << 24) + (jitter * 2**24).long(), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
@@ -71,25 +126,27 @@ def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
     return distance
 
 
-def _graft(
+def graft(
     host: Graphs,
     host_group: Tensor,
     donor: Graphs,
     donor_group: Tensor,
     k: Tensor,
-    generator: Generator,
+    heads: Tensor,
 ) -> Graphs:
-    """The hosts with their first k group nodes replaced by the donors', by position."""
+    """The hosts with their first k group nodes replaced by the donors', by position.
+
+    Edges that leave the group go where `heads` (Q, N, O), by position, draws.
+    """
     q, n, o = host.edges.shape
     inside = torch.arange(n) < k[:, None]
     position = torch.argsort(donor_group, dim=1)  # slot of the donor → place in its group
-    heads = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
-    head_position = position.gather(1, heads.clamp_min(0).flatten(1))
+    before = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
+    head_position = position.gather(1, before.clamp_min(0).flatten(1))
     mapped = host_group.gather(1, head_position).view(q, n, o)
     within = (head_position < k[:, None]).view(q, n, o)
-    elsewhere = choose_many(host.used, (n, o), generator)
-    edges = torch.where(within, mapped, elsewhere)
-    edges = torch.where(heads == NO_NODE, heads, edges)
+    edges = torch.where(within, mapped, nth_true(host.used, heads))
+    edges = torch.where(before == NO_NODE, NO_NODE, edges)
 
     def put(old: Tensor, new: Tensor) -> Tensor:
         """New values at the group's slots, in group order, where they are within the first k."""
