@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.sampling import words
 from cgtorch.graphs import Graphs
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
@@ -22,65 +23,57 @@ MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
 class _Pointers(ctypes.Structure):
     """`Graphs` in native/graph.h."""
 
-    _fields_ = tuple((name, c_void_p) for name in ("action", "edges", "parameters", "start"))
+    _fields_ = tuple((name, c_void_p) for name in ("action", "edges", "marks", "start"))
 
 
-_G = POINTER(_Pointers)
-_TYPES: dict[tuple[str, str], tuple[Any, ...]] = {
-    ("mutation", "mutated"): (
-        *(_G, _G, c_void_p, c_void_p, c_void_p, c_int64, c_void_p, c_int64),
-        *(c_void_p, c_int64, c_int64),
-    ),
-    ("crossover", "crossed"): (
-        *(_G, _G, _G, c_void_p, c_void_p, c_void_p, c_void_p, c_int64, c_int64, c_int64),
-    ),
-    ("parameters", "parameter_counts"): (
-        *(c_void_p, c_void_p, c_int64, c_int64, c_void_p, c_int64),
-    ),
-    ("parameters", "parameter_hits"): (*[c_void_p] * 4, c_int64, c_int64),
-    ("parameters", "parameter_steps"): (
-        *(c_void_p, c_void_p, c_void_p, c_void_p, c_void_p, c_void_p, c_int64, c_int64, c_int64),
-        *(c_void_p, c_void_p, c_void_p, c_int64, c_int64),
-    ),
-    ("lexicase", "lexicase"): (
-        *(c_void_p, c_int64, c_int64, c_void_p, c_void_p, c_void_p, c_int64, c_void_p, c_int64),
-    ),
+_G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
+_TYPES: dict[str, tuple[Any, ...]] = {
+    "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
+    "crossed": (_G, _G, _G, _P, _P, _P, _P, _I, _I, _I),
+    "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
+    "parameter_hits": (_P, _P, _P, _P, _P, _I, _I),
+    "parameters_of": (*[_P] * 9, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
 }
+_SOURCE = {
+    "mutated": "mutation",
+    "crossed": "crossover",
+    "parameter_counts": "parameters",
+    "parameter_hits": "parameters",
+    "parameters_of": "parameters",
+    "lexicase": "lexicase",
+}
+_GRAPHS = ("mutated", "crossed", "parameters_of")
 
 
-def takes(graphs: Graphs) -> bool:
-    """Whether graphs are worked on by compiled operators."""
+def takes(graphs: Graphs, parameters: Tensor) -> bool:
+    """Whether graphs, and parameters of such a type, are worked on by compiled operators."""
     _, n, o = graphs.edges.shape
+    whole = graphs.action, graphs.edges, graphs.start
     return (
         n <= MOST_NODES
         and o <= MOST_OUTCOMES
-        and graphs.action.device.type == "cpu"
-        and graphs.action.dtype == graphs.edges.dtype == graphs.start.dtype == torch.long
-        and all(
-            _function(source, name, graphs.parameters.dtype) is not None
-            for source, name in _TYPES
-            if source != "lexicase"
-        )
+        and all(x.device.type == "cpu" and x.dtype == torch.long for x in whole)
+        and all(_function(name, parameters.dtype) is not None for name in _GRAPHS)
     )
 
 
 def takes_scores(scores: Tensor) -> bool:
     """Whether parents are chosen by compiled code from scores."""
-    return scores.device.type == "cpu" and _function("lexicase", "lexicase", scores.dtype) is not None
+    return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
 def restructured(
     graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> tuple[Graphs, Tensor]:
+) -> Graphs:
     """See `cgtorch.evolution.structure.restructured`."""
     graphs, out = _contiguous(graphs), _like(graphs, len(graphs))
-    fresh = torch.empty_like(graphs.action, dtype=torch.bool)
     _call(
-        "mutation", "mutated", graphs.parameters.dtype,
+        "mutated", torch.float32,
         _pointers(graphs), _pointers(out), _shape(graphs), strategy, draws, width,
-        actions.has_edge, len(actions), fresh, len(graphs),
+        actions.has_edge, len(actions), len(graphs),
     )  # fmt: skip
-    return out, fresh
+    return out
 
 
 def swapped(
@@ -89,55 +82,62 @@ def swapped(
     """See `cgtorch.evolution.crossover.swapped`."""
     first, second, out = _contiguous(first), _contiguous(second), _like(first, 2 * len(first))
     _call(
-        "crossover", "crossed", first.parameters.dtype,
+        "crossed", torch.float32,
         _pointers(first), _pointers(second), _pointers(out), _shape(first),
         chosen, size, draws, width, len(first),
     )  # fmt: skip
     return out
 
 
-def perturb_(
-    graphs: Graphs, actions: ActionSet, rate: Tensor, sigma: Tensor, generator: Generator
-) -> None:
-    """See `cgtorch.evolution.parameters.perturb_`."""
+def parameters(
+    graphs: Graphs,
+    old: Tensor,
+    fresh: Tensor,
+    actions: ActionSet,
+    rate: Tensor,
+    sigma: Tensor,
+    generator: Generator,
+) -> Tensor:
+    """See `cgtorch.evolution.parameters.parameters`."""
     p, n = graphs.action.shape
-    dtype = graphs.parameters.dtype
-    first, hits = torch.zeros(p + 1, dtype=torch.long), torch.empty(p, dtype=torch.long)
-    kinds = actions.num_parameters, len(actions), n
-    _call("parameters", "parameter_counts", dtype, graphs.action, *kinds, first[1:], p)
-    first = first.cumsum(0)
-    draws = torch.rand(int(first[-1]), generator=generator)
-    about = first, draws, rate
-    _call("parameters", "parameter_hits", dtype, *about, hits, p)
-    last = hits.cumsum(0)
-    normal = torch.randn(int(last[-1]) if p else 0, generator=generator)
+    out = old.new_empty(p, *old.shape[1:])
+    counts, first, hits = torch.empty(3, p + 1, dtype=torch.long)
+    nodes = graphs.action, actions.num_parameters, len(actions), n
+    _call("parameter_counts", old.dtype, *nodes, counts, first, p)
+    draws = words((int(first[-1]),), generator)
+    about = counts, first, draws, rate.contiguous(), hits
+    _call("parameter_hits", old.dtype, *about, p)
+    normal = torch.randn(int(hits[-1]), generator=generator)
     _call(
-        "parameters", "parameter_steps", dtype, *about, graphs.action, graphs.parameters,
-        *kinds, graphs.parameters.shape[2], sigma, normal, last - hits, p,
+        "parameters_of", old.dtype,
+        *about, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2], out, p,
     )  # fmt: skip
+    return out
 
 
 def lexicase(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Tensor:
     """See `cgtorch.evolution.lexicase.parents`."""
     chosen = torch.empty(len(turns), dtype=torch.long)
     _call(
-        "lexicase", "lexicase", scores.dtype, scores, *scores.shape, epsilon, turns, last,
+        "lexicase", scores.dtype, scores, *scores.shape, epsilon, turns, last,
         len(turns), chosen,
     )  # fmt: skip
     return chosen
 
 
-def _function(source: str, name: str, dtype: torch.dtype) -> Any:
-    return native.function(source, name, dtype, *_TYPES[source, name])
+def _function(name: str, dtype: torch.dtype) -> Any:
+    return native.function(_SOURCE[name], name, dtype, *_TYPES[name])
 
 
-def _call(source: str, name: str, dtype: torch.dtype, *arguments: Any) -> None:
-    """Call with tensors, which may have any strides, in place of pointers; threads come last."""
+def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
+    """Call with tensors, whose values are read in order, in place of pointers.
+
+    Where one more argument is expected, it is how many threads may work.
+    """
     kept = [a.contiguous() if isinstance(a, Tensor) else a for a in arguments]
     plain = [a.data_ptr() if isinstance(a, Tensor) else a for a in kept]
-    function: Any = _function(source, name, dtype)
-    types = function.argtypes
-    if function(*plain, *[native.threads()] * (len(types) - len(plain))):
+    more = len(_TYPES[name]) - len(plain)
+    if _function(name, dtype)(*plain, *[native.threads()] * more):
         raise MemoryError(f"no memory to run {name}")
 
 
@@ -155,5 +155,5 @@ def _pointers(graphs: Graphs) -> Any:
 
 
 def _shape(graphs: Graphs) -> Tensor:
-    """N, O and K."""
-    return torch.tensor([*graphs.edges.shape[1:], graphs.parameters.shape[2]])
+    """N and O."""
+    return torch.tensor(graphs.edges.shape[1:])

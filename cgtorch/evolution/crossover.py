@@ -4,8 +4,9 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
+from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import nth_true, pick
+from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -36,19 +37,28 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     Returns:
         2 Q children, those that take the frame of the first parents before the others.
     """
-    a, b = first.graphs, second.graphs
+    old = torch.cat([first.graphs.parameters, second.graphs.parameters])
+    both = marked(concatenate([first.graphs, second.graphs]))
+    graphs = paired(both, torch.cat([first.strategy, second.strategy]), old, generator)
+    strategy = torch.cat([first.strategy, second.strategy])
+    return Population(copied(graphs, old), strategy)
+
+
+def paired(graphs: Graphs, strategy: Tensor, old: Tensor, generator: Generator) -> Graphs:
+    """`crossover` of the first half of marked graphs, whose parameters lie in `old`, and the other."""
+    a, b = graphs[: len(graphs) // 2], graphs[len(graphs) // 2 :]
     nodes = torch.stack([a.num_nodes, b.num_nodes])
     half = nodes.amin(0) // 2
     draws = torch.rand(len(a), 2, generator=generator)
-    probability = (first.strategy[:, 0] + second.strategy[:, 0]).float() / 2
+    probability = (strategy[: len(a), 0] + strategy[len(a) :, 0]).float() / 2
     crossed = (draws[:, 0] < probability) & (half > 0)
     size = 1 + pick(draws[:, 1], half)
     chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
     width = int(nodes.max()) if len(a) else 0
-    draws = torch.rand(int(crossed.sum()), columns(width, a.edges.shape[2]), generator=generator)
-    way = compiled.swapped if compiled.takes(a) else swapped
-    graphs = way(a, b, chosen, size, draws, width)
-    return Population(graphs, torch.cat([first.strategy, second.strategy]))
+    count = words_for(columns(width, a.edges.shape[2]))
+    draws = words((int(crossed.sum()), count), generator)
+    way = compiled.swapped if compiled.takes(graphs, old) else swapped
+    return way(a, b, chosen, size, draws, width)
 
 
 def columns(width: int, outcomes: int) -> int:
@@ -71,13 +81,14 @@ def swapped(
         second: Q parents.
         chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
         size: (Q,) how many nodes are swapped.
-        draws: (C, columns(width, O)) uniform in [0, 1).
+        draws: (C, words_for(columns(width, O))) random words.
         width: nodes of the largest parent.
     """
     q, n, o = first.edges.shape
     at = chosen >= 0
-    every = torch.zeros(q, draws.shape[1]).masked_scatter(at[:, None], draws)
-    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = every.split(_parts(width, o), 1)
+    every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
+    numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)
+    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
     size = torch.where(at, size, 0)
     order_a, order_b = nodes_first(first), nodes_first(second)
     a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
@@ -102,7 +113,7 @@ def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """
     distance = undirected_distance(graphs, nth_true(graphs.used, begin)[:, 0])
     # Whole numbers, as a sum of floats could round up to the next distance.
-    return torch.argsort((distance << 24) + (jitter * 2**24).long(), dim=1, stable=True)
+    return torch.argsort((distance << BITS) + (jitter * 2**BITS).long(), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:

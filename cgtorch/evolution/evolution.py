@@ -7,9 +7,9 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import SettingsError
-from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.lexicase import lexicase
-from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.mutation import TAU
+from cgtorch.evolution.offspring import offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -124,9 +124,7 @@ def tell(
     count = settings.population - settings.elite
     pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
-    first, second = population[parents[:pairs]], population[parents[pairs:]]
-    offspring = crossover(first, second, generator)
-    children = mutate(offspring[:count], actions, generator, settings.tau)
+    children = offspring(population, parents, actions, generator, settings.tau)[:count]
     return EvolutionState(
         population=join(population[order[: settings.elite]], children),
         generation=state.generation + 1,

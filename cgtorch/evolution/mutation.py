@@ -5,9 +5,11 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.parameters import initialise_, perturb_
+from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.sampling import words, words_for
 from cgtorch.evolution.structure import columns, restructured
+from cgtorch.graphs import Graphs
 
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
@@ -24,15 +26,28 @@ def mutate(
     All choices follow from numbers that are drawn first, of which there are as many whatever way
     the operators run: compiled for the CPU, or in torch, with the same children to the last bit.
     """
-    graphs, strategy = population.graphs, population.strategy.float()
-    rate = dict(zip(STRATEGY, strategy.unbind(1), strict=True))
+    graphs = marked(population.graphs)
+    return remade(graphs, population.graphs.parameters, population.strategy, actions, generator, tau)
+
+
+def remade(
+    graphs: Graphs,
+    old: Tensor,
+    strategy: Tensor,
+    actions: ActionSet,
+    generator: Generator,
+    tau: float,
+) -> Population:
+    """`mutate` for marked graphs, whose parameters lie in `old` (P', N, K)."""
+    rates = strategy.float()
+    rate = dict(zip(STRATEGY, rates.unbind(1), strict=True))
     width = min(int(graphs.num_nodes.max()) + 1, graphs.capacity) if len(graphs) else 0
-    draws = torch.rand(len(graphs), columns(width, actions.outcome_capacity), generator=generator)
-    way = compiled.restructured if compiled.takes(graphs) else restructured
-    graphs, fresh = way(graphs, strategy, draws, width, actions)
-    initialise_(graphs, fresh, actions, generator)
-    perturb_(graphs, actions, rate["mutate_parameter"], rate["sigma"], generator)
-    return Population(graphs, drift(population.strategy, tau, generator))
+    count = words_for(columns(width, actions.outcome_capacity))
+    draws = words((len(graphs), count), generator)
+    way = compiled.restructured if compiled.takes(graphs, old) else restructured
+    graphs = way(graphs, rates, draws, width, actions)
+    graphs = changed(graphs, old, actions, rate["mutate_parameter"], rate["sigma"], generator)
+    return Population(graphs, drift(strategy, tau, generator))
 
 
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:

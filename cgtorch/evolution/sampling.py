@@ -1,7 +1,29 @@
-"""Choices for a whole population at once, as functions of uniform numbers drawn before."""
+"""Choices for a whole population at once, as functions of uniform numbers drawn before.
+
+Most numbers only say whether something rare happens, so three are drawn at the cost of one: a word
+of 63 random bits is three numbers of 21 bits.
+"""
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
+
+IN_A_WORD, BITS = 3, 21
+
+
+def words(shape: tuple[int, ...], generator: Generator) -> Tensor:
+    """(*shape) long, 63 random bits each."""
+    return torch.empty(shape, dtype=torch.long).random_(generator=generator)
+
+
+def words_for(numbers: int) -> int:
+    """How many words hold so many numbers."""
+    return -(-numbers // IN_A_WORD)
+
+
+def uniform(words: Tensor, columns: int) -> Tensor:
+    """(P, columns) float32 in [0, 1), the numbers that each row of words (P, W) begins with."""
+    fields = words[..., None] >> torch.arange(IN_A_WORD) * BITS & 2**BITS - 1
+    return fields.flatten(1)[:, :columns].float() * 2.0**-BITS
 
 
 def pick(draw: Tensor, count: Tensor | int) -> Tensor:

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.evolution.sampling import nth_true, pick
+from cgtorch.evolution.sampling import nth_true, pick, uniform
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -37,51 +36,45 @@ def _parts(width: int, outcomes: int) -> list[int]:
 
 def restructured(
     graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> tuple[Graphs, Tensor]:
+) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
     Args:
-        graphs: P of them.
+        graphs: P of them, whose parameters are marks (`cgtorch.evolution.parameters`).
         strategy: (P, S) rates.
-        draws: (P, columns(width, O)) uniform in [0, 1).
+        draws: (P, words_for(columns(width, O))) random words.
         width: nodes of the largest graph and one more, or N if that is less.
         actions: what nodes can be.
 
     Returns:
-        The graphs, and (P, N) bool nodes that are new and have no parameters yet.
+        The graphs; nodes that are new have no marks.
     """
     p, n, o = graphs.edges.shape
     rate = dict(zip(STRATEGY, strategy.unbind(1), strict=True))
-    add, delete, start, replaced, changed, heads = draws.split(_parts(width, o), 1)
+    numbers = uniform(draws, columns(width, o)).split(_parts(width, o), 1)
+    add, delete, start, replaced, changed, heads = numbers
     heads = heads.view(p, width, o)
     order, dense = nodes_first(graphs), narrowed(compacted(graphs), width)
-    dense, added = add_node(dense, actions, rate["add_node"], add)
+    dense = add_node(dense, actions, rate["add_node"], add)
     dense = delete_node(dense, rate["delete_node"], delete, heads)
-    dense, renewed = replace_nodes(dense, actions, rate["replace_node"], replaced, heads)
+    dense = replace_nodes(dense, actions, rate["replace_node"], replaced, heads)
     dense = change_edges(dense, rate["change_edge"], changed, heads)
     dense = pruned(new_start(dense, rate["new_start"], start))
-    fresh = (added | renewed) & dense.used
     # Back to the slots where the nodes came from; a node that was added takes the first free one.
-    place = torch.argsort(order, dim=1)
-    fresh = pad(fresh, (0, n - width)).gather(1, place)
-    return rearranged(widened(dense, n), place, order), fresh
+    return rearranged(widened(dense, n), torch.argsort(order, dim=1), order)
 
 
-def add_node(
-    graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor
-) -> tuple[Graphs, Tensor]:
+def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:
     """A random node takes over one incoming edge of a node that has at least two.
 
-    Its own edges go to random nodes. Graphs that are full, or without such an edge, stay.
+    Its own edges go to random nodes, and its parameters are zero, or none, if they are marks. Graphs
+    that are full, or without such an edge, stay.
 
     Args:
         graphs: P of them.
         actions: what the node can be.
         rate: (P,) probability.
         draws: (P, 3 + O) whether, which edge, which action, and heads.
-
-    Returns:
-        The graphs, and (P, N) bool where the nodes are, which have no parameters yet.
     """
     p, n, o = graphs.edges.shape
     flat = graphs.edges.flatten(1)
@@ -100,7 +93,7 @@ def add_node(
     out.action[row, slot] = action[adds]
     out.edges[row, slot] = heads[adds]
     out.edges[row, edge // o, edge % o] = slot
-    return out, out.used & ~graphs.used
+    return out
 
 
 def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:
@@ -122,15 +115,15 @@ def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> G
     return Graphs(
         graphs.action.masked_fill(at, NO_NODE),
         edges.masked_fill(at[..., None], NO_NODE),
-        graphs.parameters.masked_fill(at[..., None], 0.0),
+        graphs.parameters.masked_fill(at[..., None], 0),
         torch.where(deletes & (graphs.start == gone), start, graphs.start),
     )
 
 
 def replace_nodes(
     graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor, heads: Tensor
-) -> tuple[Graphs, Tensor]:
-    """Each node may turn into a new one: action, parameters and edges.
+) -> Graphs:
+    """Each node may turn into a new one: action and edges; its parameters are zero.
 
     Args:
         graphs: P of them.
@@ -138,20 +131,16 @@ def replace_nodes(
         rate: (P,) probability.
         draws: (P, N) whether, and which action.
         heads: (P, N, O) draws of heads.
-
-    Returns:
-        The graphs, and (P, N) bool which nodes are new; they have no parameters yet.
     """
     at = (draws < rate[:, None]) & graphs.used
     action = pick(draws / rate[:, None], len(actions))
     edges = torch.where(actions.has_edge[action], nth_true(graphs.used, heads), NO_NODE)
-    out = replace(
+    return replace(
         graphs,
         action=torch.where(at, action, graphs.action),
         edges=torch.where(at[..., None], edges, graphs.edges),
-        parameters=graphs.parameters.masked_fill(at[..., None], 0.0),
+        parameters=graphs.parameters.masked_fill(at[..., None], 0),
     )
-    return out, at
 
 
 def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:

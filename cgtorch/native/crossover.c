@@ -1,4 +1,5 @@
 /* Subgraphs of two parents swapped (cgtorch.evolution.crossover), one pair after the other. */
+#include "draws.h"
 #include "graph.h"
 #include "parallel.h"
 
@@ -6,14 +7,14 @@ typedef struct {
   Graphs first, second, to;
   Shape shape;
   const int64_t *chosen, *sizes; /* (Q,) row of `draws` or -1, and how many nodes are swapped */
-  const float *draws;
-  int64_t width, columns, pairs;
+  const int64_t *draws;
+  int64_t width, words, pairs;
 } Crossover;
 
 /* The first `size` nodes that an undirected breadth-first search from a random node meets, those of
-   one distance in the order of `jitter`. */
-static void group_of(const Graph *graph, int o, int size, float draw, const float *jitter,
-                     int *group) {
+   one distance in the order of their draws, which begin at `jitter`. */
+static void group_of(const Graph *graph, int o, int size, const int64_t *words, int begin,
+                     int jitter, int *group) {
   uint64_t near[MOST_NODES] = {0};
   for (int i = 0; i < graph->count; i++)
     for (int j = 0; j < o; j++) {
@@ -22,16 +23,21 @@ static void group_of(const Graph *graph, int o, int size, float draw, const floa
       near[i] |= bit(head);
       near[head] |= bit(i);
     }
-  uint64_t wave = bit(pick(draw, graph->count)), seen = wave;
+  uint64_t wave = bit(pick(uniform(words, begin), graph->count)), seen = wave;
   for (int count = 0; count < size;) {
     if (!wave) wave = graph->used & ~seen, seen = graph->used; /* no way leads to these */
-    int begin = count, end = count;
+    int first = count, end = count, sorted[MOST_NODES];
+    int64_t keys[MOST_NODES];
     uint64_t next = 0;
-    int sorted[MOST_NODES];
     for (; wave; wave &= wave - 1) {
       int node = __builtin_ctzll(wave), at = end++;
+      int64_t key = field(words, jitter + node);
       next |= near[node];
-      for (; at > begin && jitter[sorted[at - 1]] > jitter[node]; at--) sorted[at] = sorted[at - 1];
+      for (; at > first && keys[at - 1] > key; at--) {
+        keys[at] = keys[at - 1];
+        sorted[at] = sorted[at - 1];
+      }
+      keys[at] = key;
       sorted[at] = node;
     }
     for (; count < end && count < size; count++) group[count] = sorted[count];
@@ -41,19 +47,19 @@ static void group_of(const Graph *graph, int o, int size, float draw, const floa
 }
 
 static void graft(Graph *child, const int *into, const Graph *donor, const int *taken, int size,
-                  int o, const float *heads) {
+                  int o, const int64_t *words, int heads) {
   int position[MOST_NODES];
   for (int i = 0; i < donor->count; i++) position[i] = NO_NODE;
   for (int p = 0; p < size; p++) position[taken[p]] = p;
   for (int p = 0; p < size; p++) {
     int old = taken[p], new = into[p];
     child->action[new] = donor->action[old];
-    child->parameters[new] = donor->parameters[old];
+    child->mark[new] = donor->mark[old];
     for (int j = 0; j < o; j++) {
       int head = donor->edges[old][j];
       if (head == NO_NODE) child->edges[new][j] = NO_NODE;
       else if (position[head] != NO_NODE) child->edges[new][j] = into[position[head]];
-      else child->edges[new][j] = pick(heads[p * o + j], child->count);
+      else child->edges[new][j] = pick(uniform(words, heads + p * o + j), child->count);
     }
   }
 }
@@ -61,7 +67,7 @@ static void graft(Graph *child, const int *into, const Graph *donor, const int *
 static void some_pairs(void *what, int64_t begin, int64_t end) {
   const Crossover *c = what;
   int o = (int)c->shape.outcomes;
-  int64_t w = c->width;
+  int w = (int)c->width, heads = 2 + 2 * w;
   Graph first, second, child;
   int here[MOST_NODES], there[MOST_NODES];
   for (int64_t row = begin; row < end; row++) {
@@ -72,25 +78,25 @@ static void some_pairs(void *what, int64_t begin, int64_t end) {
       write_reached(&second, &c->to, c->shape, c->pairs + row);
       continue;
     }
-    const float *draw = c->draws + c->chosen[row] * c->columns, *heads = draw + 2 + 2 * w;
+    const int64_t *words = c->draws + c->chosen[row] * c->words;
     int size = (int)c->sizes[row];
-    group_of(&first, o, size, draw[0], draw + 2, here);
-    group_of(&second, o, size, draw[1], draw + 2 + w, there);
+    group_of(&first, o, size, words, 0, 2, here);
+    group_of(&second, o, size, words, 1, 2 + w, there);
     child = first;
-    graft(&child, here, &second, there, size, o, heads);
+    graft(&child, here, &second, there, size, o, words, heads);
     write_reached(&child, &c->to, c->shape, row);
     child = second;
-    graft(&child, there, &first, here, size, o, heads + w * o);
+    graft(&child, there, &first, here, size, o, words, heads + w * o);
     write_reached(&child, &c->to, c->shape, c->pairs + row);
   }
 }
 
 int crossed(const Graphs *first, const Graphs *second, const Graphs *to, const int64_t *shape,
-            const int64_t *chosen, const int64_t *sizes, const float *draws, int64_t width,
+            const int64_t *chosen, const int64_t *sizes, const int64_t *draws, int64_t width,
             int64_t pairs, int64_t threads) {
-  Shape of = {shape[0], shape[1], shape[2]};
-  int64_t columns = 2 + 2 * width * (1 + of.outcomes);
-  Crossover c = {*first, *second, *to, of, chosen, sizes, draws, width, columns, pairs};
+  Shape of = {shape[0], shape[1]};
+  int64_t words = words_for(2 + 2 * width * (1 + of.outcomes));
+  Crossover c = {*first, *second, *to, of, chosen, sizes, draws, width, words, pairs};
   in_parallel(some_pairs, &c, pairs, 32, (int)threads);
   return 0;
 }

@@ -4,39 +4,30 @@
 #include <stdint.h>
 #include <string.h>
 
-typedef REAL real;
 #define NO_NODE (-1)
 #define MOST_NODES 64 /* sets of nodes are the bits of one word */
 #define MOST_OUTCOMES 16
 
-/* Tensors of cgtorch.graphs.Graphs: (P, N), (P, N, O), (P, N, K) and (P,). */
+/* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. What a node carries stands
+   for its parameters: a mark of where they come from, 0 for none. */
 typedef struct {
-  int64_t *action, *edges;
-  real *parameters;
-  int64_t *start;
+  int64_t *action, *edges, *marks, *start;
 } Graphs;
 
 typedef struct {
-  int64_t nodes, outcomes, parameters; /* N, O and K */
+  int64_t nodes, outcomes; /* N and O */
 } Shape;
 
 typedef struct {
   int count, start;                     /* nodes; those that are gone leave a hole */
   uint64_t used;                        /* which of them are there */
-  int64_t action[MOST_NODES];
+  int64_t action[MOST_NODES], mark[MOST_NODES];
   int edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
   int slot[MOST_NODES];                 /* where each lies */
-  const real *parameters[MOST_NODES];   /* NULL for none yet */
 } Graph;
 
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
 static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
-
-/* floor(draw * count), within 0 ... count - 1 also where the product rounds up. */
-static inline int pick(float draw, int count) {
-  int64_t k = (int64_t)(draw * (float)count);
-  return (int)(k < 0 ? 0 : k < count ? k : count - 1);
-}
 
 static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int64_t row) {
   int64_t n = shape.nodes, o = shape.outcomes;
@@ -48,7 +39,7 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
     if (action[i] == NO_NODE) continue;
     graph->slot[count] = (int)i;
     graph->action[count] = action[i];
-    graph->parameters[count++] = from->parameters + (row * n + i) * shape.parameters;
+    graph->mark[count++] = from->marks[row * n + i];
   }
   for (int i = 0; i < count; i++) {
     const int64_t *heads = edges + graph->slot[i] * o;
@@ -77,17 +68,15 @@ static inline uint64_t reached(const Graph *graph, int outcomes) {
   return seen;
 }
 
-/* Writes what the start leads to, each node at its slot, and returns which nodes these are. */
-static inline uint64_t write_reached(const Graph *graph, const Graphs *to, Shape shape,
-                                     int64_t row) {
-  int64_t n = shape.nodes, o = shape.outcomes, k = shape.parameters;
+/* Writes what the start leads to, each node at its slot. */
+static inline void write_reached(const Graph *graph, const Graphs *to, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes;
   int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
-  real *parameters = to->parameters + row * n * k;
-  uint64_t kept = reached(graph, (int)o);
+  int64_t *marks = to->marks + row * n;
   memset(action, 0xff, (size_t)n * sizeof *action); /* NO_NODE everywhere */
   memset(edges, 0xff, (size_t)(n * o) * sizeof *edges);
-  memset(parameters, 0, (size_t)(n * k) * sizeof *parameters);
-  for (uint64_t rest = kept; rest; rest &= rest - 1) {
+  memset(marks, 0, (size_t)n * sizeof *marks);
+  for (uint64_t rest = reached(graph, (int)o); rest; rest &= rest - 1) {
     int i = __builtin_ctzll(rest);
     int64_t slot = graph->slot[i];
     action[slot] = graph->action[i];
@@ -95,10 +84,8 @@ static inline uint64_t write_reached(const Graph *graph, const Graphs *to, Shape
       int head = graph->edges[i][j];
       edges[slot * o + j] = head == NO_NODE ? NO_NODE : graph->slot[head];
     }
-    if (graph->parameters[i])
-      memcpy(parameters + slot * k, graph->parameters[i], (size_t)k * sizeof *parameters);
+    marks[slot] = graph->mark[i];
   }
   to->start[row] = graph->start == NO_NODE ? NO_NODE : graph->slot[graph->start];
-  return kept;
 }
 #endif

@@ -1,6 +1,10 @@
-/* Gaussian steps of the parameters that are hit (cgtorch.evolution.parameters). */
-#include "graph.h"
+/* Parameters of children (cgtorch.evolution.parameters): copied from where the marks of nodes say,
+   with Gaussian steps where they are hit. */
+#include "draws.h"
 #include "parallel.h"
+#include <string.h>
+
+typedef REAL real;
 
 typedef struct {
   const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */
@@ -12,74 +16,95 @@ static inline int64_t parameters_at(const Nodes *of, int64_t slot) {
   return action < 0 || action >= of->actions ? 0 : of->num_parameters[action];
 }
 
-/* How many parameters each individual has. */
+/* How many parameters each individual has, and where its words begin among those of all; the last
+   of `first` (P + 1,) is how many words there are. */
 int parameter_counts(const int64_t *action, const int64_t *num_parameters, int64_t actions,
-                     int64_t nodes, int64_t *counts, int64_t rows) {
+                     int64_t nodes, int64_t *counts, int64_t *first, int64_t rows) {
   Nodes of = {action, num_parameters, actions, nodes};
+  first[0] = 0;
   for (int64_t row = 0; row < rows; row++) {
-    counts[row] = 0;
-    for (int64_t i = 0; i < nodes; i++) counts[row] += parameters_at(&of, row * nodes + i);
+    int64_t count = 0;
+    for (int64_t i = 0; i < nodes; i++) count += parameters_at(&of, row * nodes + i);
+    counts[row] = count;
+    first[row + 1] = first[row] + words_for(count);
   }
   return 0;
 }
 
 typedef struct {
-  const int64_t *first; /* (P + 1,) where an individual's parameters begin in `draws` */
-  const float *draws;   /* one for each parameter */
-  const float *rate;    /* (P,) */
-  int64_t *hits;        /* (P,) how many parameters are hit */
+  const int64_t *counts, *first, *draws; /* (P,), (P + 1,), and words of random bits */
+  const float *rate;                     /* (P,) */
+  int64_t *hits;                         /* (P + 1,) where those of each individual begin */
 } Hits;
 
 static void some_hits(void *what, int64_t begin, int64_t end) {
   const Hits *h = what;
   for (int64_t row = begin; row < end; row++) {
-    int32_t count = 0;
-    for (int64_t i = h->first[row]; i < h->first[row + 1]; i++) count += h->draws[i] < h->rate[row];
-    h->hits[row] = count;
+    const int64_t *words = h->draws + h->first[row];
+    int64_t limit = below(h->rate[row]), hits = 0;
+    int64_t full = h->counts[row] / IN_A_WORD, i = full * IN_A_WORD;
+    for (int64_t w = 0; w < full; w++)
+      for (int j = 0; j < IN_A_WORD; j++) hits += (words[w] >> j * BITS & FIELD) < limit;
+    for (; i < h->counts[row]; i++) hits += field(words, i) < limit;
+    h->hits[row] = hits;
   }
 }
 
-int parameter_hits(const int64_t *first, const float *draws, const float *rate, int64_t *hits,
-                   int64_t rows, int64_t threads) {
-  Hits h = {first, draws, rate, hits};
+int parameter_hits(const int64_t *counts, const int64_t *first, const int64_t *draws,
+                   const float *rate, int64_t *hits, int64_t rows, int64_t threads) {
+  Hits h = {counts, first, draws, rate, hits};
   in_parallel(some_hits, &h, rows, 256, (int)threads);
+  int64_t total = 0;
+  for (int64_t row = 0; row <= rows; row++) {
+    int64_t mine = row < rows ? hits[row] : 0;
+    hits[row] = total;
+    total += mine;
+  }
   return 0;
 }
 
 typedef struct {
   Hits hits;
   Nodes of;
-  real *parameters;
-  int64_t most;             /* K */
-  const float *sigma;       /* (P,) */
-  const float *normal;      /* one for each hit */
-  const int64_t *first_hit; /* (P,) where an individual's begin */
-} Steps;
+  const int64_t *marks;       /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
+  const real *old, *fresh;
+  real *parameters;           /* (P, N, K) */
+  int64_t most;               /* K */
+  const float *sigma;         /* (P,) */
+  const float *normal;        /* one for each hit */
+} Children;
 
-static void some_steps(void *what, int64_t begin, int64_t end) {
-  const Steps *s = what;
+static void some_children(void *what, int64_t begin, int64_t end) {
+  const Children *c = what;
+  int64_t n = c->of.nodes, k = c->most;
+  size_t bytes = (size_t)k * sizeof(real);
   for (int64_t row = begin; row < end; row++) {
-    const float *draw = s->hits.draws + s->hits.first[row], rate = s->hits.rate[row];
-    const float *normal = s->normal + s->first_hit[row];
-    for (int64_t i = row * s->of.nodes; i < (row + 1) * s->of.nodes; i++) {
-      int64_t count = parameters_at(&s->of, i);
-      real *parameters = s->parameters + i * s->most;
+    const int64_t *words = c->hits.draws + c->hits.first[row];
+    int64_t limit = below(c->hits.rate[row]), at = 0;
+    const float *normal = c->normal + c->hits.hits[row];
+    for (int64_t i = row * n; i < (row + 1) * n; i++) {
+      real *parameters = c->parameters + i * k;
+      int64_t mark = c->marks[i], count = parameters_at(&c->of, i);
+      if (mark == 0) memset(parameters, 0, bytes);
+      else memcpy(parameters, mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k, bytes);
       for (int64_t j = 0; j < count; j++)
-        if (draw[j] < rate) {
-          float step = *normal++ * s->sigma[row]; /* rounded before it is added, as in torch */
+        if (field(words, at + j) < limit) {
+          float step = *normal++ * c->sigma[row]; /* rounded before it is added, as in torch */
           parameters[j] += step;
         }
-      draw += count;
+      at += count;
     }
   }
 }
 
-int parameter_steps(const int64_t *first, const float *draws, const float *rate,
-                    const int64_t *action, real *parameters, const int64_t *num_parameters,
-                    int64_t actions, int64_t nodes, int64_t most, const float *sigma,
-                    const float *normal, const int64_t *first_hit, int64_t rows, int64_t threads) {
+int parameters_of(const int64_t *counts, const int64_t *first, const int64_t *draws,
+                  const float *rate, int64_t *hits, const float *sigma, const float *normal,
+                  const int64_t *action, const int64_t *num_parameters, int64_t actions,
+                  int64_t nodes, const int64_t *marks, const real *old, const real *fresh,
+                  int64_t most, real *parameters, int64_t rows, int64_t threads) {
   Nodes of = {action, num_parameters, actions, nodes};
-  Steps s = {{first, draws, rate, NULL}, of, parameters, most, sigma, normal, first_hit};
-  in_parallel(some_steps, &s, rows, 64, (int)threads);
+  Children c = {{counts, first, draws, rate, hits}, of, marks, old, fresh, parameters, most,
+                sigma, normal};
+  in_parallel(some_children, &c, rows, 64, (int)threads);
   return 0;
 }
