@@ -90,15 +90,15 @@ class ActionSet:
     def initial_parameters(self, action: Tensor, generator: Generator) -> Tensor:
         """Parameters (..., K) of new nodes of the given actions (...), zero where there are none.
 
-        Numbers are drawn for one action after the other, for its nodes in their order.
+        Numbers are drawn for every action in turn, so the stream a generator yields does not
+        depend on what the nodes are.
         """
         flat = action.reshape(-1)
         out = torch.zeros(len(flat), self.parameter_capacity)
         for i, module in enumerate(self.actions):
             if k := module.num_parameters:
-                nodes = (flat == i).nonzero()[:, 0]
-                if len(nodes):
-                    out[nodes, :k] = module.initial_parameters(len(nodes), generator)
+                drawn = module.initial_parameters(len(flat), generator)
+                out[:, :k] = torch.where((flat == i)[:, None], drawn, out[:, :k])
         return out.view(*action.shape, self.parameter_capacity)
 
 

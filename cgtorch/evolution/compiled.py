@@ -6,6 +6,7 @@ the same children to the last bit.
 """
 
 import ctypes
+from dataclasses import replace
 from ctypes import POINTER, byref, c_int64, c_void_p
 from typing import Any
 
@@ -29,7 +30,8 @@ class _Pointers(ctypes.Structure):
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
     "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
-    "crossed": (_G, _G, _G, _P, _P, _P, _P, _I, _I, _I),
+    "crossed": (_G, _P, _G, _P, _P, _P, _P, _I, _I, _I),
+    "fresh_nodes": (_P, _P, _I, _P),
     "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
     "parameter_hits": (_P, _P, _P, _P, _P, _I, _I),
     "parameters_of": (*[_P] * 9, _I, _I, _P, _P, _P, _I, _P, _I, _I),
@@ -38,6 +40,7 @@ _TYPES: dict[str, tuple[Any, ...]] = {
 _SOURCE = {
     "mutated": "mutation",
     "crossed": "crossover",
+    "fresh_nodes": "parameters",
     "parameter_counts": "parameters",
     "parameter_hits": "parameters",
     "parameters_of": "parameters",
@@ -77,16 +80,24 @@ def restructured(
 
 
 def swapped(
-    first: Graphs, second: Graphs, chosen: Tensor, size: Tensor, draws: Tensor, width: int
+    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
 ) -> Graphs:
     """See `cgtorch.evolution.crossover.swapped`."""
-    first, second, out = _contiguous(first), _contiguous(second), _like(first, 2 * len(first))
+    graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
+    out = _like(graphs, len(parents))
     _call(
         "crossed", torch.float32,
-        _pointers(first), _pointers(second), _pointers(out), _shape(first),
-        chosen, size, draws, width, len(first),
+        _pointers(graphs, marks=False), parents, _pointers(out), _shape(graphs),
+        chosen, size, draws, width, len(parents) // 2,
     )  # fmt: skip
     return out
+
+
+def mark_new_(graphs: Graphs) -> Tensor:
+    """See `cgtorch.evolution.parameters.mark_new_`."""
+    new = torch.empty(graphs.action.numel() + 1, dtype=torch.long)
+    _call("fresh_nodes", torch.float32, graphs.action, graphs.parameters, len(new) - 1, new)
+    return new[1 : 1 + int(new[0])]
 
 
 def parameters(
@@ -150,8 +161,11 @@ def _like(graphs: Graphs, count: int) -> Graphs:
     return Graphs(*(x.new_empty(count, *x.shape[1:]) for x in vars(graphs).values()))
 
 
-def _pointers(graphs: Graphs) -> Any:
-    return byref(_Pointers(*(x.data_ptr() for x in vars(graphs).values())))
+def _pointers(graphs: Graphs, marks: bool = True) -> Any:
+    pointers = _Pointers(*(x.data_ptr() for x in vars(graphs).values()))
+    if not marks:
+        pointers.marks = None
+    return byref(pointers)
 
 
 def _shape(graphs: Graphs) -> Tensor:

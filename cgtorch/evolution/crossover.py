@@ -37,28 +37,29 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     Returns:
         2 Q children, those that take the frame of the first parents before the others.
     """
-    old = torch.cat([first.graphs.parameters, second.graphs.parameters])
-    both = marked(concatenate([first.graphs, second.graphs]))
-    graphs = paired(both, torch.cat([first.strategy, second.strategy]), old, generator)
+    graphs = concatenate([first.graphs, second.graphs])
     strategy = torch.cat([first.strategy, second.strategy])
-    return Population(copied(graphs, old), strategy)
+    children = paired(graphs, torch.arange(len(graphs)), strategy, generator)
+    return Population(copied(children, graphs.parameters), strategy)
 
 
-def paired(graphs: Graphs, strategy: Tensor, old: Tensor, generator: Generator) -> Graphs:
-    """`crossover` of the first half of marked graphs, whose parameters lie in `old`, and the other."""
-    a, b = graphs[: len(graphs) // 2], graphs[len(graphs) // 2 :]
-    nodes = torch.stack([a.num_nodes, b.num_nodes])
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Graphs:
+    """`crossover` of the first half of `parents` (2 Q,) and the other, whose strategies are given.
+
+    The children (2 Q) are marked (`cgtorch.evolution.parameters`): they point to `graphs`.
+    """
+    nodes = graphs.num_nodes[parents].view(2, -1)
     half = nodes.amin(0) // 2
-    draws = torch.rand(len(a), 2, generator=generator)
-    probability = (strategy[: len(a), 0] + strategy[len(a) :, 0]).float() / 2
+    probability = strategy[:, 0].float().view(2, -1).sum(0) / 2
+    draws = torch.rand(len(half), 2, generator=generator)
     crossed = (draws[:, 0] < probability) & (half > 0)
     size = 1 + pick(draws[:, 1], half)
     chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
-    width = int(nodes.max()) if len(a) else 0
-    count = words_for(columns(width, a.edges.shape[2]))
+    width = int(nodes.max()) if len(half) else 0
+    count = words_for(columns(width, graphs.edges.shape[2]))
     draws = words((int(crossed.sum()), count), generator)
-    way = compiled.swapped if compiled.takes(graphs, old) else swapped
-    return way(a, b, chosen, size, draws, width)
+    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
+    return way(graphs, parents, chosen, size, draws, width)
 
 
 def columns(width: int, outcomes: int) -> int:
@@ -72,19 +73,21 @@ def _parts(width: int, outcomes: int) -> list[int]:
 
 
 def swapped(
-    first: Graphs, second: Graphs, chosen: Tensor, size: Tensor, draws: Tensor, width: int
+    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
 ) -> Graphs:
     """Children as draws say, in torch; `native/crossover.c` makes them one pair after the other.
 
     Args:
-        first: Q parents.
-        second: Q parents.
+        graphs: P of them.
+        parents: (2 Q,) of them, the first of all pairs and then the second.
         chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
         size: (Q,) how many nodes are swapped.
         draws: (C, words_for(columns(width, O))) random words.
         width: nodes of the largest parent.
     """
-    q, n, o = first.edges.shape
+    (_, n, o), q = graphs.edges.shape, len(chosen)
+    both = marked(graphs)[parents]
+    first, second = both[:q], both[q:]
     at = chosen >= 0
     every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
     numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)

@@ -5,7 +5,6 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.crossover import paired
 from cgtorch.evolution.mutation import TAU, remade
-from cgtorch.evolution.parameters import marked
 from cgtorch.evolution.population import Population
 
 
@@ -30,6 +29,6 @@ def offspring(
     Returns:
         2 Q children, in the order of `crossover`.
     """
-    old, strategy = population.graphs.parameters, population.strategy[parents]
-    graphs = paired(marked(population.graphs)[parents], strategy, old, generator)
-    return remade(graphs, old, strategy, actions, generator, tau)
+    graphs, strategy = population.graphs, population.strategy[parents]
+    children = paired(graphs, parents, strategy, generator)
+    return remade(children, graphs.parameters, strategy, actions, generator, tau)

@@ -47,13 +47,31 @@ def changed(
         generator: of new parameters, of the choices and of the steps; a step is drawn only where
             one is taken.
     """
-    action, marks = graphs.action.view(-1), graphs.parameters.clone()
-    new = ((action >= 0) & (marks.view(-1) == 0)).nonzero()[:, 0]
-    fresh = actions.initial_parameters(action[new], generator).to(old.dtype)
-    marks.view(-1)[new] = torch.arange(-1, -len(new) - 1, -1)
-    way = compiled.parameters if compiled.takes(graphs, old) else parameters
-    made = way(replace(graphs, parameters=marks), old, fresh, actions, rate, sigma, generator)
+    graphs = replace(graphs, parameters=graphs.parameters.clone())
+    native = compiled.takes(graphs, old)
+    new = compiled.mark_new_(graphs) if native else mark_new_(graphs)
+    fresh = old.new_zeros(len(new), old.shape[2])
+    _initialise_(fresh, graphs.action.view(-1)[new], actions, generator)
+    way = compiled.parameters if native else parameters
+    made = way(graphs, old, fresh, actions, rate, sigma, generator)
     return replace(graphs, parameters=made)
+
+
+def mark_new_(graphs: Graphs) -> Tensor:
+    """(F,) which of all slots hold nodes without a mark; these get marks -1, -2, ..., in place."""
+    marks = graphs.parameters.view(-1)
+    new = (graphs.used.view(-1) & (marks == 0)).nonzero()[:, 0]
+    marks[new] = torch.arange(-1, -len(new) - 1, -1)
+    return new
+
+
+def _initialise_(rows: Tensor, action: Tensor, actions: ActionSet, generator: Generator) -> None:
+    """Fill rows (F, K) with parameters of new nodes of the given actions (F,), one after the other."""
+    for i, module in enumerate(actions.actions):
+        if k := module.num_parameters:
+            nodes = (action == i).nonzero()[:, 0]
+            if len(nodes):
+                rows[nodes, :k] = module.initial_parameters(len(nodes), generator).to(rows.dtype)
 
 
 def parameters(

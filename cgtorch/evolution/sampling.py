@@ -41,5 +41,5 @@ def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
     All are equally likely; 0 where there is none.
     """
     order = torch.argsort((~mask).long(), dim=1, stable=True)
-    at = pick(draw.flatten(1), mask.sum(1)[:, None])
+    at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)

@@ -82,7 +82,7 @@ def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) ->
     indegree = torch.zeros(p, n, dtype=torch.long).scatter_add_(1, flat.clamp_min(0), ones)
     spare = (flat != NO_NODE) & (indegree.gather(1, flat.clamp_min(0)) >= 2)
     adds = (draws[:, 0] < rate) & spare.any(1) & (~graphs.used).any(1)
-    edge = nth_true(spare, draws[:, 1:2])[:, 0]
+    edge = nth_true(spare, draws[:, 1])
     action = pick(draws[:, 2], len(actions))
     heads = nth_true(graphs.used, draws[:, 3:])
     heads = torch.where(actions.has_edge[action], heads, NO_NODE)
@@ -105,13 +105,13 @@ def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> G
         draws: (P, 3) whether, which node, and a new start.
         heads: (P, N, O) draws of new heads.
     """
-    gone = nth_true(graphs.used, draws[:, 1:2])[:, 0]
+    gone = nth_true(graphs.used, draws[:, 1])
     deletes = (draws[:, 0] < rate) & (graphs.num_nodes > 2)
     at = torch.zeros_like(graphs.used).scatter_(1, gone[:, None], deletes[:, None])
     rest = graphs.used & ~at
     into = (graphs.edges == gone[:, None, None]) & deletes[:, None, None]
     edges = torch.where(into, nth_true(rest, heads), graphs.edges)
-    start = nth_true(rest, draws[:, 2:])[:, 0]
+    start = nth_true(rest, draws[:, 2])
     return Graphs(
         graphs.action.masked_fill(at, NO_NODE),
         edges.masked_fill(at[..., None], NO_NODE),
@@ -154,7 +154,7 @@ def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> 
     """
     o = graphs.edges.shape[2]
     leads = graphs.edges != NO_NODE
-    which = nth_true(leads.flatten(0, 1), (draws / rate[:, None]).view(-1, 1)).view_as(draws)
+    which = nth_true(leads.flatten(0, 1), (draws / rate[:, None]).flatten()).view_as(draws)
     here = (draws < rate[:, None])[..., None] & (torch.arange(o) == which[..., None]) & leads
     return replace(graphs, edges=torch.where(here, nth_true(graphs.used, heads), graphs.edges))
 
@@ -171,5 +171,5 @@ def new_start(graphs: Graphs, rate: Tensor, draws: Tensor) -> Graphs:
     leads = ((graphs.edges != NO_NODE) & (graphs.edges != slot)).any(2) & graphs.used
     moves = (draws[:, 0] < rate) & leads.any(1)
     return replace(
-        graphs, start=torch.where(moves, nth_true(leads, draws[:, 1:])[:, 0], graphs.start)
+        graphs, start=torch.where(moves, nth_true(leads, draws[:, 1]), graphs.start)
     )

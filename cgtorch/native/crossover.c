@@ -4,8 +4,9 @@
 #include "parallel.h"
 
 typedef struct {
-  Graphs first, second, to;
+  Graphs from, to;
   Shape shape;
+  const int64_t *parents;        /* (2 Q,) of `from`, all that come first before the others */
   const int64_t *chosen, *sizes; /* (Q,) row of `draws` or -1, and how many nodes are swapped */
   const int64_t *draws;
   int64_t width, words, pairs;
@@ -71,8 +72,8 @@ static void some_pairs(void *what, int64_t begin, int64_t end) {
   Graph first, second, child;
   int here[MOST_NODES], there[MOST_NODES];
   for (int64_t row = begin; row < end; row++) {
-    read_graph(&first, &c->first, c->shape, row);
-    read_graph(&second, &c->second, c->shape, row);
+    read_graph(&first, &c->from, c->shape, c->parents[row]);
+    read_graph(&second, &c->from, c->shape, c->parents[c->pairs + row]);
     if (c->chosen[row] < 0) {
       write_reached(&first, &c->to, c->shape, row);
       write_reached(&second, &c->to, c->shape, c->pairs + row);
@@ -91,12 +92,12 @@ static void some_pairs(void *what, int64_t begin, int64_t end) {
   }
 }
 
-int crossed(const Graphs *first, const Graphs *second, const Graphs *to, const int64_t *shape,
+int crossed(const Graphs *from, const int64_t *parents, const Graphs *to, const int64_t *shape,
             const int64_t *chosen, const int64_t *sizes, const int64_t *draws, int64_t width,
             int64_t pairs, int64_t threads) {
   Shape of = {shape[0], shape[1]};
   int64_t words = words_for(2 + 2 * width * (1 + of.outcomes));
-  Crossover c = {*first, *second, *to, of, chosen, sizes, draws, width, words, pairs};
+  Crossover c = {*from, *to, of, parents, chosen, sizes, draws, width, words, pairs};
   in_parallel(some_pairs, &c, pairs, 32, (int)threads);
   return 0;
 }

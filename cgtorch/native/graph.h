@@ -9,7 +9,8 @@
 #define MOST_OUTCOMES 16
 
 /* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. What a node carries stands
-   for its parameters: a mark of where they come from, 0 for none. */
+   for its parameters: a mark of where they come from, 0 for none. Without marks it is 1 + its place
+   among all slots. */
 typedef struct {
   int64_t *action, *edges, *marks, *start;
 } Graphs;
@@ -39,7 +40,7 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
     if (action[i] == NO_NODE) continue;
     graph->slot[count] = (int)i;
     graph->action[count] = action[i];
-    graph->mark[count++] = from->marks[row * n + i];
+    graph->mark[count++] = from->marks ? from->marks[row * n + i] : row * n + i + 1;
   }
   for (int i = 0; i < count; i++) {
     const int64_t *heads = edges + graph->slot[i] * o;

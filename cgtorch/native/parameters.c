@@ -16,6 +16,19 @@ static inline int64_t parameters_at(const Nodes *of, int64_t slot) {
   return action < 0 || action >= of->actions ? 0 : of->num_parameters[action];
 }
 
+/* Marks nodes that have no mark with -1, -2, ..., and returns in `new` (P N + 1,) how many there are
+   and then which. */
+int fresh_nodes(const int64_t *action, int64_t *marks, int64_t total, int64_t *new) {
+  int64_t count = 0;
+  for (int64_t i = 0; i < total; i++)
+    if (action[i] >= 0 && !marks[i]) {
+      new[++count] = i;
+      marks[i] = -count;
+    }
+  new[0] = count;
+  return 0;
+}
+
 /* How many parameters each individual has, and where its words begin among those of all; the last
    of `first` (P + 1,) is how many words there are. */
 int parameter_counts(const int64_t *action, const int64_t *num_parameters, int64_t actions,
@@ -77,16 +90,17 @@ typedef struct {
 static void some_children(void *what, int64_t begin, int64_t end) {
   const Children *c = what;
   int64_t n = c->of.nodes, k = c->most;
-  size_t bytes = (size_t)k * sizeof(real);
   for (int64_t row = begin; row < end; row++) {
     const int64_t *words = c->hits.draws + c->hits.first[row];
     int64_t limit = below(c->hits.rate[row]), at = 0;
     const float *normal = c->normal + c->hits.hits[row];
+    memset(c->parameters + row * n * k, 0, (size_t)(n * k) * sizeof(real));
     for (int64_t i = row * n; i < (row + 1) * n; i++) {
       real *parameters = c->parameters + i * k;
       int64_t mark = c->marks[i], count = parameters_at(&c->of, i);
-      if (mark == 0) memset(parameters, 0, bytes);
-      else memcpy(parameters, mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k, bytes);
+      if (!mark || !count) continue;
+      memcpy(parameters, mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k,
+             (size_t)count * sizeof(real));
       for (int64_t j = 0; j < count; j++)
         if (field(words, at + j) < limit) {
           float step = *normal++ * c->sigma[row]; /* rounded before it is added, as in torch */
