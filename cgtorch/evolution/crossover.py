@@ -3,9 +3,21 @@
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.evolution import compiled
+from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import bernoulli, choose, choose_many
-from cgtorch.graphs import NO_NODE, Graphs, pruned
+from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
+from cgtorch.graphs import (
+    NO_NODE,
+    Graphs,
+    compacted,
+    concatenate,
+    narrowed,
+    nodes_first,
+    pruned,
+    rearranged,
+    widened,
+)
 
 
 def crossover(first: Population, second: Population, generator: Generator) -> Population:
@@ -25,29 +37,86 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     Returns:
         2 Q children, those that take the frame of the first parents before the others.
     """
-    a, b = first.graphs, second.graphs
-    probability = (first.strategy[:, 0] + second.strategy[:, 0]) / 2
-    crossed = bernoulli(probability, (), generator)
-    half = torch.minimum(a.num_nodes, b.num_nodes) // 2
-    k = 1 + (torch.rand(len(half), generator=generator) * half).long().clamp_max(half - 1)
-    k = torch.where(crossed & (half > 0), k, 0)
-    group_a, group_b = _group(a, generator), _group(b, generator)
-    one = _graft(a, group_a, b, group_b, k, generator)
-    two = _graft(b, group_b, a, group_a, k, generator)
-    graphs = Graphs(
-        *(torch.cat(pair) for pair in zip(vars(one).values(), vars(two).values(), strict=True))
+    graphs = concatenate([first.graphs, second.graphs])
+    strategy = torch.cat([first.strategy, second.strategy])
+    children = paired(graphs, torch.arange(len(graphs)), strategy, generator)
+    return Population(copied(children, graphs.parameters), strategy)
+
+
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Graphs:
+    """`crossover` of the first half of `parents` (2 Q,) and the other, whose strategies are given.
+
+    The children (2 Q) are marked (`cgtorch.evolution.parameters`): they point to `graphs`.
+    """
+    nodes = graphs.num_nodes[parents].view(2, -1)
+    half = nodes.amin(0) // 2
+    probability = strategy[:, 0].float().view(2, -1).sum(0) / 2
+    draws = torch.rand(len(half), 2, generator=generator)
+    crossed = (draws[:, 0] < probability) & (half > 0)
+    size = 1 + pick(draws[:, 1], half)
+    chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
+    width = int(nodes.max()) if len(half) else 0
+    count = words_for(columns(width, graphs.edges.shape[2]))
+    draws = words((int(crossed.sum()), count), generator)
+    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
+    return way(graphs, parents, chosen, size, draws, width)
+
+
+def columns(width: int, outcomes: int) -> int:
+    """How many draws a pair needs whose graphs have up to `width` nodes."""
+    return sum(_parts(width, outcomes))
+
+
+def _parts(width: int, outcomes: int) -> list[int]:
+    """Of either parent where its group begins and the order of nodes, of either child its heads."""
+    return [1, 1, width, width, width * outcomes, width * outcomes]
+
+
+def swapped(
+    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
+) -> Graphs:
+    """Children as draws say, in torch; `native/crossover.c` makes them one pair after the other.
+
+    Args:
+        graphs: P of them.
+        parents: (2 Q,) of them, the first of all pairs and then the second.
+        chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
+        size: (Q,) how many nodes are swapped.
+        draws: (C, words_for(columns(width, O))) random words.
+        width: nodes of the largest parent.
+    """
+    (_, n, o), q = graphs.edges.shape, len(chosen)
+    both = marked(graphs)[parents]
+    first, second = both[:q], both[q:]
+    at = chosen >= 0
+    every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
+    numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)
+    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
+    size = torch.where(at, size, 0)
+    order_a, order_b = nodes_first(first), nodes_first(second)
+    a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
+    group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)
+    one = graft(a, group_a, b, group_b, size, heads_a.view(q, width, o))
+    two = graft(b, group_b, a, group_a, size, heads_b.view(q, width, o))
+    return pruned(
+        concatenate(
+            [
+                rearranged(widened(child, n), torch.argsort(order, dim=1), order)
+                for child, order in ((one, order_a), (two, order_b))
+            ]
+        )
     )
-    return Population(pruned(graphs), torch.cat([first.strategy, second.strategy]))
 
 
-def _group(graphs: Graphs, generator: Generator) -> Tensor:
+def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """(Q, N) long, slots in the order an undirected breadth-first search meets them.
 
-    The search begins at a random node; within one distance the order is random.
+    The search begins at the node that `begin` (Q, 1) draws; within one distance the order is that
+    of `jitter` (Q, N).
     """
-    distance = undirected_distance(graphs, choose(graphs.used, generator))
-    jitter = torch.rand(distance.shape, generator=generator)
-    return torch.argsort(distance + jitter, dim=1)
+    distance = undirected_distance(graphs, nth_true(graphs.used, begin)[:, 0])
+    # Whole numbers, as a sum of floats could round up to the next distance.
+    return torch.argsort((distance << BITS) + (jitter * 2**BITS).long(), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
@@ -71,25 +140,27 @@ def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
     return distance
 
 
-def _graft(
+def graft(
     host: Graphs,
     host_group: Tensor,
     donor: Graphs,
     donor_group: Tensor,
     k: Tensor,
-    generator: Generator,
+    heads: Tensor,
 ) -> Graphs:
-    """The hosts with their first k group nodes replaced by the donors', by position."""
+    """The hosts with their first k group nodes replaced by the donors', by position.
+
+    Edges that leave the group go where `heads` (Q, N, O), by position, draws.
+    """
     q, n, o = host.edges.shape
     inside = torch.arange(n) < k[:, None]
     position = torch.argsort(donor_group, dim=1)  # slot of the donor → place in its group
-    heads = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
-    head_position = position.gather(1, heads.clamp_min(0).flatten(1))
+    before = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
+    head_position = position.gather(1, before.clamp_min(0).flatten(1))
     mapped = host_group.gather(1, head_position).view(q, n, o)
     within = (head_position < k[:, None]).view(q, n, o)
-    elsewhere = choose_many(host.used, (n, o), generator)
-    edges = torch.where(within, mapped, elsewhere)
-    edges = torch.where(heads == NO_NODE, heads, edges)
+    edges = torch.where(within, mapped, nth_true(host.used, heads))
+    edges = torch.where(before == NO_NODE, NO_NODE, edges)
 
     def put(old: Tensor, new: Tensor) -> Tensor:
         """New values at the group's slots, in group order, where they are within the first k."""

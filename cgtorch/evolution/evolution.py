@@ -1,15 +1,15 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import SettingsError
-from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.lexicase import lexicase
-from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.mutation import TAU
+from cgtorch.evolution.offspring import offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -17,7 +17,6 @@ from cgtorch.evolution.population import (
     seeded_population,
 )
 from cgtorch.evolution.selection import Selection, ranking
-from cgtorch.graphs import compacted, widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -120,21 +119,15 @@ def tell(
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
-    # Operators look at every slot, so those that nobody needs go meanwhile.
-    capacity = state.population.graphs.capacity
-    population = replace(state.population, graphs=compacted(state.population.graphs, spare=1))
+    population = state.population
     order = ranking(fitness, population.graphs.num_nodes)
     count = settings.population - settings.elite
     pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
-    first, second = population[parents[:pairs]], population[parents[pairs:]]
-    offspring = crossover(first, second, generator)
-    offspring = mutate(offspring, actions, generator, settings.tau)
-    graphs = widened(offspring.graphs[:count], capacity)
-    children = Population(graphs, offspring.strategy[:count])
+    children = offspring(population, parents, actions, generator, settings.tau)[:count]
     return EvolutionState(
-        population=join(state.population[order[: settings.elite]], children),
+        population=join(population[order[: settings.elite]], children),
         generation=state.generation + 1,
-        best=state.population[order[:1]],
+        best=population[order[:1]],
         best_fitness=float(fitness[order[0]]),
     )

@@ -19,7 +19,7 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
-from cgtorch.evolution.sampling import bernoulli, choose, choose_many
+from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words
 from cgtorch.graphs import compacted
 from cgtorch.simulation import rollout
 
@@ -32,18 +32,36 @@ def same_population(first: Population, second: Population) -> bool:
 
 def test_choices_are_uniform_and_only_where_allowed() -> None:
     mask = torch.tensor([[False, True, True, False, True], [False] * 5]).repeat(3000, 1)
-    for picked in (
-        choose(mask, seeded(0)).view(-1, 2)[:, 0],
-        choose_many(mask, (1,), seeded(0)).view(-1, 2)[:, 0],
-    ):
-        counts = torch.bincount(picked, minlength=5)
+    draws = uniform(words((6000, 1), seeded(0)), 3)
+    for column in range(3):
+        picked = nth_true(mask, draws[:, column])
+        counts = torch.bincount(picked[::2], minlength=5)
         assert counts[0] == counts[3] == 0
         assert ((counts[[1, 2, 4]] - 1000).abs() < 5 * 1000**0.5).all()
-    assert (choose(mask, seeded(0))[1::2] == 0).all()
-    draws = bernoulli(torch.tensor([0.0, 0.3, 1.0]), (4000,), seeded(0)).float().mean(1)
-    assert draws[0] == 0
-    assert draws[1].item() == pytest.approx(0.3, abs=0.03)
-    assert draws[2] == 1
+        assert (picked[1::2] == 0).all()
+    assert torch.equal(nth_true(mask, draws)[:, 1], nth_true(mask, draws[:, 1]))
+
+
+def test_numbers_of_one_word_are_uniform_and_independent() -> None:
+    draws = uniform(words((20_000, 2), seeded(0)), 6)
+    assert draws.min() >= 0
+    assert draws.max() < 1
+    assert (draws * 2**BITS == (draws * 2**BITS).round()).all()
+    for threshold in (0.001, 0.3, 0.9):
+        error = (threshold * (1 - threshold) / 20_000) ** 0.5
+        assert ((draws < threshold).float().mean(0) - threshold).abs().max() < 5 * error
+    assert (torch.corrcoef(draws.T) - torch.eye(6)).abs().max() < 5 / 20_000**0.5
+    assert torch.equal(uniform(words((20_000, 2), seeded(0)), 4), draws[:, :4])
+
+
+def test_a_pick_is_never_out_of_range() -> None:
+    ends = torch.tensor([0.0, 1 - 2.0**-BITS, 1 - 2.0**-24, 1.0])
+    for count in (1, 3, 24, 1000, 2**25):
+        picked = pick(ends, count)
+        assert picked[0] == 0
+        assert (picked < count).all()
+        assert picked[-1] == count - 1
+    assert (pick(ends, 0) == 0).all()
 
 
 def test_a_random_population_is_as_random_as_it_says() -> None:

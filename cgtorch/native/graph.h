@@ -1,0 +1,92 @@
+/* One computational graph at a time: its nodes in order, without the unused slots between them. */
+#ifndef CGTORCH_GRAPH_H
+#define CGTORCH_GRAPH_H
+#include <stdint.h>
+#include <string.h>
+
+#define NO_NODE (-1)
+#define MOST_NODES 64 /* sets of nodes are the bits of one word */
+#define MOST_OUTCOMES 16
+
+/* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. What a node carries stands
+   for its parameters: a mark of where they come from, 0 for none. Without marks it is 1 + its place
+   among all slots. */
+typedef struct {
+  int64_t *action, *edges, *marks, *start;
+} Graphs;
+
+typedef struct {
+  int64_t nodes, outcomes; /* N and O */
+} Shape;
+
+typedef struct {
+  int count, start;                     /* nodes; those that are gone leave a hole */
+  uint64_t used;                        /* which of them are there */
+  int64_t action[MOST_NODES], mark[MOST_NODES];
+  int edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
+  int slot[MOST_NODES];                 /* where each lies */
+} Graph;
+
+static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
+static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
+
+static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes;
+  const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
+  int8_t place[MOST_NODES] = {0};
+  int count = 0;
+  for (int64_t i = 0; i < n; i++) {
+    place[i] = (int8_t)(action[i] == NO_NODE ? NO_NODE : count);
+    if (action[i] == NO_NODE) continue;
+    graph->slot[count] = (int)i;
+    graph->action[count] = action[i];
+    graph->mark[count++] = from->marks ? from->marks[row * n + i] : row * n + i + 1;
+  }
+  for (int i = 0; i < count; i++) {
+    const int64_t *heads = edges + graph->slot[i] * o;
+    for (int64_t j = 0; j < o; j++)
+      graph->edges[i][j] = heads[j] < 0 || heads[j] >= n ? NO_NODE : place[heads[j]];
+  }
+  int64_t start = from->start[row];
+  graph->start = start < 0 || start >= n ? NO_NODE : place[start];
+  graph->count = count;
+  graph->used = first_bits(count);
+}
+
+/* Nodes that the start leads to. */
+static inline uint64_t reached(const Graph *graph, int outcomes) {
+  uint64_t seen = graph->start == NO_NODE ? 0 : bit(graph->start), wave = seen;
+  while (wave) {
+    uint64_t next = 0;
+    for (; wave; wave &= wave - 1) {
+      const int *heads = graph->edges[__builtin_ctzll(wave)];
+      for (int j = 0; j < outcomes; j++)
+        if (heads[j] != NO_NODE) next |= bit(heads[j]);
+    }
+    wave = next & ~seen;
+    seen |= wave;
+  }
+  return seen;
+}
+
+/* Writes what the start leads to, each node at its slot. */
+static inline void write_reached(const Graph *graph, const Graphs *to, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes;
+  int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
+  int64_t *marks = to->marks + row * n;
+  memset(action, 0xff, (size_t)n * sizeof *action); /* NO_NODE everywhere */
+  memset(edges, 0xff, (size_t)(n * o) * sizeof *edges);
+  memset(marks, 0, (size_t)n * sizeof *marks);
+  for (uint64_t rest = reached(graph, (int)o); rest; rest &= rest - 1) {
+    int i = __builtin_ctzll(rest);
+    int64_t slot = graph->slot[i];
+    action[slot] = graph->action[i];
+    for (int64_t j = 0; j < o; j++) {
+      int head = graph->edges[i][j];
+      edges[slot * o + j] = head == NO_NODE ? NO_NODE : graph->slot[head];
+    }
+    marks[slot] = graph->mark[i];
+  }
+  to->start[row] = graph->start == NO_NODE ? NO_NODE : graph->slot[graph->start];
+}
+#endif
