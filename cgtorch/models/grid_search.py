@@ -165,7 +165,8 @@ def _all_widths(
 
     def work(number: int) -> tuple[Array, Array, Array]:
         place = int(order[number])
-        cells = solve_width(task, float(widths[place]), Generator().manual_seed(seeds[place]))
+        drawn = Generator().manual_seed(seeds[place])
+        cells = solve_width(task, float(widths[place]), drawn, threads // processes)
         return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy(), cells.direct.cpu().numpy()
 
     def done(_: object) -> None:
@@ -174,7 +175,7 @@ def _all_widths(
 
     # The operations are short: torch's own threads would double the time.
     with one_thread_each() as threads:
-        processes = min(threads, memory // inputs.memory(len(task.rows)))
+        processes = min(threads, len(widths), memory // inputs.memory(len(task.rows)))
         if task.rows.device.type != "cpu":
             processes = 1
         found = in_processes(work, len(widths), processes, done)
