@@ -8,7 +8,7 @@ the same children to the last bit.
 import ctypes
 from dataclasses import replace
 from ctypes import POINTER, byref, c_int64, c_void_p
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Generator, Tensor
@@ -17,6 +17,10 @@ from cgtorch import native
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.sampling import words
 from cgtorch.graphs import Graphs
+
+if TYPE_CHECKING:  # they use what is here
+    from cgtorch.evolution.crossover import Pairs
+    from cgtorch.evolution.structure import Choices
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
 
@@ -30,7 +34,7 @@ class _Pointers(ctypes.Structure):
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
     "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
-    "crossed": (_G, _P, _G, _P, _P, _P, _P, _I, _I, _I),
+    "bred": (_G, _P, _G, _P, _P, _P, _P, _I, _P, _P, _I, _P, _I, _I, _I),
     "fresh_nodes": (_P, _P, _I, _P),
     "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
     "parameter_hits": (_P, _P, _P, _P, _P, _I, _I),
@@ -38,15 +42,15 @@ _TYPES: dict[str, tuple[Any, ...]] = {
     "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
 }
 _SOURCE = {
-    "mutated": "mutation",
-    "crossed": "crossover",
+    "mutated": "operators",
+    "bred": "operators",
     "fresh_nodes": "parameters",
     "parameter_counts": "parameters",
     "parameter_hits": "parameters",
     "parameters_of": "parameters",
     "lexicase": "lexicase",
 }
-_GRAPHS = ("mutated", "crossed", "parameters_of")
+_GRAPHS = ("mutated", "bred", "parameters_of")
 
 
 def takes(graphs: Graphs, parameters: Tensor) -> bool:
@@ -66,29 +70,35 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
-def restructured(
-    graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> Graphs:
+def restructured(graphs: Graphs, choices: "Choices", actions: ActionSet) -> Graphs:
     """See `cgtorch.evolution.structure.restructured`."""
     graphs, out = _contiguous(graphs), _like(graphs, len(graphs))
     _call(
         "mutated", torch.float32,
-        _pointers(graphs), _pointers(out), _shape(graphs), strategy, draws, width,
-        actions.has_edge, len(actions), len(graphs),
+        _pointers(graphs), _pointers(out), _shape(graphs),
+        choices.strategy, choices.draws, choices.width, actions.has_edge, len(actions), len(graphs),
     )  # fmt: skip
     return out
 
 
-def swapped(
-    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
-) -> Graphs:
+def swapped(graphs: Graphs, pairs: "Pairs") -> Graphs:
     """See `cgtorch.evolution.crossover.swapped`."""
+    return _bred(graphs, pairs, None, None, 0, None, 0)
+
+
+def bred(graphs: Graphs, pairs: "Pairs", choices: "Choices", actions: ActionSet) -> Graphs:
+    """Children of pairs, mutated; see both of the above."""
+    mutation = choices.strategy, choices.draws, choices.width
+    return _bred(graphs, pairs, *mutation, actions.has_edge, len(actions))
+
+
+def _bred(graphs: Graphs, pairs: "Pairs", *mutation: Any) -> Graphs:
     graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
-    out = _like(graphs, len(parents))
+    out = _like(graphs, len(pairs.parents))
     _call(
-        "crossed", torch.float32,
-        _pointers(graphs, marks=False), parents, _pointers(out), _shape(graphs),
-        chosen, size, draws, width, len(parents) // 2,
+        "bred", torch.float32,
+        _pointers(graphs, marks=False), pairs.parents, _pointers(out), _shape(graphs),
+        pairs.chosen, pairs.size, pairs.draws, pairs.width, *mutation, len(pairs.chosen),
     )  # fmt: skip
     return out
 

@@ -1,5 +1,7 @@
 """Crossover: swap connected subgraphs, which are the likely sub-solutions (section IV-B)."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Generator, Tensor
 
@@ -39,15 +41,32 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     """
     graphs = concatenate([first.graphs, second.graphs])
     strategy = torch.cat([first.strategy, second.strategy])
-    children = paired(graphs, torch.arange(len(graphs)), strategy, generator)
-    return Population(copied(children, graphs.parameters), strategy)
+    pairs = pairs_of(graphs, torch.arange(len(graphs)), strategy, generator)
+    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
+    return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
 
 
-def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Graphs:
-    """`crossover` of the first half of `parents` (2 Q,) and the other, whose strategies are given.
+@dataclass(frozen=True)
+class Pairs:
+    """Random choices of how Q pairs are crossed.
 
-    The children (2 Q) are marked (`cgtorch.evolution.parameters`): they point to `graphs`.
+    Attributes:
+        parents: (2 Q,) long, the first of all pairs and then the second.
+        chosen: (Q,) long, row of `draws`, or -1 for pairs that are only copied.
+        size: (Q,) long, how many nodes are swapped.
+        draws: (C, words_for(columns(width, O))) random words.
+        width: nodes of the largest parent.
     """
+
+    parents: Tensor
+    chosen: Tensor
+    size: Tensor
+    draws: Tensor
+    width: int
+
+
+def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
+    """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
     nodes = graphs.num_nodes[parents].view(2, -1)
     half = nodes.amin(0) // 2
     probability = strategy[:, 0].float().view(2, -1).sum(0) / 2
@@ -57,9 +76,7 @@ def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generat
     chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
     width = int(nodes.max()) if len(half) else 0
     count = words_for(columns(width, graphs.edges.shape[2]))
-    draws = words((int(crossed.sum()), count), generator)
-    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
-    return way(graphs, parents, chosen, size, draws, width)
+    return Pairs(parents, chosen, size, words((int(crossed.sum()), count), generator), width)
 
 
 def columns(width: int, outcomes: int) -> int:
@@ -72,19 +89,12 @@ def _parts(width: int, outcomes: int) -> list[int]:
     return [1, 1, width, width, width * outcomes, width * outcomes]
 
 
-def swapped(
-    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
-) -> Graphs:
-    """Children as draws say, in torch; `native/crossover.c` makes them one pair after the other.
+def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
+    """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
 
-    Args:
-        graphs: P of them.
-        parents: (2 Q,) of them, the first of all pairs and then the second.
-        chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
-        size: (Q,) how many nodes are swapped.
-        draws: (C, words_for(columns(width, O))) random words.
-        width: nodes of the largest parent.
+    They are marked (`cgtorch.evolution.parameters`): marks point to the parameters of `graphs`.
     """
+    parents, chosen, draws, width = pairs.parents, pairs.chosen, pairs.draws, pairs.width
     (_, n, o), q = graphs.edges.shape, len(chosen)
     both = marked(graphs)[parents]
     first, second = both[:q], both[q:]
@@ -92,7 +102,7 @@ def swapped(
     every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
     numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)
     begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
-    size = torch.where(at, size, 0)
+    size = torch.where(at, pairs.size, 0)
     order_a, order_b = nodes_first(first), nodes_first(second)
     a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
     group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)

@@ -4,14 +4,14 @@ Each is a function of the graphs and of uniform draws. A draw below a rate, divi
 uniform again: it says which, too. `native/mutation.c` does the same to one graph at a time.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.evolution.sampling import nth_true, pick, uniform
+from cgtorch.evolution.sampling import nth_true, pick, uniform, words, words_for
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -24,6 +24,30 @@ from cgtorch.graphs import (
 )
 
 
+@dataclass(frozen=True)
+class Choices:
+    """Random choices of how P graphs are mutated.
+
+    Attributes:
+        strategy: (P, S) float32 rates.
+        draws: (P, words_for(columns(width, O))) random words.
+        width: at least nodes of the largest graph and one more, or N if that is less.
+    """
+
+    strategy: Tensor
+    draws: Tensor
+    width: int
+
+
+def choices_for(
+    strategy: Tensor, nodes: int, capacity: int, outcomes: int, generator: Generator
+) -> Choices:
+    """Choices for individuals of a strategy (P, S) whose graphs have at most so many nodes."""
+    width = min(nodes + 1, capacity)
+    draws = words((len(strategy), words_for(columns(width, outcomes))), generator)
+    return Choices(strategy.float(), draws, width)
+
+
 def columns(width: int, outcomes: int) -> int:
     """How many draws an individual needs whose graph has up to `width` nodes once one is added."""
     return sum(_parts(width, outcomes))
@@ -34,24 +58,20 @@ def _parts(width: int, outcomes: int) -> list[int]:
     return [3 + outcomes, 3, 2, width, width, width * outcomes]
 
 
-def restructured(
-    graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> Graphs:
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
     Args:
         graphs: P of them, whose parameters are marks (`cgtorch.evolution.parameters`).
-        strategy: (P, S) rates.
-        draws: (P, words_for(columns(width, O))) random words.
-        width: nodes of the largest graph and one more, or N if that is less.
+        choices: how they are mutated.
         actions: what nodes can be.
 
     Returns:
         The graphs; nodes that are new have no marks.
     """
     p, n, o = graphs.edges.shape
-    rate = dict(zip(STRATEGY, strategy.unbind(1), strict=True))
-    numbers = uniform(draws, columns(width, o)).split(_parts(width, o), 1)
+    rate, width = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True)), choices.width
+    numbers = uniform(choices.draws, columns(width, o)).split(_parts(width, o), 1)
     add, delete, start, replaced, changed, heads = numbers
     heads = heads.view(p, width, o)
     order, dense = nodes_first(graphs), narrowed(compacted(graphs), width)
