@@ -15,11 +15,11 @@ from torch import Generator, Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.sampling import words
+from cgtorch.evolution.sampling import IN_A_WORD, words
 from cgtorch.graphs import Graphs
 
 if TYPE_CHECKING:  # they use what is here
-    from cgtorch.evolution.crossover import Pairs
+    from cgtorch.evolution.crossover import Pairing, Pairs
     from cgtorch.evolution.structure import Choices
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
@@ -35,16 +35,18 @@ _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
     "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
     "bred": (_G, _P, _G, _P, _P, _P, _P, _I, _P, _P, _I, _P, _I, _I, _I),
-    "fresh_nodes": (_P, _P, _I, _P),
+    "paired": (_P, _I, _P, _I, _P, _I, _P, _P, _P, _P),
+    "mark_new": (_P, _P, _I, _I, _P, _P),
     "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
-    "parameter_hits": (_P, _P, _P, _P, _P, _I, _I),
-    "parameters_of": (*[_P] * 9, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "parameter_hits": (_P, _P, _P, _P, _P, _P, _I, _I),
+    "parameters_of": (*[_P] * 7, _I, _I, _P, _P, _P, _I, _P, _I, _I),
     "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
 }
 _SOURCE = {
     "mutated": "operators",
     "bred": "operators",
-    "fresh_nodes": "parameters",
+    "paired": "operators",
+    "mark_new": "parameters",
     "parameter_counts": "parameters",
     "parameter_hits": "parameters",
     "parameters_of": "parameters",
@@ -81,6 +83,19 @@ def restructured(graphs: Graphs, choices: "Choices", actions: ActionSet) -> Grap
     return out
 
 
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> "Pairing":
+    """See `cgtorch.evolution.crossover.paired`."""
+    chosen, size = torch.empty(2, len(draws), dtype=torch.long)
+    totals = torch.empty(2, dtype=torch.long)
+    _call(
+        "paired", torch.float32,
+        graphs.action, graphs.capacity, parents, len(draws), strategy, strategy.shape[1],
+        draws, chosen, size, totals,
+    )  # fmt: skip
+    crossed, width = totals.tolist()
+    return chosen, size, crossed, width
+
+
 def swapped(graphs: Graphs, pairs: "Pairs") -> Graphs:
     """See `cgtorch.evolution.crossover.swapped`."""
     return _bred(graphs, pairs, None, None, 0, None, 0)
@@ -103,11 +118,12 @@ def _bred(graphs: Graphs, pairs: "Pairs", *mutation: Any) -> Graphs:
     return out
 
 
-def mark_new_(graphs: Graphs) -> Tensor:
+def mark_new_(graphs: Graphs, actions: int) -> list[int]:
     """See `cgtorch.evolution.parameters.mark_new_`."""
-    new = torch.empty(graphs.action.numel() + 1, dtype=torch.long)
-    _call("fresh_nodes", torch.float32, graphs.action, graphs.parameters, len(new) - 1, new)
-    return new[1 : 1 + int(new[0])]
+    first, where = torch.empty(actions + 1, dtype=torch.long), torch.empty_like(graphs.action)
+    marks = graphs.parameters
+    _call("mark_new", torch.float32, graphs.action, marks, marks.numel(), actions, first, where)
+    return first.tolist()
 
 
 def parameters(
@@ -121,17 +137,18 @@ def parameters(
 ) -> Tensor:
     """See `cgtorch.evolution.parameters.parameters`."""
     p, n = graphs.action.shape
-    out = old.new_empty(p, *old.shape[1:])
+    out = old.new_zeros(p, *old.shape[1:])
     counts, first, hits = torch.empty(3, p + 1, dtype=torch.long)
     nodes = graphs.action, actions.num_parameters, len(actions), n
     _call("parameter_counts", old.dtype, *nodes, counts, first, p)
     draws = words((int(first[-1]),), generator)
-    about = counts, first, draws, rate.contiguous(), hits
-    _call("parameter_hits", old.dtype, *about, p)
+    which = torch.empty(IN_A_WORD * len(draws), dtype=torch.int32)
+    _call("parameter_hits", old.dtype, counts, first, draws, rate, hits, which, p)
     normal = torch.randn(int(hits[-1]), generator=generator)
     _call(
         "parameters_of", old.dtype,
-        *about, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2], out, p,
+        first, hits, which, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2],
+        out, p,
     )  # fmt: skip
     return out
 

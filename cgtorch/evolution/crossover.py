@@ -1,6 +1,7 @@
 """Crossover: swap connected subgraphs, which are the likely sub-solutions (section IV-B)."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
@@ -67,16 +68,26 @@ class Pairs:
 
 def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
     """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
+    draws = torch.rand(len(parents) // 2, 2, generator=generator)
+    way = compiled.paired if compiled.takes(graphs, graphs.parameters) else paired
+    chosen, size, crossed, width = way(graphs, parents, strategy.float(), draws)
+    count = words_for(columns(width, graphs.edges.shape[2]))
+    return Pairs(parents, chosen, size, words((crossed, count), generator), width)
+
+
+Pairing: TypeAlias = tuple[Tensor, Tensor, int, int]
+"""`chosen` and `size` of `Pairs`, how many pairs are crossed, and the nodes of the largest parent."""
+
+
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
+    """Which pairs are crossed, and how many nodes they swap, as draws (Q, 2) say; in torch."""
     nodes = graphs.num_nodes[parents].view(2, -1)
     half = nodes.amin(0) // 2
-    probability = strategy[:, 0].float().view(2, -1).sum(0) / 2
-    draws = torch.rand(len(half), 2, generator=generator)
+    probability = strategy[:, 0].view(2, -1).sum(0) / 2
     crossed = (draws[:, 0] < probability) & (half > 0)
-    size = 1 + pick(draws[:, 1], half)
     chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
     width = int(nodes.max()) if len(half) else 0
-    count = words_for(columns(width, graphs.edges.shape[2]))
-    return Pairs(parents, chosen, size, words((int(crossed.sum()), count), generator), width)
+    return chosen, 1 + pick(draws[:, 1], half), int(crossed.sum()), width
 
 
 def columns(width: int, outcomes: int) -> int:

@@ -190,6 +190,4 @@ def new_start(graphs: Graphs, rate: Tensor, draws: Tensor) -> Graphs:
     slot = torch.arange(graphs.capacity)[:, None]
     leads = ((graphs.edges != NO_NODE) & (graphs.edges != slot)).any(2) & graphs.used
     moves = (draws[:, 0] < rate) & leads.any(1)
-    return replace(
-        graphs, start=torch.where(moves, nth_true(leads, draws[:, 1]), graphs.start)
-    )
+    return replace(graphs, start=torch.where(moves, nth_true(leads, draws[:, 1]), graphs.start))

@@ -17,7 +17,8 @@ typedef struct {
    one distance in the order of their draws, which begin at `jitter`. */
 static void group_of(const Graph *graph, int o, int size, const int64_t *words, int begin,
                      int jitter, int *group) {
-  uint64_t near[MOST_NODES] = {0};
+  uint64_t near[MOST_NODES];
+  memset(near, 0, (size_t)graph->count * sizeof *near);
   for (int i = 0; i < graph->count; i++)
     for (int j = 0; j < o; j++) {
       int head = graph->edges[i][j];

@@ -22,10 +22,10 @@ typedef struct {
 typedef struct {
   int count, start; /* nodes; those that are gone leave a hole */
   uint64_t used;    /* which of them are there */
-  int64_t mark[MOST_NODES];
-  int32_t action[MOST_NODES];
+  int64_t mark[MOST_NODES + 1];
+  int32_t action[MOST_NODES + 1];
   int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
-  int8_t slot[MOST_NODES];                 /* where each lies */
+  int8_t slot[MOST_NODES + 1];             /* where each lies */
 } Graph;
 
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
@@ -36,12 +36,17 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
   const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
   int8_t place[MOST_NODES] = {0};
   int count = 0;
+  /* Without branches, as no CPU foresees them: what is no node is overwritten by the next. */
   for (int64_t i = 0; i < n; i++) {
-    place[i] = (int8_t)(action[i] == NO_NODE ? NO_NODE : count);
-    if (action[i] == NO_NODE) continue;
+    int used = action[i] != NO_NODE;
+    place[i] = (int8_t)(used ? count : NO_NODE);
     graph->slot[count] = (int8_t)i;
     graph->action[count] = (int32_t)action[i];
-    graph->mark[count++] = from->marks ? from->marks[row * n + i] : row * n + i + 1;
+    count += used;
+  }
+  for (int i = 0; i < count; i++) {
+    int64_t at = row * n + graph->slot[i];
+    graph->mark[i] = from->marks ? from->marks[at] : at + 1;
   }
   for (int i = 0; i < count; i++) {
     const int64_t *heads = edges + graph->slot[i] * o;

@@ -40,6 +40,30 @@ static Mutation mutation_of(const int64_t *shape, const float *strategy, const i
   return (Mutation){of, strategy, draws, words, width, has_edge, actions};
 }
 
+static int64_t count_nodes(const int64_t *action, int64_t nodes) {
+  int64_t count = 0;
+  for (int64_t i = 0; i < nodes; i++) count += action[i] != NO_NODE;
+  return count;
+}
+
+/* Which pairs are crossed, by draws (Q, 2): `chosen` numbers them, the others have -1; `totals` are
+   how many they are, and the nodes of the largest parent. */
+int paired(const int64_t *action, int64_t nodes, const int64_t *parents, int64_t pairs,
+           const float *strategy, int64_t columns, const float *draws, int64_t *chosen,
+           int64_t *sizes, int64_t *totals) {
+  totals[0] = totals[1] = 0;
+  for (int64_t i = 0; i < pairs; i++) {
+    int64_t first = count_nodes(action + parents[i] * nodes, nodes);
+    int64_t second = count_nodes(action + parents[pairs + i] * nodes, nodes);
+    int64_t least = first < second ? first : second, most = first < second ? second : first;
+    float both = strategy[i * columns] + strategy[(pairs + i) * columns];
+    chosen[i] = draws[2 * i] < both / 2 && least >= 2 ? totals[0]++ : -1;
+    sizes[i] = 1 + pick(draws[2 * i + 1], (int)(least / 2));
+    if (most > totals[1]) totals[1] = most;
+  }
+  return 0;
+}
+
 /* Individuals mutated. */
 int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const float *strategy,
             const int64_t *draws, int64_t width, const uint8_t *has_edge, int64_t actions,
