@@ -6,21 +6,18 @@ the same children to the last bit.
 """
 
 import ctypes
-from dataclasses import replace
 from ctypes import POINTER, byref, c_int64, c_void_p
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.choices import Choices, Pairing, Pairs
 from cgtorch.evolution.sampling import IN_A_WORD, words
 from cgtorch.graphs import Graphs
-
-if TYPE_CHECKING:  # they use what is here
-    from cgtorch.evolution.crossover import Pairing, Pairs
-    from cgtorch.evolution.structure import Choices
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
 
@@ -40,6 +37,7 @@ _TYPES: dict[str, tuple[Any, ...]] = {
     "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
     "parameter_hits": (_P, _P, _P, _P, _P, _P, _I, _I),
     "parameters_of": (*[_P] * 7, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "deviation": (_P, _I, _I, _P),
     "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
 }
 _SOURCE = {
@@ -50,6 +48,7 @@ _SOURCE = {
     "parameter_counts": "parameters",
     "parameter_hits": "parameters",
     "parameters_of": "parameters",
+    "deviation": "lexicase",
     "lexicase": "lexicase",
 }
 _GRAPHS = ("mutated", "bred", "parameters_of")
@@ -72,7 +71,7 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
-def restructured(graphs: Graphs, choices: "Choices", actions: ActionSet) -> Graphs:
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
     """See `cgtorch.evolution.structure.restructured`."""
     graphs, out = _contiguous(graphs), _like(graphs, len(graphs))
     _call(
@@ -83,7 +82,7 @@ def restructured(graphs: Graphs, choices: "Choices", actions: ActionSet) -> Grap
     return out
 
 
-def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> "Pairing":
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
     """See `cgtorch.evolution.crossover.paired`."""
     chosen, size = torch.empty(2, len(draws), dtype=torch.long)
     totals = torch.empty(2, dtype=torch.long)
@@ -96,18 +95,18 @@ def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> 
     return chosen, size, crossed, width
 
 
-def swapped(graphs: Graphs, pairs: "Pairs") -> Graphs:
+def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
     """See `cgtorch.evolution.crossover.swapped`."""
     return _bred(graphs, pairs, None, None, 0, None, 0)
 
 
-def bred(graphs: Graphs, pairs: "Pairs", choices: "Choices", actions: ActionSet) -> Graphs:
+def bred(graphs: Graphs, pairs: Pairs, choices: Choices, actions: ActionSet) -> Graphs:
     """Children of pairs, mutated; see both of the above."""
     mutation = choices.strategy, choices.draws, choices.width
     return _bred(graphs, pairs, *mutation, actions.has_edge, len(actions))
 
 
-def _bred(graphs: Graphs, pairs: "Pairs", *mutation: Any) -> Graphs:
+def _bred(graphs: Graphs, pairs: Pairs, *mutation: Any) -> Graphs:
     graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
     out = _like(graphs, len(pairs.parents))
     _call(
@@ -150,6 +149,13 @@ def parameters(
         first, hits, which, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2],
         out, p,
     )  # fmt: skip
+    return out
+
+
+def deviation(scores: Tensor) -> Tensor:
+    """See `cgtorch.evolution.lexicase.deviation`."""
+    out = scores.new_empty(scores.shape[1])
+    _call("deviation", scores.dtype, scores, *scores.shape, out)
     return out
 
 

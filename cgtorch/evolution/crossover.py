@@ -1,12 +1,10 @@
 """Crossover: swap connected subgraphs, which are the likely sub-solutions (section IV-B)."""
 
-from dataclasses import dataclass
-from typing import TypeAlias
-
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import Pairing, Pairs, pair_parts
 from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
@@ -47,36 +45,13 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
 
 
-@dataclass(frozen=True)
-class Pairs:
-    """Random choices of how Q pairs are crossed.
-
-    Attributes:
-        parents: (2 Q,) long, the first of all pairs and then the second.
-        chosen: (Q,) long, row of `draws`, or -1 for pairs that are only copied.
-        size: (Q,) long, how many nodes are swapped.
-        draws: (C, words_for(columns(width, O))) random words.
-        width: nodes of the largest parent.
-    """
-
-    parents: Tensor
-    chosen: Tensor
-    size: Tensor
-    draws: Tensor
-    width: int
-
-
 def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
     """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
     draws = torch.rand(len(parents) // 2, 2, generator=generator)
     way = compiled.paired if compiled.takes(graphs, graphs.parameters) else paired
     chosen, size, crossed, width = way(graphs, parents, strategy.float(), draws)
-    count = words_for(columns(width, graphs.edges.shape[2]))
+    count = words_for(sum(pair_parts(width, graphs.edges.shape[2])))
     return Pairs(parents, chosen, size, words((crossed, count), generator), width)
-
-
-Pairing: TypeAlias = tuple[Tensor, Tensor, int, int]
-"""`chosen` and `size` of `Pairs`, how many pairs are crossed, and the nodes of the largest parent."""
 
 
 def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
@@ -90,16 +65,6 @@ def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> 
     return chosen, 1 + pick(draws[:, 1], half), int(crossed.sum()), width
 
 
-def columns(width: int, outcomes: int) -> int:
-    """How many draws a pair needs whose graphs have up to `width` nodes."""
-    return sum(_parts(width, outcomes))
-
-
-def _parts(width: int, outcomes: int) -> list[int]:
-    """Of either parent where its group begins and the order of nodes, of either child its heads."""
-    return [1, 1, width, width, width * outcomes, width * outcomes]
-
-
 def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
     """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
 
@@ -111,7 +76,7 @@ def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
     first, second = both[:q], both[q:]
     at = chosen >= 0
     every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
-    numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)
+    numbers = uniform(every, sum(pair_parts(width, o))).split(pair_parts(width, o), 1)
     begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
     size = torch.where(at, pairs.size, 0)
     order_a, order_b = nodes_first(first), nodes_first(second)

@@ -5,9 +5,10 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import choices_for
 from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import STRATEGY, Population
-from cgtorch.evolution.structure import choices_for, restructured
+from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs
 
 TAU = 0.05  # variance of the drift in eq. 2
@@ -28,7 +29,7 @@ def mutate(
     graphs, strategy = marked(population.graphs), population.strategy
     old = population.graphs.parameters
     nodes = int(graphs.num_nodes.max()) if len(graphs) else 0
-    choices = choices_for(strategy, nodes, *graphs.edges.shape[1:], generator)
+    choices = choices_for(strategy, nodes, graphs.edges.shape[1:], generator)
     way = compiled.restructured if compiled.takes(graphs, old) else restructured
     return finished(way(graphs, choices, actions), old, strategy, actions, generator, tau)
 

@@ -4,10 +4,11 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import choices_for
 from cgtorch.evolution.crossover import pairs_of, swapped
 from cgtorch.evolution.mutation import TAU, finished
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.structure import choices_for, restructured
+from cgtorch.evolution.structure import restructured
 
 
 def offspring(
@@ -31,7 +32,7 @@ def offspring(
     """
     graphs, strategy = population.graphs, population.strategy[parents]
     pairs = pairs_of(graphs, parents, strategy, generator)
-    choices = choices_for(strategy, pairs.width, *graphs.edges.shape[1:], generator)
+    choices = choices_for(strategy, pairs.width, graphs.edges.shape[1:], generator)
     if compiled.takes(graphs, graphs.parameters):
         children = compiled.bred(graphs, pairs, choices, actions)
     else:

@@ -17,7 +17,7 @@ from cgtorch.graphs import Graphs
 
 
 def marked(graphs: Graphs) -> Graphs:
-    """The graphs with marks (P, N, 1) in place of parameters, slot by slot from 1 on, 0 if unused."""
+    """The graphs with marks (P, N, 1) in place of parameters: 1 + the slot among all of them."""
     marks = torch.arange(1, graphs.action.numel() + 1).view_as(graphs.action) * graphs.used
     return replace(graphs, parameters=marks[..., None])
 

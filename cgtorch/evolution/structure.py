@@ -4,14 +4,15 @@ Each is a function of the graphs and of uniform draws. A draw below a rate, divi
 uniform again: it says which, too. `native/mutation.c` does the same to one graph at a time.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.choices import Choices, parts
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.evolution.sampling import nth_true, pick, uniform, words, words_for
+from cgtorch.evolution.sampling import nth_true, pick, uniform
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -22,40 +23,6 @@ from cgtorch.graphs import (
     rearranged,
     widened,
 )
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Random choices of how P graphs are mutated.
-
-    Attributes:
-        strategy: (P, S) float32 rates.
-        draws: (P, words_for(columns(width, O))) random words.
-        width: at least nodes of the largest graph and one more, or N if that is less.
-    """
-
-    strategy: Tensor
-    draws: Tensor
-    width: int
-
-
-def choices_for(
-    strategy: Tensor, nodes: int, capacity: int, outcomes: int, generator: Generator
-) -> Choices:
-    """Choices for individuals of a strategy (P, S) whose graphs have at most so many nodes."""
-    width = min(nodes + 1, capacity)
-    draws = words((len(strategy), words_for(columns(width, outcomes))), generator)
-    return Choices(strategy.float(), draws, width)
-
-
-def columns(width: int, outcomes: int) -> int:
-    """How many draws an individual needs whose graph has up to `width` nodes once one is added."""
-    return sum(_parts(width, outcomes))
-
-
-def _parts(width: int, outcomes: int) -> list[int]:
-    """To add, to delete, to move the start; to replace, to change, and heads of all edges."""
-    return [3 + outcomes, 3, 2, width, width, width * outcomes]
 
 
 def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
@@ -71,7 +38,7 @@ def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs
     """
     p, n, o = graphs.edges.shape
     rate, width = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True)), choices.width
-    numbers = uniform(choices.draws, columns(width, o)).split(_parts(width, o), 1)
+    numbers = uniform(choices.draws, sum(parts(width, o))).split(parts(width, o), 1)
     add, delete, start, replaced, changed, heads = numbers
     heads = heads.view(p, width, o)
     order, dense = nodes_first(graphs), narrowed(compacted(graphs), width)
@@ -87,8 +54,8 @@ def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:
     """A random node takes over one incoming edge of a node that has at least two.
 
-    Its own edges go to random nodes, and its parameters are zero, or none, if they are marks. Graphs
-    that are full, or without such an edge, stay.
+    Its own edges go to random nodes; it has no parameters, or mark, yet. Graphs that are full, or
+    without such an edge, stay.
 
     Args:
         graphs: P of them.
