@@ -6,8 +6,8 @@ the same children to the last bit.
 """
 
 import ctypes
-from dataclasses import replace
 from ctypes import POINTER, byref, c_int64, c_void_p
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -15,7 +15,8 @@ from torch import Generator, Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.sampling import words
+from cgtorch.evolution.choices import Choices, Pairing, Pairs
+from cgtorch.evolution.sampling import IN_A_WORD, words
 from cgtorch.graphs import Graphs
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
@@ -30,23 +31,27 @@ class _Pointers(ctypes.Structure):
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
     "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
-    "crossed": (_G, _P, _G, _P, _P, _P, _P, _I, _I, _I),
-    "fresh_nodes": (_P, _P, _I, _P),
+    "bred": (_G, _P, _G, _P, _P, _P, _P, _I, _P, _P, _I, _P, _I, _I, _I),
+    "paired": (_P, _I, _P, _I, _P, _I, _P, _P, _P, _P),
+    "mark_new": (_P, _P, _I, _I, _P, _P),
     "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
-    "parameter_hits": (_P, _P, _P, _P, _P, _I, _I),
-    "parameters_of": (*[_P] * 9, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "parameter_hits": (_P, _P, _P, _P, _P, _P, _I, _I),
+    "parameters_of": (*[_P] * 7, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "deviation": (_P, _I, _I, _P),
     "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
 }
 _SOURCE = {
-    "mutated": "mutation",
-    "crossed": "crossover",
-    "fresh_nodes": "parameters",
+    "mutated": "operators",
+    "bred": "operators",
+    "paired": "operators",
+    "mark_new": "parameters",
     "parameter_counts": "parameters",
     "parameter_hits": "parameters",
     "parameters_of": "parameters",
+    "deviation": "lexicase",
     "lexicase": "lexicase",
 }
-_GRAPHS = ("mutated", "crossed", "parameters_of")
+_GRAPHS = ("mutated", "bred", "parameters_of")
 
 
 def takes(graphs: Graphs, parameters: Tensor) -> bool:
@@ -66,38 +71,58 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
-def restructured(
-    graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> Graphs:
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
     """See `cgtorch.evolution.structure.restructured`."""
     graphs, out = _contiguous(graphs), _like(graphs, len(graphs))
     _call(
         "mutated", torch.float32,
-        _pointers(graphs), _pointers(out), _shape(graphs), strategy, draws, width,
-        actions.has_edge, len(actions), len(graphs),
+        _pointers(graphs), _pointers(out), _shape(graphs),
+        choices.strategy, choices.draws, choices.width, actions.has_edge, len(actions), len(graphs),
     )  # fmt: skip
     return out
 
 
-def swapped(
-    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
-) -> Graphs:
-    """See `cgtorch.evolution.crossover.swapped`."""
-    graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
-    out = _like(graphs, len(parents))
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
+    """See `cgtorch.evolution.crossover.paired`."""
+    chosen, size = torch.empty(2, len(draws), dtype=torch.long)
+    totals = torch.empty(2, dtype=torch.long)
     _call(
-        "crossed", torch.float32,
-        _pointers(graphs, marks=False), parents, _pointers(out), _shape(graphs),
-        chosen, size, draws, width, len(parents) // 2,
+        "paired", torch.float32,
+        graphs.action, graphs.capacity, parents, len(draws), strategy, strategy.shape[1],
+        draws, chosen, size, totals,
+    )  # fmt: skip
+    crossed, width = totals.tolist()
+    return chosen, size, crossed, width
+
+
+def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
+    """See `cgtorch.evolution.crossover.swapped`."""
+    return _bred(graphs, pairs, None, None, 0, None, 0)
+
+
+def bred(graphs: Graphs, pairs: Pairs, choices: Choices, actions: ActionSet) -> Graphs:
+    """Children of pairs, mutated; see both of the above."""
+    mutation = choices.strategy, choices.draws, choices.width
+    return _bred(graphs, pairs, *mutation, actions.has_edge, len(actions))
+
+
+def _bred(graphs: Graphs, pairs: Pairs, *mutation: Any) -> Graphs:
+    graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
+    out = _like(graphs, len(pairs.parents))
+    _call(
+        "bred", torch.float32,
+        _pointers(graphs, marks=False), pairs.parents, _pointers(out), _shape(graphs),
+        pairs.chosen, pairs.size, pairs.draws, pairs.width, *mutation, len(pairs.chosen),
     )  # fmt: skip
     return out
 
 
-def mark_new_(graphs: Graphs) -> Tensor:
+def mark_new_(graphs: Graphs, actions: int) -> list[int]:
     """See `cgtorch.evolution.parameters.mark_new_`."""
-    new = torch.empty(graphs.action.numel() + 1, dtype=torch.long)
-    _call("fresh_nodes", torch.float32, graphs.action, graphs.parameters, len(new) - 1, new)
-    return new[1 : 1 + int(new[0])]
+    first, where = torch.empty(actions + 1, dtype=torch.long), torch.empty_like(graphs.action)
+    marks = graphs.parameters
+    _call("mark_new", torch.float32, graphs.action, marks, marks.numel(), actions, first, where)
+    return first.tolist()
 
 
 def parameters(
@@ -111,18 +136,26 @@ def parameters(
 ) -> Tensor:
     """See `cgtorch.evolution.parameters.parameters`."""
     p, n = graphs.action.shape
-    out = old.new_empty(p, *old.shape[1:])
+    out = old.new_zeros(p, *old.shape[1:])
     counts, first, hits = torch.empty(3, p + 1, dtype=torch.long)
     nodes = graphs.action, actions.num_parameters, len(actions), n
     _call("parameter_counts", old.dtype, *nodes, counts, first, p)
     draws = words((int(first[-1]),), generator)
-    about = counts, first, draws, rate.contiguous(), hits
-    _call("parameter_hits", old.dtype, *about, p)
+    which = torch.empty(IN_A_WORD * len(draws), dtype=torch.int32)
+    _call("parameter_hits", old.dtype, counts, first, draws, rate, hits, which, p)
     normal = torch.randn(int(hits[-1]), generator=generator)
     _call(
         "parameters_of", old.dtype,
-        *about, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2], out, p,
+        first, hits, which, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2],
+        out, p,
     )  # fmt: skip
+    return out
+
+
+def deviation(scores: Tensor) -> Tensor:
+    """See `cgtorch.evolution.lexicase.deviation`."""
+    out = scores.new_empty(scores.shape[1])
+    _call("deviation", scores.dtype, scores, *scores.shape, out)
     return out
 
 

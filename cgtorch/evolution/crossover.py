@@ -4,6 +4,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import Pairing, Pairs, pair_parts
 from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
@@ -39,60 +40,45 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     """
     graphs = concatenate([first.graphs, second.graphs])
     strategy = torch.cat([first.strategy, second.strategy])
-    children = paired(graphs, torch.arange(len(graphs)), strategy, generator)
-    return Population(copied(children, graphs.parameters), strategy)
+    pairs = pairs_of(graphs, torch.arange(len(graphs)), strategy, generator)
+    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
+    return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
 
 
-def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Graphs:
-    """`crossover` of the first half of `parents` (2 Q,) and the other, whose strategies are given.
+def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
+    """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
+    draws = torch.rand(len(parents) // 2, 2, generator=generator)
+    way = compiled.paired if compiled.takes(graphs, graphs.parameters) else paired
+    chosen, size, crossed, width = way(graphs, parents, strategy.float(), draws)
+    count = words_for(sum(pair_parts(width, graphs.edges.shape[2])))
+    return Pairs(parents, chosen, size, words((crossed, count), generator), width)
 
-    The children (2 Q) are marked (`cgtorch.evolution.parameters`): they point to `graphs`.
-    """
+
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
+    """Which pairs are crossed, and how many nodes they swap, as draws (Q, 2) say; in torch."""
     nodes = graphs.num_nodes[parents].view(2, -1)
     half = nodes.amin(0) // 2
-    probability = strategy[:, 0].float().view(2, -1).sum(0) / 2
-    draws = torch.rand(len(half), 2, generator=generator)
+    probability = strategy[:, 0].view(2, -1).sum(0) / 2
     crossed = (draws[:, 0] < probability) & (half > 0)
-    size = 1 + pick(draws[:, 1], half)
     chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
     width = int(nodes.max()) if len(half) else 0
-    count = words_for(columns(width, graphs.edges.shape[2]))
-    draws = words((int(crossed.sum()), count), generator)
-    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
-    return way(graphs, parents, chosen, size, draws, width)
+    return chosen, 1 + pick(draws[:, 1], half), int(crossed.sum()), width
 
 
-def columns(width: int, outcomes: int) -> int:
-    """How many draws a pair needs whose graphs have up to `width` nodes."""
-    return sum(_parts(width, outcomes))
+def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
+    """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
 
-
-def _parts(width: int, outcomes: int) -> list[int]:
-    """Of either parent where its group begins and the order of nodes, of either child its heads."""
-    return [1, 1, width, width, width * outcomes, width * outcomes]
-
-
-def swapped(
-    graphs: Graphs, parents: Tensor, chosen: Tensor, size: Tensor, draws: Tensor, width: int
-) -> Graphs:
-    """Children as draws say, in torch; `native/crossover.c` makes them one pair after the other.
-
-    Args:
-        graphs: P of them.
-        parents: (2 Q,) of them, the first of all pairs and then the second.
-        chosen: (Q,) row of `draws`, or -1 for pairs that are only copied.
-        size: (Q,) how many nodes are swapped.
-        draws: (C, words_for(columns(width, O))) random words.
-        width: nodes of the largest parent.
+    They are marked (`cgtorch.evolution.parameters`): marks point to the parameters of `graphs`.
     """
+    parents, chosen, draws, width = pairs.parents, pairs.chosen, pairs.draws, pairs.width
     (_, n, o), q = graphs.edges.shape, len(chosen)
     both = marked(graphs)[parents]
     first, second = both[:q], both[q:]
     at = chosen >= 0
     every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
-    numbers = uniform(every, columns(width, o)).split(_parts(width, o), 1)
+    numbers = uniform(every, sum(pair_parts(width, o))).split(pair_parts(width, o), 1)
     begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
-    size = torch.where(at, size, 0)
+    size = torch.where(at, pairs.size, 0)
     order_a, order_b = nodes_first(first), nodes_first(second)
     a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
     group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)

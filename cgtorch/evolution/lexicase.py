@@ -42,8 +42,9 @@ def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
     scores = scores + 0.0  # there is one zero only
     turns = torch.rand(count, scores.shape[1], generator=generator)
     last = torch.rand(count, generator=generator, dtype=torch.float64)
-    way = compiled.lexicase if compiled.takes_scores(scores) else parents
-    return way(scores, deviation(scores), turns, last)
+    if compiled.takes_scores(scores):
+        return compiled.lexicase(scores, compiled.deviation(scores), turns, last)
+    return parents(scores, deviation(scores), turns, last)
 
 
 def parents(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Tensor:

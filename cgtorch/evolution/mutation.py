@@ -5,10 +5,10 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import choices_for
 from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import STRATEGY, Population
-from cgtorch.evolution.sampling import words, words_for
-from cgtorch.evolution.structure import columns, restructured
+from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs
 
 TAU = 0.05  # variance of the drift in eq. 2
@@ -26,11 +26,15 @@ def mutate(
     All choices follow from numbers that are drawn first, of which there are as many whatever way
     the operators run: compiled for the CPU, or in torch, with the same children to the last bit.
     """
-    graphs = marked(population.graphs)
-    return remade(graphs, population.graphs.parameters, population.strategy, actions, generator, tau)
+    graphs, strategy = marked(population.graphs), population.strategy
+    old = population.graphs.parameters
+    nodes = int(graphs.num_nodes.max()) if len(graphs) else 0
+    choices = choices_for(strategy, nodes, graphs.edges.shape[1:], generator)
+    way = compiled.restructured if compiled.takes(graphs, old) else restructured
+    return finished(way(graphs, choices, actions), old, strategy, actions, generator, tau)
 
 
-def remade(
+def finished(
     graphs: Graphs,
     old: Tensor,
     strategy: Tensor,
@@ -38,15 +42,10 @@ def remade(
     generator: Generator,
     tau: float,
 ) -> Population:
-    """`mutate` for marked graphs, whose parameters lie in `old` (P', N, K)."""
-    rates = strategy.float()
-    rate = dict(zip(STRATEGY, rates.unbind(1), strict=True))
-    width = min(int(graphs.num_nodes.max()) + 1, graphs.capacity) if len(graphs) else 0
-    count = words_for(columns(width, actions.outcome_capacity))
-    draws = words((len(graphs), count), generator)
-    way = compiled.restructured if compiled.takes(graphs, old) else restructured
-    graphs = way(graphs, rates, draws, width, actions)
-    graphs = changed(graphs, old, actions, rate["mutate_parameter"], rate["sigma"], generator)
+    """What is left to do for mutated graphs that are marked: parameters, from `old`, and eq. 2."""
+    column = dict(zip(STRATEGY, strategy.float().unbind(1), strict=True))
+    rate, sigma = column["mutate_parameter"], column["sigma"]
+    graphs = changed(graphs, old, actions, rate, sigma, generator)
     return Population(graphs, drift(strategy, tau, generator))
 
 

@@ -3,9 +3,12 @@
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.crossover import paired
-from cgtorch.evolution.mutation import TAU, remade
+from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import choices_for
+from cgtorch.evolution.crossover import pairs_of, swapped
+from cgtorch.evolution.mutation import TAU, finished
 from cgtorch.evolution.population import Population
+from cgtorch.evolution.structure import restructured
 
 
 def offspring(
@@ -15,9 +18,7 @@ def offspring(
     generator: Generator,
     tau: float = TAU,
 ) -> Population:
-    """Children of parents: those of `crossover`, mutated by `mutate`, to the last bit.
-
-    Parameters of parents are copied once, where a child has them, and not after each operator.
+    """Children of parents by `crossover` and `mutate`; parameters are copied once, not twice.
 
     Args:
         population: who parents are of.
@@ -30,5 +31,10 @@ def offspring(
         2 Q children, in the order of `crossover`.
     """
     graphs, strategy = population.graphs, population.strategy[parents]
-    children = paired(graphs, parents, strategy, generator)
-    return remade(children, graphs.parameters, strategy, actions, generator, tau)
+    pairs = pairs_of(graphs, parents, strategy, generator)
+    choices = choices_for(strategy, pairs.width, graphs.edges.shape[1:], generator)
+    if compiled.takes(graphs, graphs.parameters):
+        children = compiled.bred(graphs, pairs, choices, actions)
+    else:
+        children = restructured(swapped(graphs, pairs), choices, actions)
+    return finished(children, graphs.parameters, strategy, actions, generator, tau)

@@ -17,7 +17,7 @@ from cgtorch.graphs import Graphs
 
 
 def marked(graphs: Graphs) -> Graphs:
-    """The graphs with marks (P, N, 1) in place of parameters, slot by slot from 1 on, 0 if unused."""
+    """The graphs with marks (P, N, 1) in place of parameters: 1 + the slot among all of them."""
     marks = torch.arange(1, graphs.action.numel() + 1).view_as(graphs.action) * graphs.used
     return replace(graphs, parameters=marks[..., None])
 
@@ -39,7 +39,7 @@ def changed(
     """Marked graphs with parameters, each of which may have changed by a Gaussian step.
 
     Args:
-        graphs: P of them; a node without a mark is new and gets initial parameters.
+        graphs: P of them; nodes without a mark are new, get one, and initial parameters.
         old: (P', N, K) parameters of parents, which marks point to.
         actions: what the nodes are.
         rate: (P,) probability that a parameter changes.
@@ -47,31 +47,30 @@ def changed(
         generator: of new parameters, of the choices and of the steps; a step is drawn only where
             one is taken.
     """
-    graphs = replace(graphs, parameters=graphs.parameters.clone())
     native = compiled.takes(graphs, old)
-    new = compiled.mark_new_(graphs) if native else mark_new_(graphs)
-    fresh = old.new_zeros(len(new), old.shape[2])
-    _initialise_(fresh, graphs.action.view(-1)[new], actions, generator)
+    mark = compiled.mark_new_ if native else mark_new_
+    first = mark(graphs, len(actions))
+    fresh = old.new_zeros(first[-1], old.shape[2])
+    for module, begin, end in zip(actions.actions, first, first[1:], strict=False):
+        if (k := module.num_parameters) and begin < end:
+            fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     way = compiled.parameters if native else parameters
     made = way(graphs, old, fresh, actions, rate, sigma, generator)
     return replace(graphs, parameters=made)
 
 
-def mark_new_(graphs: Graphs) -> Tensor:
-    """(F,) which of all slots hold nodes without a mark; these get marks -1, -2, ..., in place."""
-    marks = graphs.parameters.view(-1)
-    new = (graphs.used.view(-1) & (marks == 0)).nonzero()[:, 0]
+def mark_new_(graphs: Graphs, actions: int) -> list[int]:
+    """Mark nodes without a mark with -1, -2, …, in place: first all of action 0, and so on.
+
+    Returns:
+        After how many the nodes of each action begin, and how many there are in all.
+    """
+    action, marks = graphs.action.view(-1), graphs.parameters.view(-1)
+    new = ((action >= 0) & (marks == 0)).nonzero()[:, 0]
+    numbers = torch.bincount(action[new], minlength=actions)
+    new = new[action[new].argsort(stable=True)]
     marks[new] = torch.arange(-1, -len(new) - 1, -1)
-    return new
-
-
-def _initialise_(rows: Tensor, action: Tensor, actions: ActionSet, generator: Generator) -> None:
-    """Fill rows (F, K) with parameters of new nodes of the given actions (F,), one after the other."""
-    for i, module in enumerate(actions.actions):
-        if k := module.num_parameters:
-            nodes = (action == i).nonzero()[:, 0]
-            if len(nodes):
-                rows[nodes, :k] = module.initial_parameters(len(nodes), generator).to(rows.dtype)
+    return [0, *numbers.cumsum(0).tolist()]
 
 
 def parameters(

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.choices import Choices, parts
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.evolution.sampling import nth_true, pick, uniform
 from cgtorch.graphs import (
@@ -24,34 +25,20 @@ from cgtorch.graphs import (
 )
 
 
-def columns(width: int, outcomes: int) -> int:
-    """How many draws an individual needs whose graph has up to `width` nodes once one is added."""
-    return sum(_parts(width, outcomes))
-
-
-def _parts(width: int, outcomes: int) -> list[int]:
-    """To add, to delete, to move the start; to replace, to change, and heads of all edges."""
-    return [3 + outcomes, 3, 2, width, width, width * outcomes]
-
-
-def restructured(
-    graphs: Graphs, strategy: Tensor, draws: Tensor, width: int, actions: ActionSet
-) -> Graphs:
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
     Args:
         graphs: P of them, whose parameters are marks (`cgtorch.evolution.parameters`).
-        strategy: (P, S) rates.
-        draws: (P, words_for(columns(width, O))) random words.
-        width: nodes of the largest graph and one more, or N if that is less.
+        choices: how they are mutated.
         actions: what nodes can be.
 
     Returns:
         The graphs; nodes that are new have no marks.
     """
     p, n, o = graphs.edges.shape
-    rate = dict(zip(STRATEGY, strategy.unbind(1), strict=True))
-    numbers = uniform(draws, columns(width, o)).split(_parts(width, o), 1)
+    rate, width = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True)), choices.width
+    numbers = uniform(choices.draws, sum(parts(width, o))).split(parts(width, o), 1)
     add, delete, start, replaced, changed, heads = numbers
     heads = heads.view(p, width, o)
     order, dense = nodes_first(graphs), narrowed(compacted(graphs), width)
@@ -67,8 +54,8 @@ def restructured(
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:
     """A random node takes over one incoming edge of a node that has at least two.
 
-    Its own edges go to random nodes, and its parameters are zero, or none, if they are marks. Graphs
-    that are full, or without such an edge, stay.
+    Its own edges go to random nodes; it has no parameters, or mark, yet. Graphs that are full, or
+    without such an edge, stay.
 
     Args:
         graphs: P of them.
@@ -170,6 +157,4 @@ def new_start(graphs: Graphs, rate: Tensor, draws: Tensor) -> Graphs:
     slot = torch.arange(graphs.capacity)[:, None]
     leads = ((graphs.edges != NO_NODE) & (graphs.edges != slot)).any(2) & graphs.used
     moves = (draws[:, 0] < rate) & leads.any(1)
-    return replace(
-        graphs, start=torch.where(moves, nth_true(leads, draws[:, 1]), graphs.start)
-    )
+    return replace(graphs, start=torch.where(moves, nth_true(leads, draws[:, 1]), graphs.start))

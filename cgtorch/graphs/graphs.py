@@ -131,7 +131,10 @@ def rearranged(graphs: Graphs, order: Tensor, place: Tensor) -> Graphs:
 def narrowed(graphs: Graphs, nodes: int) -> Graphs:
     """The same graphs with their first `nodes` slots alone, in which all nodes must lie."""
     return Graphs(
-        graphs.action[:, :nodes], graphs.edges[:, :nodes], graphs.parameters[:, :nodes], graphs.start
+        graphs.action[:, :nodes],
+        graphs.edges[:, :nodes],
+        graphs.parameters[:, :nodes],
+        graphs.start,
     )
 
 

@@ -20,11 +20,12 @@ typedef struct {
 } Shape;
 
 typedef struct {
-  int count, start;                     /* nodes; those that are gone leave a hole */
-  uint64_t used;                        /* which of them are there */
-  int64_t action[MOST_NODES], mark[MOST_NODES];
-  int edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
-  int slot[MOST_NODES];                 /* where each lies */
+  int count, start; /* nodes; those that are gone leave a hole */
+  uint64_t used;    /* which of them are there */
+  int64_t mark[MOST_NODES + 1];
+  int32_t action[MOST_NODES + 1];
+  int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
+  int8_t slot[MOST_NODES + 1];             /* where each lies */
 } Graph;
 
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
@@ -35,12 +36,17 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
   const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
   int8_t place[MOST_NODES] = {0};
   int count = 0;
+  /* Without branches, as no CPU foresees them: what is no node is overwritten by the next. */
   for (int64_t i = 0; i < n; i++) {
-    place[i] = (int8_t)(action[i] == NO_NODE ? NO_NODE : count);
-    if (action[i] == NO_NODE) continue;
-    graph->slot[count] = (int)i;
-    graph->action[count] = action[i];
-    graph->mark[count++] = from->marks ? from->marks[row * n + i] : row * n + i + 1;
+    int used = action[i] != NO_NODE;
+    place[i] = (int8_t)(used ? count : NO_NODE);
+    graph->slot[count] = (int8_t)i;
+    graph->action[count] = (int32_t)action[i];
+    count += used;
+  }
+  for (int i = 0; i < count; i++) {
+    int64_t at = row * n + graph->slot[i];
+    graph->mark[i] = from->marks ? from->marks[at] : at + 1;
   }
   for (int i = 0; i < count; i++) {
     const int64_t *heads = edges + graph->slot[i] * o;
@@ -59,7 +65,7 @@ static inline uint64_t reached(const Graph *graph, int outcomes) {
   while (wave) {
     uint64_t next = 0;
     for (; wave; wave &= wave - 1) {
-      const int *heads = graph->edges[__builtin_ctzll(wave)];
+      const int8_t *heads = graph->edges[__builtin_ctzll(wave)];
       for (int j = 0; j < outcomes; j++)
         if (heads[j] != NO_NODE) next |= bit(heads[j]);
     }
@@ -67,6 +73,40 @@ static inline uint64_t reached(const Graph *graph, int outcomes) {
     seen |= wave;
   }
   return seen;
+}
+
+/* Takes away what the start does not lead to; the others move up, in their order. */
+static inline void prune(Graph *graph, int outcomes) {
+  uint64_t kept = reached(graph, outcomes);
+  int8_t place[MOST_NODES];
+  int count = 0;
+  if (kept == graph->used && kept == first_bits(graph->count)) return;
+  for (uint64_t rest = kept; rest; rest &= rest - 1) place[__builtin_ctzll(rest)] = (int8_t)count++;
+  for (uint64_t rest = kept; rest; rest &= rest - 1) {
+    int old = __builtin_ctzll(rest), new = place[old];
+    graph->mark[new] = graph->mark[old];
+    graph->action[new] = graph->action[old];
+    graph->slot[new] = graph->slot[old];
+    for (int j = 0; j < outcomes; j++) {
+      int head = graph->edges[old][j];
+      graph->edges[new][j] = head == NO_NODE ? NO_NODE : place[head];
+    }
+  }
+  if (graph->start != NO_NODE) graph->start = place[graph->start];
+  graph->count = count;
+  graph->used = first_bits(count);
+}
+
+/* A copy of the nodes that there are. */
+static inline void copy_graph(Graph *to, const Graph *from) {
+  size_t count = (size_t)from->count;
+  to->count = from->count;
+  to->start = from->start;
+  to->used = from->used;
+  memcpy(to->mark, from->mark, count * sizeof *to->mark);
+  memcpy(to->action, from->action, count * sizeof *to->action);
+  memcpy(to->edges, from->edges, count * sizeof *to->edges);
+  memcpy(to->slot, from->slot, count * sizeof *to->slot);
 }
 
 /* Writes what the start leads to, each node at its slot. */

@@ -6,6 +6,44 @@
 
 typedef REAL real;
 
+static inline real distance(real a, real b) { return a < b ? b - a : a - b; }
+
+/* The value at place k of `count` values in order, as quickselect (Hoare 1961) finds it. */
+static real ranked(real *x, int64_t count, int64_t k) {
+  int64_t low = 0, high = count - 1;
+  while (low < high) {
+    real pivot = x[low + (high - low) / 2];
+    int64_t i = low, j = high;
+    while (i <= j) {
+      while (x[i] < pivot) i++;
+      while (x[j] > pivot) j--;
+      if (i > j) break;
+      real kept = x[i];
+      x[i++] = x[j];
+      x[j--] = kept;
+    }
+    if (k <= j) high = j;
+    else if (k >= i) low = i;
+    else break;
+  }
+  return x[k];
+}
+
+/* Median absolute deviation of each scenario's scores, the lower one of two medians; 1 for want of
+   memory. */
+int deviation(const real *scores, int64_t people, int64_t scenarios, real *out) {
+  real *x = malloc((size_t)people * sizeof *x);
+  if (!x) return 1;
+  for (int64_t j = 0; j < scenarios; j++) {
+    for (int64_t i = 0; i < people; i++) x[i] = scores[i * scenarios + j];
+    real middle = ranked(x, people, (people - 1) / 2);
+    for (int64_t i = 0; i < people; i++) x[i] = distance(scores[i * scenarios + j], middle);
+    out[j] = ranked(x, people, (people - 1) / 2);
+  }
+  free(x);
+  return 0;
+}
+
 typedef struct {
   int64_t scenarios, rows;     /* B, and how many different rows of scores there are */
   real *cases;                 /* (B, rows) */

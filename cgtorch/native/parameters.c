@@ -16,16 +16,20 @@ static inline int64_t parameters_at(const Nodes *of, int64_t slot) {
   return action < 0 || action >= of->actions ? 0 : of->num_parameters[action];
 }
 
-/* Marks nodes that have no mark with -1, -2, ..., and returns in `new` (P N + 1,) how many there are
-   and then which. */
-int fresh_nodes(const int64_t *action, int64_t *marks, int64_t total, int64_t *new) {
+/* Marks nodes that have no mark with -1, -2, ..., first those of action 0, and so on, and tells after
+   how many those of each action begin; the last of `first` (A + 1,) is how many there are. `where`
+   (P N,) is for its own use. */
+int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actions, int64_t *first,
+             int64_t *where) {
   int64_t count = 0;
+  memset(first, 0, (size_t)(actions + 1) * sizeof *first);
   for (int64_t i = 0; i < total; i++)
-    if (action[i] >= 0 && !marks[i]) {
-      new[++count] = i;
-      marks[i] = -count;
+    if (!marks[i] && action[i] >= 0 && action[i] < actions) {
+      where[count++] = i;
+      marks[i] = -++first[action[i] + 1];
     }
-  new[0] = count;
+  for (int64_t a = 0; a < actions; a++) first[a + 1] += first[a];
+  for (int64_t i = 0; i < count; i++) marks[where[i]] -= first[action[where[i]]];
   return 0;
 }
 
@@ -48,24 +52,31 @@ typedef struct {
   const int64_t *counts, *first, *draws; /* (P,), (P + 1,), and words of random bits */
   const float *rate;                     /* (P,) */
   int64_t *hits;                         /* (P + 1,) where those of each individual begin */
+  int32_t *which;                        /* an individual's hits, from 3 first[row] on */
 } Hits;
 
 static void some_hits(void *what, int64_t begin, int64_t end) {
   const Hits *h = what;
   for (int64_t row = begin; row < end; row++) {
-    const int64_t *words = h->draws + h->first[row];
+    int32_t *which = h->which + h->first[row] * IN_A_WORD, count = (int32_t)h->counts[row];
     int64_t limit = below(h->rate[row]), hits = 0;
-    int64_t full = h->counts[row] / IN_A_WORD, i = full * IN_A_WORD;
-    for (int64_t w = 0; w < full; w++)
-      for (int j = 0; j < IN_A_WORD; j++) hits += (words[w] >> j * BITS & FIELD) < limit;
-    for (; i < h->counts[row]; i++) hits += field(words, i) < limit;
+    /* Without branches, as no CPU foresees them: each number is written down, and stays if hit. */
+    for (int32_t i = 0; i < count; i += IN_A_WORD) {
+      int64_t word = h->draws[h->first[row] + i / IN_A_WORD];
+      for (int j = 0; j < IN_A_WORD; j++) {
+        which[hits] = i + j;
+        hits += (word >> j * BITS & FIELD) < limit;
+      }
+    }
+    while (hits && which[hits - 1] >= count) hits--;
     h->hits[row] = hits;
   }
 }
 
 int parameter_hits(const int64_t *counts, const int64_t *first, const int64_t *draws,
-                   const float *rate, int64_t *hits, int64_t rows, int64_t threads) {
-  Hits h = {counts, first, draws, rate, hits};
+                   const float *rate, int64_t *hits, int32_t *which, int64_t rows,
+                   int64_t threads) {
+  Hits h = {counts, first, draws, rate, hits, which};
   in_parallel(some_hits, &h, rows, 256, (int)threads);
   int64_t total = 0;
   for (int64_t row = 0; row <= rows; row++) {
@@ -77,48 +88,46 @@ int parameter_hits(const int64_t *counts, const int64_t *first, const int64_t *d
 }
 
 typedef struct {
-  Hits hits;
+  const int64_t *first, *hits; /* as above */
+  const int32_t *which;
+  const float *sigma;          /* (P,) */
+  const float *normal;         /* one for each hit */
   Nodes of;
-  const int64_t *marks;       /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
+  const int64_t *marks;        /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
   const real *old, *fresh;
-  real *parameters;           /* (P, N, K) */
-  int64_t most;               /* K */
-  const float *sigma;         /* (P,) */
-  const float *normal;        /* one for each hit */
+  real *parameters;            /* (P, N, K), zero before */
+  int64_t most;                /* K */
 } Children;
 
 static void some_children(void *what, int64_t begin, int64_t end) {
   const Children *c = what;
   int64_t n = c->of.nodes, k = c->most;
   for (int64_t row = begin; row < end; row++) {
-    const int64_t *words = c->hits.draws + c->hits.first[row];
-    int64_t limit = below(c->hits.rate[row]), at = 0;
-    const float *normal = c->normal + c->hits.hits[row];
-    memset(c->parameters + row * n * k, 0, (size_t)(n * k) * sizeof(real));
+    const int32_t *which = c->which + c->first[row] * IN_A_WORD;
+    int64_t hit = c->hits[row], last = c->hits[row + 1], at = 0;
+    which -= hit;
     for (int64_t i = row * n; i < (row + 1) * n; i++) {
+      int64_t mark = c->marks[i], count = mark ? parameters_at(&c->of, i) : 0;
+      if (!count) continue;
       real *parameters = c->parameters + i * k;
-      int64_t mark = c->marks[i], count = parameters_at(&c->of, i);
-      if (!mark || !count) continue;
       memcpy(parameters, mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k,
              (size_t)count * sizeof(real));
-      for (int64_t j = 0; j < count; j++)
-        if (field(words, at + j) < limit) {
-          float step = *normal++ * c->sigma[row]; /* rounded before it is added, as in torch */
-          parameters[j] += step;
-        }
+      for (; hit < last && which[hit] < at + count; hit++) {
+        float step = c->normal[hit] * c->sigma[row]; /* rounded before it is added, as in torch */
+        parameters[which[hit] - at] += step;
+      }
       at += count;
     }
   }
 }
 
-int parameters_of(const int64_t *counts, const int64_t *first, const int64_t *draws,
-                  const float *rate, int64_t *hits, const float *sigma, const float *normal,
-                  const int64_t *action, const int64_t *num_parameters, int64_t actions,
-                  int64_t nodes, const int64_t *marks, const real *old, const real *fresh,
-                  int64_t most, real *parameters, int64_t rows, int64_t threads) {
+int parameters_of(const int64_t *first, const int64_t *hits, const int32_t *which,
+                  const float *sigma, const float *normal, const int64_t *action,
+                  const int64_t *num_parameters, int64_t actions, int64_t nodes,
+                  const int64_t *marks, const real *old, const real *fresh, int64_t most,
+                  real *parameters, int64_t rows, int64_t threads) {
   Nodes of = {action, num_parameters, actions, nodes};
-  Children c = {{counts, first, draws, rate, hits}, of, marks, old, fresh, parameters, most,
-                sigma, normal};
+  Children c = {first, hits, which, sigma, normal, of, marks, old, fresh, parameters, most};
   in_parallel(some_children, &c, rows, 64, (int)threads);
   return 0;
 }

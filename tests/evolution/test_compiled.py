@@ -14,7 +14,7 @@ from torch import Tensor
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.evolution import EvolutionSettings, Population, compiled, initial_state, tell
 from cgtorch.evolution.crossover import crossover
-from cgtorch.evolution.lexicase import lexicase
+from cgtorch.evolution.lexicase import deviation, lexicase
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.offspring import offspring
 from cgtorch.evolution.population import random_population
@@ -78,15 +78,12 @@ def test_mutation(seed: int, actions: ActionSet, capacity: int, double: bool) ->
 
 
 @given(seeds, action_sets, capacities)
-def test_offspring_is_crossover_and_mutation(
-    seed: int, actions: ActionSet, capacity: int
-) -> None:
-    whole, generator = population(seed, actions, capacity), seeded(seed)
+def test_offspring(seed: int, actions: ActionSet, capacity: int) -> None:
+    whole = population(seed, actions, capacity)
     parents = torch.randint(len(whole), (14,), generator=seeded(seed))
     children = offspring(whole, parents, actions, seeded(seed))
     assert equal(children, in_torch(lambda: offspring(whole, parents, actions, seeded(seed))))
-    crossed = crossover(whole[parents[:7]], whole[parents[7:]], generator)
-    assert equal(children, mutate(crossed, actions, generator))
+    assert valid(children.graphs, actions).all()
 
 
 tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))
@@ -102,6 +99,13 @@ def test_lexicase(seed: int, table: tuple[int, int, int], dtype: torch.dtype) ->
     order = torch.arange(people)
     chosen = lexicase(order, scores, 31, seeded(seed))
     assert torch.equal(chosen, in_torch(lambda: lexicase(order, scores, 31, seeded(seed))))
+
+
+@given(st.lists(st.floats(-1e30, 1e30, width=32), min_size=1, max_size=40))
+def test_deviation(values: list[float]) -> None:
+    for dtype in (torch.float32, torch.float64):
+        scores = torch.tensor([values, values[::-1], [0.0] * len(values)], dtype=dtype).T
+        assert torch.equal(compiled.deviation(scores), deviation(scores))
 
 
 @pytest.mark.parametrize("threads", [1, 3])

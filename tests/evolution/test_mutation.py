@@ -105,7 +105,14 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     assert torch.equal(new.start, old.start)
     assert (new.parameters == 0).all()
     still = torch.zeros(P)
-    made = changed(replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long)), old.parameters, ACTIONS, still, still, seeded(seed))
+    made = changed(
+        replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long)),
+        old.parameters,
+        ACTIONS,
+        still,
+        still,
+        seeded(seed),
+    )
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
     assert (made.parameters != old.parameters).any(2)[real].all()
     assert (made.parameters[~real] == 0).all()

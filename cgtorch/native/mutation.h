@@ -1,14 +1,14 @@
-/* What cgtorch.evolution.mutation does to graphs, one individual after the other. Every choice is a
-   function of numbers drawn before, so that both ways make the same children. */
+/* Mutations of nodes and edges (cgtorch.evolution.structure) of one graph. Every choice is a function
+   of numbers drawn before, so that both ways make the same children. */
+#ifndef CGTORCH_MUTATION_H
+#define CGTORCH_MUTATION_H
 #include "draws.h"
 #include "graph.h"
-#include "parallel.h"
 
 /* Columns of the strategy, and of the draws before those of each node (cgtorch.evolution). */
 enum { ADD_NODE = 1, DELETE_NODE, NEW_START, REPLACE_NODE, CHANGE_EDGE, STRATEGY = 8 };
 
 typedef struct {
-  Graphs from, to;
   Shape shape;
   const float *strategy;
   const int64_t *draws;
@@ -18,10 +18,10 @@ typedef struct {
 } Mutation;
 
 /* A random one of the nodes that are there, all but `gone`. */
-static int other(const Graph *graph, int gone, float draw) {
-  if (gone == NO_NODE) return pick(draw, graph->count);
+static int8_t other(const Graph *graph, int gone, float draw) {
+  if (gone == NO_NODE) return (int8_t)pick(draw, graph->count);
   int k = pick(draw, graph->count - 1);
-  return k + (k >= gone);
+  return (int8_t)(k + (k >= gone));
 }
 
 static void renew(const Mutation *m, Graph *graph, int node, int action) {
@@ -42,14 +42,14 @@ static void add_node(const Mutation *m, Graph *graph, float rate, const int64_t 
   int k = pick(uniform(words, 1), spare), free = 0;
   renew(m, graph, n, pick(uniform(words, 2), (int)m->actions));
   for (int j = 0; j < o; j++)
-    if (m->has_edge[graph->action[n] * o + j]) graph->edges[n][j] = pick(uniform(words, 3 + j), n);
+    if (m->has_edge[graph->action[n] * o + j]) graph->edges[n][j] = (int8_t)pick(uniform(words, 3 + j), n);
   for (int i = 0; i < n && k >= 0; i++)
     for (int j = 0; j < o && k >= 0; j++) {
       int head = graph->edges[i][j];
-      if (head != NO_NODE && into[head] >= 2 && k-- == 0) graph->edges[i][j] = n;
+      if (head != NO_NODE && into[head] >= 2 && k-- == 0) graph->edges[i][j] = (int8_t)n;
     }
   while (free < n && graph->slot[free] == free) free++; /* slots ascend: the first gap */
-  graph->slot[n] = free;
+  graph->slot[n] = (int8_t)free;
   graph->used |= bit(n);
   graph->count++;
 }
@@ -72,7 +72,8 @@ static void change_nodes(const Mutation *m, Graph *graph, int gone, const float 
                          const int64_t *words, int replaced, int changed, int heads) {
   int o = (int)m->shape.outcomes;
   for (uint64_t rest = graph->used; rest; rest &= rest - 1) {
-    int i = __builtin_ctzll(rest), *edges = graph->edges[i], leads = 0;
+    int i = __builtin_ctzll(rest), leads = 0;
+    int8_t *edges = graph->edges[i];
     float draw = uniform(words, replaced + i);
     if (draw < rate[REPLACE_NODE]) {
       renew(m, graph, i, pick(draw / rate[REPLACE_NODE], (int)m->actions));
@@ -101,30 +102,16 @@ static void new_start(Graph *graph, int o, float rate, const int64_t *words, int
   if (count) graph->start = leading[pick(uniform(words, at + 1), count)];
 }
 
-static void some_individuals(void *what, int64_t begin, int64_t end) {
-  const Mutation *m = what;
+/* All of them in turn for the individual of that row. */
+static void mutate(const Mutation *m, Graph *graph, int64_t row) {
   int o = (int)m->shape.outcomes, w = (int)m->width;
   int deletes = 3 + o, starts = deletes + 3, replaced = starts + 2;
   int changed = replaced + w, heads = changed + w;
-  Graph graph;
-  for (int64_t row = begin; row < end; row++) {
-    const float *rate = m->strategy + row * STRATEGY;
-    const int64_t *words = m->draws + row * m->words;
-    read_graph(&graph, &m->from, m->shape, row);
-    add_node(m, &graph, rate[ADD_NODE], words);
-    int gone = delete_node(&graph, o, rate[DELETE_NODE], words, deletes, heads);
-    change_nodes(m, &graph, gone, rate, words, replaced, changed, heads);
-    new_start(&graph, o, rate[NEW_START], words, starts);
-    write_reached(&graph, &m->to, m->shape, row);
-  }
+  const float *rate = m->strategy + row * STRATEGY;
+  const int64_t *words = m->draws + row * m->words;
+  add_node(m, graph, rate[ADD_NODE], words);
+  int gone = delete_node(graph, o, rate[DELETE_NODE], words, deletes, heads);
+  change_nodes(m, graph, gone, rate, words, replaced, changed, heads);
+  new_start(graph, o, rate[NEW_START], words, starts);
 }
-
-int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const float *strategy,
-            const int64_t *draws, int64_t width, const uint8_t *has_edge, int64_t actions,
-            int64_t rows, int64_t threads) {
-  Shape sizes = {shape[0], shape[1]};
-  int64_t words = words_for(8 + sizes.outcomes + width * (2 + sizes.outcomes));
-  Mutation m = {*from, *to, sizes, strategy, draws, words, width, has_edge, actions};
-  in_parallel(some_individuals, &m, rows, 64, (int)threads);
-  return 0;
-}
+#endif

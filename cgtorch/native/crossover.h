@@ -1,10 +1,11 @@
-/* Subgraphs of two parents swapped (cgtorch.evolution.crossover), one pair after the other. */
+/* Subgraphs of two parents swapped (cgtorch.evolution.crossover). */
+#ifndef CGTORCH_CROSSOVER_H
+#define CGTORCH_CROSSOVER_H
 #include "draws.h"
 #include "graph.h"
-#include "parallel.h"
 
 typedef struct {
-  Graphs from, to;
+  Graphs from;
   Shape shape;
   const int64_t *parents;        /* (2 Q,) of `from`, all that come first before the others */
   const int64_t *chosen, *sizes; /* (Q,) row of `draws` or -1, and how many nodes are swapped */
@@ -16,7 +17,8 @@ typedef struct {
    one distance in the order of their draws, which begin at `jitter`. */
 static void group_of(const Graph *graph, int o, int size, const int64_t *words, int begin,
                      int jitter, int *group) {
-  uint64_t near[MOST_NODES] = {0};
+  uint64_t near[MOST_NODES];
+  memset(near, 0, (size_t)graph->count * sizeof *near);
   for (int i = 0; i < graph->count; i++)
     for (int j = 0; j < o; j++) {
       int head = graph->edges[i][j];
@@ -59,45 +61,29 @@ static void graft(Graph *child, const int *into, const Graph *donor, const int *
     for (int j = 0; j < o; j++) {
       int head = donor->edges[old][j];
       if (head == NO_NODE) child->edges[new][j] = NO_NODE;
-      else if (position[head] != NO_NODE) child->edges[new][j] = into[position[head]];
-      else child->edges[new][j] = pick(uniform(words, heads + p * o + j), child->count);
+      else if (position[head] != NO_NODE) child->edges[new][j] = (int8_t)into[position[head]];
+      else child->edges[new][j] = (int8_t)pick(uniform(words, heads + p * o + j), child->count);
     }
   }
 }
 
-static void some_pairs(void *what, int64_t begin, int64_t end) {
-  const Crossover *c = what;
-  int o = (int)c->shape.outcomes;
-  int w = (int)c->width, heads = 2 + 2 * w;
-  Graph first, second, child;
+/* Two children of the parents of a pair. */
+static void cross(const Crossover *c, int64_t pair, Graph *one, Graph *two) {
+  int o = (int)c->shape.outcomes, w = (int)c->width, heads = 2 + 2 * w, size = (int)c->sizes[pair];
   int here[MOST_NODES], there[MOST_NODES];
-  for (int64_t row = begin; row < end; row++) {
-    read_graph(&first, &c->from, c->shape, c->parents[row]);
-    read_graph(&second, &c->from, c->shape, c->parents[c->pairs + row]);
-    if (c->chosen[row] < 0) {
-      write_reached(&first, &c->to, c->shape, row);
-      write_reached(&second, &c->to, c->shape, c->pairs + row);
-      continue;
-    }
-    const int64_t *words = c->draws + c->chosen[row] * c->words;
-    int size = (int)c->sizes[row];
-    group_of(&first, o, size, words, 0, 2, here);
-    group_of(&second, o, size, words, 1, 2 + w, there);
-    child = first;
-    graft(&child, here, &second, there, size, o, words, heads);
-    write_reached(&child, &c->to, c->shape, row);
-    child = second;
-    graft(&child, there, &first, here, size, o, words, heads + w * o);
-    write_reached(&child, &c->to, c->shape, c->pairs + row);
+  Graph first, second;
+  read_graph(one, &c->from, c->shape, c->parents[pair]);
+  read_graph(two, &c->from, c->shape, c->parents[c->pairs + pair]);
+  if (c->chosen[pair] >= 0) {
+    const int64_t *words = c->draws + c->chosen[pair] * c->words;
+    group_of(one, o, size, words, 0, 2, here);
+    group_of(two, o, size, words, 1, 2 + w, there);
+    copy_graph(&first, one);
+    copy_graph(&second, two);
+    graft(one, here, &second, there, size, o, words, heads);
+    graft(two, there, &first, here, size, o, words, heads + w * o);
   }
+  prune(one, o);
+  prune(two, o);
 }
-
-int crossed(const Graphs *from, const int64_t *parents, const Graphs *to, const int64_t *shape,
-            const int64_t *chosen, const int64_t *sizes, const int64_t *draws, int64_t width,
-            int64_t pairs, int64_t threads) {
-  Shape of = {shape[0], shape[1]};
-  int64_t words = words_for(2 + 2 * width * (1 + of.outcomes));
-  Crossover c = {*from, *to, of, parents, chosen, sizes, draws, width, words, pairs};
-  in_parallel(some_pairs, &c, pairs, 32, (int)threads);
-  return 0;
-}
+#endif
