@@ -7,6 +7,7 @@ import tomllib
 from importlib import import_module
 from pathlib import Path
 
+import click
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -19,6 +20,7 @@ REFERENCE = {
     "reference/cgtorch.md": ("What all stand on", [f"cgtorch.{name}" for name in MODULES]),
 }
 """Each page of the reference: its title, and the modules that it shows."""
+HELPS = "<!-- every command -->"
 
 
 def on_config(config: MkDocsConfig) -> None:
@@ -36,21 +38,15 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Write what the commands say of themselves to where the page asks for it."""
+    if HELPS not in markdown:
+        return markdown
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     helps = (_help(name, place.partition(":")[0]) for name, place in scripts.items())
-    return markdown.replace("<!-- every command -->", "\n\n".join(helps))
+    return markdown.replace(HELPS, "\n\n".join(helps))
 
 
 def _help(name: str, module: str) -> str:
-    """A command with its usage, options and examples."""
-    examples = (import_module(module).command.epilog or "").replace("\b", "").partition("\n\n")[0]
-    lines = [line.strip() for line in examples.strip().splitlines()[1:]]
-    directive = [
-        "::: mkdocs-click",
-        f"    :module: {module}",
-        "    :command: command",
-        f"    :prog_name: {name}",
-        "    :depth: 1",
-        "    :style: table",
-    ]
-    return "\n".join([*directive, "", "**Examples:**", "", "```text", *lines, "```"])
+    """What a command prints with --help, at a width that the page has room for."""
+    command = import_module(module).command
+    context = click.Context(command, info_name=name, terminal_width=80, max_content_width=80)
+    return f"## {name}\n\n```text\n{command.get_help(context)}\n```"
