@@ -43,8 +43,9 @@ def one_of(words: Iterable[str]) -> Completer:
 
 def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """Folders of runs beginning with a word, those in runs/ to begin with; else any folder."""
-    found = [*Path().glob(f"{incomplete or 'runs/'}*/run.json")] if "*" not in incomplete else []
-    return [CompletionItem(str(path.parent)) for path in sorted(found)] or [
+    place, slash, begins = (incomplete or "runs/").rpartition("/")
+    names = sorted(path.parent.name for path in Path(place + slash).glob("*/run.json"))
+    return [CompletionItem(place + slash + name) for name in names if name.startswith(begins)] or [
         CompletionItem(incomplete, type="dir")
     ]
 

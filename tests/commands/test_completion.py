@@ -67,6 +67,10 @@ printf '%s\n' "${COMPREPLY[@]}"
         ("cgtorch-train --method ", ["compose", "paper"]),
         ("cgtorch-train --resume ", ["runs/one"]),
         ("cgtorch-train --resume runs/o", ["runs/one"]),
+        ("cgtorch-train --resume ./runs/o", ["./runs/one"]),
+        ("cgtorch-train --resume {folder}/runs/", ["{folder}/runs/one"]),
+        ("cgtorch-train --resume runs/one/", ["-o dirnames"]),
+        ("cgtorch-train --resume runs/*", ["-o dirnames"]),
         ("cgtorch-train --resume mi", ["-o dirnames"]),
         ("cgtorch-evaluate ", ["runs/one"]),
         ("cgtorch-evaluate mi", ["-o default"]),
@@ -77,7 +81,8 @@ printf '%s\n' "${COMPREPLY[@]}"
     ],
 )
 def test_what_bash_offers(folder: Path, line: str, offered: list[str]) -> None:
-    assert [word for word in completed(folder, line) if word] == offered
+    words = completed(folder, line.format(folder=folder))
+    assert [word for word in words if word] == [word.format(folder=folder) for word in offered]
 
 
 @pytest.mark.parametrize("shell", SHELLS)
