@@ -155,7 +155,7 @@ def _draw(axes: "Axes", panel: Panel, corner: Point) -> None:
     axes.add_patch(frame)
     axes.text(
         x + PADDING, y + 0.12, panel.title, fontsize=TITLE_TEXT, weight="bold", color=INK,
-        va="top", ha="left",
+        va="top", ha="left", parse_math=False,
     )  # fmt: skip
     origin = (x + (panel.width - panel.placement.width) / 2, y + TITLE + PADDING)
     for link, route in zip(panel.links, panel.placement.routes, strict=True):
@@ -187,7 +187,7 @@ def _draw_node(axes: "Axes", panel: Panel, node: Hashable, box: Box, origin: Poi
     axes.text(
         origin[0] + box.x, origin[1] + box.y, panel.labels[node], fontsize=NODE_TEXT,
         color="white" if is_start else INK, ha="center", va="center_baseline", zorder=5,
-        gid=f"text:{gid}",
+        gid=f"text:{gid}", parse_math=False,
     )  # fmt: skip
 
 
@@ -230,11 +230,11 @@ def _draw_link(axes: "Axes", panel: Panel, link: Link, route: Route, origin: Poi
     if head is None:
         axes.text(
             *label, link.outcome, fontsize=LABEL_TEXT, color="white", ha="center", va="center",
-            zorder=4, gid=f"text:{gid}",
+            zorder=4, gid=f"text:{gid}", parse_math=False,
             bbox={"boxstyle": "round,pad=0.25,rounding_size=0.6", "fc": colour, "ec": "none"},
         )  # fmt: skip
     else:
         axes.text(
             *label, link.outcome, fontsize=LABEL_TEXT, color=colour, ha="left", va="center",
-            zorder=4, gid=f"text:{gid}",
+            zorder=4, gid=f"text:{gid}", parse_math=False,
         )  # fmt: skip
