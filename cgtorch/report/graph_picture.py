@@ -4,6 +4,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cgtorch.errors import printable
 from cgtorch.graphs import Skill, SubSkill, to_networkx
 from cgtorch.report.layers import Link
 from cgtorch.report.placing import Box, Placement, Point, Route, pieces, place
@@ -80,19 +81,19 @@ def draw_skill(skill: Skill) -> "Figure":
 
 def skills_of(skill: Skill) -> list[tuple[Skill, str]]:
     """The skill and all skills in it, each once, by level; with the names on the way to it."""
-    found = [(skill, skill.name)]
+    found = [(skill, printable(skill.name))]
     seen = {id(skill)}
     for outer, path in found:  # grows on the way
         for name, inner in outer.sub_skills.items():
             if id(inner) not in seen:
                 seen.add(id(inner))
-                found.append((inner, f"{path} › {name}"))
+                found.append((inner, f"{path} › {printable(name)}"))
     return found
 
 
 def _panel(skill: Skill, path: str) -> Panel:
     view = to_networkx(skill.graph, skill.actions)
-    labels: dict[Hashable, str] = {n: d["label"] for n, d in view.nodes(data=True)}
+    labels: dict[Hashable, str] = {n: printable(d["label"]) for n, d in view.nodes(data=True)}
     kinds: dict[Hashable, str] = {n: d["action"] for n, d in view.nodes(data=True)}
     links = [Link(a, b, d["outcome"]) for a, b, d in view.edges(data=True)]
     for node, kind in kinds.items():

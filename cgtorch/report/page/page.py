@@ -12,6 +12,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 import cgtorch
+from cgtorch.errors import printable
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import PERIMETER, STAGES
 from cgtorch.report.estimate import as_time
@@ -28,7 +29,7 @@ from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.shares import counted, interval, share, share_of
 from cgtorch.report.page.stages import stage_sections
-from cgtorch.report.page.vector import STYLE, clean, inline_svg
+from cgtorch.report.page.vector import STYLE, inline_svg
 
 DASH = "–"
 
@@ -53,7 +54,7 @@ def report_page(folder: Path, trusted: Sequence[str] = ()) -> bytes:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: clean(value) if type(value) is str else value,
+        finalize=lambda value: printable(value) if type(value) is str else value,
     )
     style = (files("cgtorch.report.page") / "templates" / "page.css").read_text()
     page = environment.get_template("page.html").render(

@@ -8,10 +8,11 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from torch import Tensor
 
+from cgtorch.errors import printable
 from cgtorch.graphs import Skill, to_networkx
 from cgtorch.report.graph_picture import draw_skill, skills_of
 from cgtorch.report.page.contents import Stage
-from cgtorch.report.page.vector import STYLE, clean, inline_svg
+from cgtorch.report.page.vector import STYLE, inline_svg
 from cgtorch.report.table_picture import draw_scenes, draw_table_top
 from cgtorch.world import Scenarios, concatenate_scenarios, stage_scenarios
 
@@ -102,13 +103,12 @@ def graph_picture(stage: Stage) -> tuple[Picture, tuple[Panel, ...]]:
     nodes, inner = skill.num_nodes, len(panels) - 1
     words = f"{skill.name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {panels[0].start}"
     words += f", and {inner} skill{'s' if inner != 1 else ''} within" if inner else ""
-    words = clean(words)
     return Picture(inline_svg(figure, f"{stage.name}-graph", f"Graph of {words}"), words), panels
 
 
 def _panel(skill: Skill, path: str) -> Panel:
     view = to_networkx(skill.graph, skill.actions)
-    labels: dict[Hashable, str] = {n: clean(d["label"]) for n, d in view.nodes(data=True)}
+    labels: dict[Hashable, str] = {n: printable(d["label"]) for n, d in view.nodes(data=True)}
     edges = [(labels[a], d["outcome"], labels[b]) for a, b, d in view.edges(data=True)]
     for node, data in view.nodes(data=True):
         action = skill.actions.actions[skill.actions.index(data["action"])]
@@ -119,7 +119,7 @@ def _panel(skill: Skill, path: str) -> Panel:
         ]
     order = list(labels.values())
     edges.sort(key=lambda edge: order.index(edge[0]))
-    return Panel(clean(path), labels[view.graph["start"]], tuple(edges))
+    return Panel(path, labels[view.graph["start"]], tuple(edges))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from lxml import etree
 from markupsafe import Markup
 
+from cgtorch.errors import printable
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -25,12 +27,6 @@ _COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
 _REFERENCE = re.compile(r"(?<=url\(#)[^)]+")
 _OF_MATPLOTLIB = re.compile(r"[A-Za-z][\w.]*_\d+")
 _FRACTION = re.compile(r"(\.\d\d)\d+")
-_FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-
-def clean(text: str) -> str:
-    """Text without the characters that HTML and XML cannot hold, such as control characters."""
-    return _FORBIDDEN.sub("�", text)
 
 
 def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
@@ -41,7 +37,7 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
     that nobody can read it.
 
     Args:
-        figure: made under `STYLE`; its background is left out.
+        figure: made under `STYLE`, its texts printable; its background is left out.
         key: what tells its identifiers from those of other pictures on the page: letters, digits
             and hyphens.
         label: what it shows, for who cannot see it.
@@ -59,7 +55,7 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
         remove_comments=True, remove_blank_text=True,
     )  # fmt: skip
-    root = etree.fromstring(clean(out.getvalue()).encode(), parser)
+    root = etree.fromstring(out.getvalue().encode(), parser)
     _remove(root, "metadata", "style", "title")
     _rename(root, key)
     _round(root)
@@ -69,7 +65,7 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
     root.set("height", f"{height:.0f}")
     root.set("style", f"min-width: {LEAST * width:.0f}px")
     root.set("role", "img")
-    root.set("aria-label", clean(label))
+    root.set("aria-label", printable(label))
     etree.cleanup_namespaces(root)
     return Markup(etree.tostring(root, encoding="unicode"))  # noqa: S704  written by lxml
 
