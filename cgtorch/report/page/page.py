@@ -79,6 +79,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "version": cgtorch.__version__,
         "robot": run.robot.description.name,
         "stages": stages,
+        "rounds": len(run.rounds),
         "done": [stage for stage in stages if stage.reached],
         "paper": run.settings.scenarios == PERIMETER,
         "cards": _cards(contents),
