@@ -16,6 +16,10 @@ speed/transitions_per_second        scalar      actions executed by all, per sec
 strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
 gamma/error_<coordinate>            scalar      cross-validated mean absolute error of Γ (m)
 gamma/object_error                  scalar      mean of those of object x and y (m)
+gamma/fresh_object_error            scalar      of Γ on fresh transitions, object x and y (m)
+gamma/fresh_object_floor            scalar      the least that any model could have there (m)
+gamma/fresh_table_error             scalar      of Γ on fresh transitions, the table's sides (m)
+gamma/fresh_table_floor             scalar      the least that any model could have there (m)
 classifier/balanced_accuracy        scalar      of C, cross-validated
 classifier/calibration_error        scalar      gap between C's probability and frequency
 classifier/<draw>_accuracy          scalar      of C on fresh labels: near, overall, beside
@@ -230,6 +234,11 @@ class TensorBoardWatch:
             "classifier/balanced_accuracy": classifier.balanced_accuracy,
             "classifier/calibration_error": classifier.calibration_error,
         }
+        fresh = event.gamma_quality
+        if fresh is not None:
+            for part in ("object", "table"):
+                for kind in ("error", "floor"):
+                    values[f"gamma/fresh_{part}_{kind}"] = getattr(fresh, f"{part}_{kind}")
         quality = event.classifier_quality
         if quality is not None:
             for name in ("near", "overall", "beside"):
