@@ -1,8 +1,9 @@
 """`cgtorch-view`: watch a skill at work in the browser."""
 
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -42,10 +43,10 @@ Examples:
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
 @click.option(
     "--port",
-    type=click.IntRange(1, 65535),
+    type=click.IntRange(0, 65535),
     default=8080,
     show_default=True,
-    help="If it is taken, the next free one.",
+    help="If it is taken, the next free one; 0: any free one.",
 )
 @click.version_option(package_name="cgtorch")
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
@@ -65,23 +66,33 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    chosen, kind, candidates = _candidates(path, rest["skill"], rest["actions"], scenarios)
-    against = None
-    if rest["against"] is not None:
-        against, _, others = _candidates(rest["against"], None, rest["actions"], scenarios)
-        against, others = _apart(against, others, candidates, rest["against"])
-        candidates = {**candidates, **others}
-    draw_of(scenarios or kind)
-    wish = Wish(chosen, against, scenarios or kind, count, seed)
+    offer = _offer(path, rest["skill"], rest["actions"], scenarios)
+    draw_of(offer.kind)  # there must be such scenarios
+    candidates, against, other = dict(offer.candidates), None, rest["against"]
+    if other is not None:
+        more = _offer(other, None, rest["actions"], scenarios)
+        taken = candidates if more.folder != offer.folder else ()
+        names = {n: f"{n} of {other}" if n in taken else n for n in more.candidates}
+        against = names[more.chosen]
+        candidates = {names[n]: c for n, c in more.candidates.items()} | candidates
+    wish = Wish(offer.chosen, against, offer.kind, count, seed)
     page, address = open_page(candidates, wish, rest["host"], rest["port"])
-    click.echo(f"{chosen} at work: {address} (Ctrl-C ends it)")
-    play_for_ever(page)
+    click.echo(f"{offer.chosen} at work: {address} (Ctrl-C ends it)")
+    with suppress(KeyboardInterrupt):
+        play_for_ever(page)
 
 
-def _candidates(
-    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None
-) -> tuple[str, str, dict[str, "Candidate"]]:
-    """The name of the chosen skill, what its run is about, and all skills that can be shown."""
+class Offer(NamedTuple):
+    """What a path stands for: where it is, its skill's name, its scenarios, and all its skills."""
+
+    folder: Path
+    chosen: str
+    kind: str
+    candidates: dict[str, "Candidate"]
+
+
+def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None) -> Offer:
+    """The skills of a run, or the skill of a file."""
     from cgtorch.experiments.ledger import read_entry, read_index
     from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
     from cgtorch.experiments.settings import RunSettings
@@ -94,7 +105,7 @@ def _candidates(
         percept, skill = lone_skill(path, actions, kind)
         robot = load_robot()
         lone = Candidate(skill, robot, tabletop_of(robot, LAB_NOISE, percept))
-        return skill.name, kind, {skill.name: lone}
+        return Offer(path.resolve(), skill.name, kind, {skill.name: lone})
     if name is None:
         run, skill = last_skill(path, actions)
     else:
@@ -103,15 +114,7 @@ def _candidates(
     names = [line["name"] for line in read_index(run.folder)]
     skills = {n: read_entry(run.folder, n, run.actions).skill for n in names} | {skill.name: skill}
     found = {n: Candidate(s, run.robot, run.world_of) for n, s in skills.items()}
-    return skill.name, run.settings.scenarios, found
-
-
-def _apart(
-    against: str, others: dict[str, "Candidate"], known: dict[str, "Candidate"], path: Path
-) -> tuple[str, dict[str, "Candidate"]]:
-    """Other candidates under names of their own: with their path where a name is known already."""
-    names = {n: n if n not in known else f"{n} of {path}" for n in others}
-    return names[against], {names[n]: candidate for n, candidate in others.items()}
+    return Offer(run.folder.resolve(), skill.name, scenarios or run.settings.scenarios, found)
 
 
 def main() -> None:

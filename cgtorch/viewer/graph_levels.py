@@ -10,6 +10,7 @@ from cgtorch.report.graph_picture import draw_level, skills_of
 from cgtorch.viewer.execution import Step
 
 LIT, RIM = "#ffd60a", "#1c1f24"
+RIM_OF = f"stroke: {RIM} !important; stroke-width: {{}}px !important"
 SCALE, OUTER_HEIGHT = 90, 200
 """Pixels per inch, and at most of the height of a level that only waits for the one within it."""
 POINTS_PER_INCH = 72
@@ -27,16 +28,15 @@ def levels_html(skill: Skill, step: Step) -> str:
     paths = {id(inner): path for inner, path in skills_of(skill)}
     parts = []
     for level, (inner, slot) in enumerate(step.places):
-        path = paths[id(inner)]
-        last = level == len(step.places) - 1
-        marks = [f'[id="node:{path}:{_label(inner, slot)}"] path {{fill: {LIT} !important; '
-                 f"stroke: {RIM} !important; stroke-width: 2.5px !important}}",
-                 f'[id="text:node:{path}:{_label(inner, slot)}"] * {{fill: {RIM} !important}}']  # fmt: skip
+        path, last = paths[id(inner)], level == len(step.places) - 1
+        node = f"node:{path}:{_label(inner, slot)}"
+        marks = [
+            f'[id="{node}"] path {{fill: {LIT} !important; {RIM_OF.format(2.5)}}}',
+            f'[id="text:{node}"] * {{fill: {RIM} !important}}',
+        ]
         if last:
-            marks.append(
-                f'[id="{_edge(inner, path, slot, step)}"] path {{stroke-width: 3px !important; '
-                f"stroke: {RIM} !important}}"
-            )
+            edge = _edge(inner, path, slot, step)
+            marks.append(f'[id="{edge}"] path {{{RIM_OF.format(3)}}}')
         most = math.inf if last else OUTER_HEIGHT
         parts.append(f"<style>{' '.join(marks)}</style>{_picture(inner, path, most)}")
     outer, innermost = parts[:-1], parts[-1]

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ import torch
 import viser
 from torch import Generator, Tensor
 
-from cgtorch.errors import CgtorchError
+from cgtorch.errors import CgtorchError, SettingsError
 from cgtorch.experiments.evaluate import check_percepts
 from cgtorch.graphs import Skill
 from cgtorch.kinematics import Robot
@@ -110,7 +111,7 @@ class Page:
             "/drag", scale=0.22, active_axes=(True, True, False), disable_rotations=True
         )
         self.gizmo.on_update(self._dragged)
-        self.run()
+        self._run(self.scenario)
 
     def _controls(self) -> None:
         gui, wish = self.server.gui, self.wish
@@ -154,22 +155,27 @@ class Page:
 
     def choose(self) -> None:
         """Take the scenario that is chosen, and run."""
-        with self.lock:
-            number = min(int(self.number.value), self.wish.count) - 1
-            self.scenario = scenario_of(
-                self.kind.value, self.wish.count, int(self.seed.value), number
-            )
-            self.run()
+        number = min(int(self.number.value), self.wish.count) - 1
+        seed = int(self.seed.value)
+        self.run(scenario_of(self.kind.value, self.wish.count, seed, number))
 
-    def run(self, play: bool = False) -> None:
-        """Run the chosen skills on the scenario and show what they do from its start."""
-        with self.lock, self.server.atomic():
-            chosen = [n for n in (self.skill.value, self.against.value) if n != NONE]
+    def run(self, scenario: Scenarios | None = None, play: bool = False) -> None:
+        """Run the chosen skills, or say why that cannot be and leave what is shown."""
+        with self.lock:
             try:
-                timelines = [self._timeline(self.candidates[name]) for name in chosen]
+                self._run(self.scenario if scenario is None else scenario)
             except CgtorchError as e:
                 self.note.content = f"**Not run:** {e}"
                 return
+            if play:
+                self.toggle()
+
+    def _run(self, scenario: Scenarios) -> None:
+        """Run the chosen skills on a scenario and show what they do, from its start."""
+        chosen = [n for n in (self.skill.value, self.against.value) if n != NONE]
+        timelines = [self._timeline(self.candidates[name], scenario) for name in chosen]
+        self.scenario = scenario
+        with self.server.atomic():
             self.pause()
             self._draw([self.candidates[name] for name in chosen], timelines)
             self.note.content = "\n\n".join(
@@ -179,11 +185,9 @@ class Page:
             self.frame.max = max(map(len, timelines)) - 1
             self.frame.value = 0
             self.show(0)
-        if play:
-            self.toggle()
 
-    def _timeline(self, candidate: Candidate) -> Timeline:
-        world = candidate.world_of(self.scenario)
+    def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
+        world = candidate.world_of(scenario)
         check_percepts(candidate.skill, world.percept_size, "such scenarios")
         robot = candidate.robot
         if id(robot) not in self.rest:
@@ -192,23 +196,24 @@ class Page:
 
     def _draw(self, chosen: list[Candidate], timelines: list[Timeline]) -> None:
         """Make as many scenes as there are skills, of their robots, side by side."""
-        if [s.robot for s in self.scenes] != [c.robot for c in chosen]:
+        if [id(s.robot) for s in self.scenes] != [id(c.robot) for c in chosen]:
             for scene in self.scenes:
                 scene.remove()
-            self.scenes = [
-                Scene(self.server, f"/skill-{i}", c.robot) for i, c in enumerate(chosen)
-            ]
+            self.scenes = [Scene(self.server, f"/skill-{i}", c.robot) for i, c in enumerate(chosen)]
         self.timelines, self.shown = timelines, []
         for i, (scene, timeline) in enumerate(zip(self.scenes, timelines, strict=True)):
             scene.stand_at((0.0, -APART * i))
             scene.load(timeline)
         x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
         self.gizmo.position = np.array([x, y, z])
-        wide, middle = 1.0 + 0.6 * (len(chosen) - 1), -APART / 2 * (len(chosen) - 1)
+        self._look_at(-APART / 2 * (len(chosen) - 1))
+
+    def _look_at(self, middle: float) -> None:
+        """Where a camera begins: beside one skill, behind two that stand left and right of it."""
         camera = self.server.initial_camera
         camera.fov = math.radians(45)
-        camera.position = (-1.9 * wide, middle - 3.6 * wide, 2.9 * wide)
-        camera.look_at = (-0.3, middle, 0.45)
+        camera.position = (-2.6, -4.4, 3.6) if middle == 0 else (-8.2, middle, 6.6)
+        camera.look_at = (-0.3, middle - 0.2, 0.3)
 
     def show(self, picture: int) -> None:
         """Show one picture of all scenes."""
@@ -221,14 +226,15 @@ class Page:
 
     def _explain(self, i: int, timeline: Timeline, picture: int) -> None:
         """Graph and readings of one skill, where they differ from what is shown."""
-        now = (int(timeline.step[picture]), int(timeline.seen[picture]), headline(timeline, picture))
+        step = int(timeline.step[picture])
+        now = (step, int(timeline.seen[picture]), headline(timeline, picture))
         if i < len(self.shown) and self.shown[i] == now:
             return
         self.shown[i : i + 1] = [now]
         readings, graph = self.graphs[i]
         readings.content = readings_html(timeline, picture)
         run = timeline.execution
-        graph.content = levels_html(run.skill, run.steps[now[0]])
+        graph.content = levels_html(run.skill, run.steps[step])
 
     def toggle(self) -> None:
         """Play, or pause; at the end play from the start."""
@@ -290,14 +296,24 @@ class Page:
             return
         with self.lock:
             at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
-            self.scenario = put_object(self.scenario, at)
-            self.run(play=True)
+            self.run(put_object(self.scenario, at), play=True)
 
 
 def open_page(
     candidates: Mapping[str, Candidate], wish: Wish, host: str, port: int
 ) -> tuple[Page, str]:
-    """Serve the page; the address says where it is, also if the port was taken."""
+    """Serve the page; the address says where it is, also if the port was taken.
+
+    Raises:
+        SettingsError: this machine cannot listen there.
+    """
+    try:
+        socket.create_server((host, 0)).close()
+    except OSError as e:
+        raise SettingsError(
+            f"host {host!r} cannot be listened on ({e.strerror}); give 127.0.0.1, or an address "
+            "of this machine"
+        ) from e
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own
         server = viser.ViserServer(host=host, port=port, verbose=False)
     return Page(server, candidates, wish), f"http://{host}:{server.get_port()}"

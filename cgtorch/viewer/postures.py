@@ -15,9 +15,9 @@ from cgtorch.kinematics.collision import Boxes
 from cgtorch.kinematics.grasping import table_slab, touches
 
 SAMPLES = 1024
-VIAS = 256
-LEG = 12
-"""Postures that are looked at between two that an arm moves between."""
+VIAS, TOGETHER = 256, 16
+LEG = 10
+"""Postures that are looked at on the way from one to the next."""
 SAME = 0.02
 """How far apart two arms may be for one to count as the mirror image of the other, m."""
 
@@ -56,9 +56,10 @@ def _mirrored(arm: ArmModel, other: ArmModel, q: Tensor) -> Tensor | None:
     tried = signs * q
     tried = tried[((tried >= arm.lower) & (tried <= arm.upper)).all(1)]
     image = _points(other, q[None]) * torch.tensor([1.0, -1.0, 1.0])
-    if not len(tried) or arm.capsules.start.shape != other.capsules.start.shape:
+    if not len(tried):
         return None
-    away = (_points(arm, tried) - image).norm(dim=-1).amax(1)
+    # Left and right fingers change places, so any end may be the image of any.
+    away = torch.cdist(_points(arm, tried), image).amin(2).amax(1)
     return tried[away.argmin()] if float(away.min()) < SAME else None
 
 
@@ -77,15 +78,14 @@ def way_to(robot: Robot, arm: ArmModel, start: Tensor, goal: Tensor, table: Tens
     """
     goal = start + arm.difference(goal, start)
     vias = torch.cat([((start + goal) / 2)[None], _random_postures(arm, VIAS, around=start)])
-    there = _between(start.expand_as(vias), vias)
-    back = _between(vias, goal.expand_as(vias))
-    ways = torch.cat([there, back], 1)
-    flat = ways.flatten(0, 1)
-    slab = table_slab(table[None].to(flat).expand(len(flat), 6))
-    hit = touches(arm, flat, slab, robot.body.to(flat)).view(ways.shape[:2]).any(1)
-    free = (~hit).nonzero()
-    via = vias[int(free[0]) if len(free) else 0]
-    return torch.stack([start, via, goal])
+    slab, body = table_slab(table[None].to(vias)), robot.body.to(vias)
+    for some in vias.split([1, *[TOGETHER] * (VIAS // TOGETHER)]):
+        ways = torch.cat([_between(start.expand_as(some), some),
+                          _between(some, goal.expand_as(some))], 1)  # fmt: skip
+        hit = touches(arm, ways.flatten(0, 1), slab, body).view(ways.shape[:2]).any(1)
+        if not hit.all():
+            return torch.stack([start, some[int((~hit).nonzero()[0])], goal])
+    return torch.stack([start, vias[0], goal])
 
 
 def _between(a: Tensor, b: Tensor) -> Tensor:

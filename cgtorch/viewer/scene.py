@@ -81,6 +81,10 @@ class Scene:
                 f"obstacle-{k}", box[:3], [*box[3:5].tolist(), OBSTACLE_HEIGHT],
                 OBSTACLE_HEIGHT / 2, BOX_COLOUR, visible=bool(present(box)),
             )  # fmt: skip
+        self.server.scene.add_label(
+            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, float(scene.table[0, 5]) + 1),
+            anchor="bottom-center", font_screen_scale=1.3,
+        )  # fmt: skip
         stops = run.pose[torch.cat([torch.tensor([True]), (run.pose[1:] != run.pose[:-1]).any(1)])]
         self._lines("stops", self._footprints(stops), AHEAD, FLOOR, 1.5)
         self._lines("way", _segments(timeline.pose[:, :2]), AHEAD, FLOOR, 3)
@@ -98,7 +102,7 @@ class Scene:
         x, y, turn = timeline.pose[frame].tolist()
         self.base.position = np.array([x, y, 0.0])
         self.base.wxyz = np.array([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)])
-        self.object.position = timeline.object[frame].double().numpy() + [0, 0, GRASP_HEIGHT]
+        self.object.position = timeline.object[frame].numpy() + np.array([0.0, 0.0, GRASP_HEIGHT])
         joints = timeline.joints[frame].double().numpy()
         if first or not np.array_equal(joints, self.rest[self.columns]):
             self.rest[self.columns] = joints

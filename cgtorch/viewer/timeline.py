@@ -15,6 +15,8 @@ from cgtorch.world.geometry import rectangle_in_frame, to_frame, wrap
 FPS = 20
 DRIVE, TURN, SWING = 0.6, 1.2, 1.2
 """Speeds of the base (m/s, rad/s) and of an arm's fastest joint (rad/s)."""
+NEAR = 0.4
+"""How long a hand takes at least between waypoints of a grasp, which are 0.05 m apart (s)."""
 THINK, LOOK, REST = 0.4, 0.8, 1.0
 """How long a step lasts that moves nothing, one that looks, and the end (s)."""
 
@@ -139,10 +141,11 @@ def _grasp(
     there = way_to(robot, arm, joints[mine], grasp[0], table[0])
     corners = [*there, *grasp[1:]]
     moving = [corners[0][None]]
-    for goal in corners[1:]:
+    for k, goal in enumerate(corners[1:], start=1):
         here = moving[-1][-1]
         turn = arm.difference(goal, here)
-        moving.append(_line(here, here + turn, float(turn.abs().max()) / SWING))
+        seconds = float(turn.abs().max()) / SWING
+        moving.append(_line(here, here + turn, seconds if k < len(there) else max(seconds, NEAR)))
     path = torch.cat(moving)
     grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
     all_joints = joints.expand(len(path), -1).clone()
