@@ -3,6 +3,7 @@
 import html
 import io
 import math
+import re
 from functools import cache
 
 from cgtorch.graphs import NO_NODE, Skill
@@ -31,17 +32,22 @@ def levels_html(skill: Skill, step: Step) -> str:
         path, last = paths[id(inner)], level == len(step.places) - 1
         node = f"node:{path}:{_label(inner, slot)}"
         marks = [
-            f'[id="{node}"] path {{fill: {LIT} !important; {RIM_OF.format(2.5)}}}',
-            f'[id="text:{node}"] * {{fill: {RIM} !important}}',
+            f"{_selector(node)} path {{fill: {LIT} !important; {RIM_OF.format(2.5)}}}",
+            f"{_selector(f'text:{node}')} * {{fill: {RIM} !important}}",
         ]
         if last:
-            edge = _edge(inner, path, slot, step)
-            marks.append(f'[id="{edge}"] path {{{RIM_OF.format(3)}}}')
+            marks.append(f"{_selector(_edge(inner, path, slot, step))} path {{{RIM_OF.format(3)}}}")
         most = math.inf if last else OUTER_HEIGHT
         parts.append(f"<style>{' '.join(marks)}</style>{_picture(inner, path, most)}")
     outer, innermost = parts[:-1], parts[-1]
     rows = f'<div style="display:flex;flex-wrap:wrap;gap:6px">{"".join(outer)}</div>'
     return f'<div class="graph-levels" style="padding:6px">{rows if outer else ""}{innermost}</div>'
+
+
+def _selector(gid: str) -> str:
+    """What selects an element in CSS; names come from files and may hold anything."""
+    escaped = re.sub(r"[^\w .:›-]", lambda found: f"\\{ord(found[0]):x} ", gid)
+    return f'[id="{escaped}"]'
 
 
 def _label(skill: Skill, slot: int) -> str:

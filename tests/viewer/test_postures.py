@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import torch
 
 from cgtorch.kinematics import grasp_solution, load_robot
@@ -31,7 +33,7 @@ def test_arms_rest_beside_the_body_and_mirror_each_other() -> None:
 def hits(way: torch.Tensor, which: int) -> bool:
     """Whether the arm touches table or body on a way, looked at finely."""
     arm, share = ROBOT.arms[which], torch.linspace(0, 1, 4 * LEG, dtype=way.dtype)[:, None]
-    fine = torch.cat([a + share * (b - a) for a, b in zip(way, way[1:], strict=False)])
+    fine = torch.cat([a + share * (b - a) for a, b in pairwise(way)])
     slab = table_slab(TABLE.expand(len(fine), 6))
     return bool(touches(arm, fine, slab, ROBOT.body).any())
 

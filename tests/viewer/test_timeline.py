@@ -24,11 +24,16 @@ def opened() -> tuple[Run, Skill]:
 
 
 @cache
+def rest() -> tuple[Tensor, ...]:
+    return rest_postures(opened()[0].robot)
+
+
+@cache
 def timeline(number: int) -> Timeline:
     run, skill = opened()
     scenarios = draw_of("perimeter")(COUNT, torch.Generator().manual_seed(0))
     execution = execute(skill, run.world_of(scenarios), number)
-    return timeline_of(execution, run.robot, rest_postures(run.robot))
+    return timeline_of(execution, run.robot, rest())
 
 
 @pytest.mark.parametrize("number", range(COUNT))
@@ -113,7 +118,7 @@ def test_what_fails_moves_no_arm() -> None:
     world = run.world_of(scenarios)
     runs = (execute(early, world, i) for i in range(20))
     failed = next(x for x in runs if x.end != "success")
-    one = timeline_of(failed, run.robot, rest_postures(run.robot))
+    one = timeline_of(failed, run.robot, rest())
     assert torch.equal(one.joints, one.joints[:1].expand_as(one.joints))
     assert torch.equal(one.object, one.object[:1].expand_as(one.object))
     assert any(step.name == "Grasp" for step in failed.steps)
