@@ -65,9 +65,22 @@ def draw_skill(skill: Skill) -> "Figure":
     brown. Every artist that stands for something has a gid: "node:", "edge:" or "end:" and
     the skill's name, then the node, edge or end.
     """
+    return _drawn([_panel(s, path) for s, path in skills_of(skill)])
+
+
+def draw_level(skill: Skill, path: str) -> "Figure":
+    """One panel of that picture, of a skill without those in it.
+
+    Args:
+        skill: the skill.
+        path: the names on the way to it, as `skills_of` tells them.
+    """
+    return _drawn([_panel(skill, path)])
+
+
+def _drawn(panels: list[Panel]) -> "Figure":
     from matplotlib.figure import Figure
 
-    panels = [_panel(s, path) for s, path in skills_of(skill)]
     corners, width, height = _packed(panels)
     figure = Figure(figsize=(width, height), dpi=100, facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1))
