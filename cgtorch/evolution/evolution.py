@@ -8,8 +8,10 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.errors import SettingsError
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.fitness import Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.offspring import Crossover, Mutation, check_offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -26,9 +28,15 @@ WORST = -1e30  # a score in place of one that is not a number, of which differen
 class EvolutionSettings:
     """How a population evolves.
 
+    Its four parts are functions, for each of which one's own can be given: `selection`, `fitness`,
+    `crossover` and `mutation`.
+
     Attributes:
         population: number of individuals, of each island.
         selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
+        fitness: what a run is worth.
+        crossover: how two parents become two children.
+        mutation: how children change.
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
@@ -42,6 +50,9 @@ class EvolutionSettings:
 
     population: int = 400
     selection: Selection = lexicase
+    fitness: Fitness = chance_of_success
+    crossover: Crossover = crossover
+    mutation: Mutation = mutate
     elite: int = 1
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
@@ -116,6 +127,9 @@ def tell(
         actions: what nodes can do.
         generator: of all random choices.
         scores: (P, B) on each scenario, for selection; the fitness as of one if not given.
+
+    Raises:
+        SettingsError: a crossover or mutation of one's own has made what is no valid population.
     """
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
@@ -128,8 +142,10 @@ def tell(
     pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
     first, second = population[parents[:pairs]], population[parents[pairs:]]
-    offspring = crossover(first, second, generator)
-    offspring = mutate(offspring, actions, generator, settings.tau)
+    offspring = settings.crossover(first, second, generator)
+    offspring = settings.mutation(offspring, actions, generator, settings.tau)
+    if settings.crossover is not crossover or settings.mutation is not mutate:
+        check_offspring(offspring, 2 * pairs, capacity, actions)
     graphs = widened(offspring.graphs[:count], capacity)
     children = Population(graphs, offspring.strategy[:count])
     return EvolutionState(
