@@ -11,7 +11,9 @@ from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, start_lanes
 from cgtorch.graphs import Graphs
-from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, rollout
+from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
+from cgtorch.simulation.compiled import compiled_evaluation
+from cgtorch.simulation.program import compile_graphs
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
@@ -105,6 +107,11 @@ def _evaluate_at_once(
     """Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
+    if fitness is chance_of_success:  # the only one that is compiled
+        program = compile_graphs(graphs, actions)
+        found = compiled_evaluation(program, environment, keep, max_transitions, MAX_STEPS)
+        if found is not None:
+            return found
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)
@@ -123,7 +130,7 @@ def _evaluate_at_once(
         transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
-        worth = fitness(runs, probability)
+        worth = fitness(runs, probability).float()
         score[alive[:, None], part] = torch.nan_to_num(worth).clamp_min(0)
         finite[alive] &= (real & worth.isfinite()).all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
