@@ -1,4 +1,4 @@
-"""What a running skill sees and where it acts: lanes, and the environment interface.
+"""What a running skill starts from, sees, and acts in: scenarios, lanes, environments.
 
 A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes, and
 every place a skill can run in (the learned models Γ and C, the tabletop world, a user's own
@@ -10,6 +10,37 @@ from typing import Protocol, Self, runtime_checkable
 
 import torch
 from torch import Tensor
+
+
+@dataclass(frozen=True)
+class ScenarioBatch:
+    """B states of a world that a skill starts from.
+
+    A subclass is a frozen dataclass of tensors of B rows, of whatever a world needs to know, such
+    as where things stand or a seed; it needs nothing more than its fields. A skill that is run
+    again on a scenario must do the same again, so noise is part of a scenario, too.
+    """
+
+    def __len__(self) -> int:
+        """The number of scenarios, B."""
+        return len(getattr(self, fields(self)[0].name))
+
+    def __getitem__(self, index: Tensor | slice) -> Self:
+        """The scenarios at `index`."""
+        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def joined(self, *more: Self) -> Self:
+        """These scenarios, and more of them after these."""
+        parts = (self, *more)
+        return type(self)(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(self)))
+
+    def with_noise(self, copy: int) -> Self:
+        """The same met by other noise; copy 0 is the scenarios themselves. Here nothing is noisy.
+
+        Args:
+            copy: which noise.
+        """
+        return self
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,12 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import SettingsError
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.fitness import Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
-from cgtorch.evolution.mutation import TAU
+from cgtorch.evolution.mutation import TAU, mutate
 from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.own_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -25,9 +28,15 @@ WORST = -1e30  # a score in place of one that is not a number, of which differen
 class EvolutionSettings:
     """How a population evolves.
 
+    Its four parts are functions, for each of which one's own can be given: `selection`, `fitness`,
+    `crossover` and `mutation`.
+
     Attributes:
         population: number of individuals, of each island.
         selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
+        fitness: what a run is worth.
+        crossover: how two parents become two children.
+        mutation: how children change.
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
@@ -41,6 +50,9 @@ class EvolutionSettings:
 
     population: int = 400
     selection: Selection = lexicase
+    fitness: Fitness = chance_of_success
+    crossover: Crossover = crossover
+    mutation: Mutation = mutate
     elite: int = 1
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
@@ -115,6 +127,9 @@ def tell(
         actions: what nodes can do.
         generator: of all random choices.
         scores: (P, B) on each scenario, for selection; the fitness as of one if not given.
+
+    Raises:
+        SettingsError: a crossover or mutation of one's own has made what is no valid population.
     """
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
@@ -124,10 +139,29 @@ def tell(
     count = settings.population - settings.elite
     pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
-    children = offspring(population, parents, actions, generator, settings.tau)[:count]
+    children = _children(population, parents, settings, actions, generator)[:count]
     return EvolutionState(
         population=join(population[order[: settings.elite]], children),
         generation=state.generation + 1,
         best=population[order[:1]],
         best_fitness=float(fitness[order[0]]),
     )
+
+
+def _children(
+    population: Population,
+    parents: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> Population:
+    """As many children as parents (2 Q,), by the operators of the settings."""
+    if settings.crossover is crossover and settings.mutation is mutate:
+        return offspring(population, parents, actions, generator, settings.tau)
+    # Operators of others look at every slot, so those that nobody needs go meanwhile.
+    capacity, q = population.graphs.capacity, len(parents) // 2
+    some = replace(population, graphs=compacted(population.graphs, spare=1))
+    children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
+    children = settings.mutation(children, actions, generator, settings.tau)
+    check_offspring(children, 2 * q, capacity, actions)
+    return Population(widened(children.graphs, capacity), children.strategy)

@@ -12,7 +12,6 @@ from cgtorch.experiments.interval import wilson
 from cgtorch.graphs import Skill
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.improvement.promise import promised
-from cgtorch.improvement.team import with_noise
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, TabletopWorld, draw_of
 
@@ -136,7 +135,7 @@ def under_other_noise(
         most: scenarios at most, a random choice of W.
     """
     pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
-    scenarios = with_noise(solved[pick], FRESH_COPY)
+    scenarios = solved[pick].with_noise(FRESH_COPY)
     trial = try_skill(skill, world_of(scenarios))
     return Score(scenarios, trial.succeeded, trial.transitions)
 

@@ -1,4 +1,4 @@
-"""What the robot knows: its experience, and the Γ and C it has learned from it."""
+"""What the robot before a table knows: its experience, and the Γ and C learned from it."""
 
 import copy
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.data import Dataset
+from cgtorch.improvement.domain import Imagine
 from cgtorch.models import (
     SuccessClassifier,
     SuccessReport,
@@ -132,6 +133,21 @@ def imagine(
         errors=errors.to(device),
         most_novel=max(LEAST_NOVEL, float(novelty.quantile(FAMILIAR))),
     )
+
+
+def with_footprint(footprint: Tensor) -> Imagine:
+    """`imagine` for a base of that footprint (4,), in m."""
+
+    def imagined(
+        knowledge: Knowledge,
+        percepts: Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str,
+    ) -> ModelEnvironment:
+        return imagine(knowledge, percepts, footprint, replicas, generator, device)
+
+    return imagined
 
 
 def can_err(percept: Tensor) -> Tensor:

@@ -23,6 +23,11 @@ Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 UNKNOWN = -1.0
 
 
+def anything(percept: Tensor, control: Tensor) -> Tensor:
+    """`Possible` where nothing is ever in the way."""
+    return torch.ones(len(percept), dtype=torch.bool, device=percept.device)
+
+
 class ModelEnvironment:
     """An `Environment` that consists of percepts only; nothing in it touches the world.
 
@@ -37,7 +42,7 @@ class ModelEnvironment:
         percepts: Tensor,
         gamma: Gamma,
         classifier: Classifier,
-        possible: Possible,
+        possible: Possible = anything,
         control_size: int = 3,
         errors: Tensor | None = None,
         most_novel: float = 1.0,
