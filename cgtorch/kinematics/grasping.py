@@ -30,8 +30,8 @@ _CHUNK = 2048
 _GROUP = 256
 _POSTURES = 2048
 """Postures tried for collision at a time: more fall out of the processor's cache."""
-_SPARSE = 8
-"""Every so many postures at a grasp are tried before all others, as mostly one of them serves."""
+_FEW, _SPARSE = 16, 8
+"""Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
 
 SIDES = tuple(
     sign * math.tau * step / 12 for step in range(7) for sign in ((1, -1) if 0 < step < 6 else (1,))
@@ -174,8 +174,12 @@ def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor,
     nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
     solved = torch.zeros(len(path), dtype=torch.bool, device=row.device)
     joints = q.new_zeros(len(path), path.shape[1], q.shape[1])
-    for part in (nth % _SPARSE == 0, nth % _SPARSE > 0):
+    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
+    soon = few | (nth % _SPARSE == 0)
+    for part in (soon, ~soon):
         part = part & ~solved[row]
+        if not part.any():
+            break
         at, found = _feasible(arm, path, slab, body, row[part], q[part])
         solved[at] = True
         joints[at] = found
