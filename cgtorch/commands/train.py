@@ -22,6 +22,7 @@ Examples:
   cgtorch-train --resume runs/one --stage S3 --override population=600
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage auto --scenarios general --run-dir runs/general
+  cgtorch-train --stage auto --robot fetch --run-dir runs/fetch
   cgtorch-train --stage S1 --actions my_package.actions:Wait
   torchrun --nproc-per-node 4 -m cgtorch.commands.train --stage S3
 """
@@ -50,8 +51,15 @@ Examples:
     metavar="NAME=VALUE",
     help="With --resume, go on with another value of a setting; may be given more than once.",
 )
-@click.option("--urdf", type=click.Path(path_type=Path), help="Another robot than the PR2.")
-@click.option("--robot", type=click.Path(path_type=Path), help="Its description.  [robot.json]")
+@click.option(
+    "--robot",
+    type=click.Path(path_type=Path),
+    help="Another robot than the PR2: fetch, a folder with a URDF and a robot.json, or a "
+    "robot description.",
+)
+@click.option(
+    "--urdf", type=click.Path(path_type=Path), help="Its URDF.  [the one beside the description]"
+)
 @click.option(
     "--device",
     default="auto",

@@ -39,8 +39,8 @@ def begin(
     Args:
         folder: of the run.
         settings: of the run.
-        urdf: of another robot than the PR2.
-        robot: its description.
+        urdf: of the robot, or None for the one beside its description.
+        robot: its name or description, or None for that beside the URDF or the PR2's.
         stage: the last stage to make, or "auto" to go on until the goal is met.
         goal: of "auto".
         device: where populations are evaluated.

@@ -1,6 +1,6 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -20,6 +20,7 @@ from cgtorch.evolution.population import (
     seeded_population,
 )
 from cgtorch.evolution.selection import Selection, ranking
+from cgtorch.graphs import compacted, widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 

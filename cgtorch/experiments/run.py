@@ -33,7 +33,7 @@ from cgtorch.experiments.settings import RunSettings, settings_from_dict
 from cgtorch.experiments.stages import STAGES, round_name
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill, load_skill
-from cgtorch.kinematics import Robot, graspable, load_robot, robots_folder
+from cgtorch.kinematics import Robot, graspable, load_robot, robot_files
 from cgtorch.world import LAB_NOISE, PERCEPTS, Noise, Scenarios, TabletopWorld, draw_of
 from cgtorch.world.percepts import BOX
 
@@ -114,14 +114,13 @@ def create_run(
         ActionError: an action cannot be found.
         RunError: the folder cannot be written or holds other things.
     """
-    robot = load_robot(urdf, description)
+    source, words = robot_files(urdf, description)
+    robot = load_robot(source, words)
     actions = _checked_actions(robot, settings)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
     if folder.resolve() == Path.cwd():
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
-    source = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else urdf
-    words = source.parent / "robot.json" if description is None else description
     about = {"format": FORMAT, "version": VERSION, **versions()}
     try:
         robot_bytes, words_bytes = source.read_bytes(), words.read_bytes()

@@ -2,8 +2,9 @@
 
 from cgtorch.kinematics.arm import ArmModel
 from cgtorch.kinematics.description import Arm, RobotDescription, load_description
+from cgtorch.kinematics.files import robot_files, robots_folder
 from cgtorch.kinematics.grasping import GraspSolution, grasp_solution, graspable
-from cgtorch.kinematics.robot import Robot, load_robot, robots_folder
+from cgtorch.kinematics.robot import Robot, load_robot
 from cgtorch.kinematics.urdf import Urdf, load_urdf
 
 __all__ = [
@@ -18,5 +19,6 @@ __all__ = [
     "load_description",
     "load_robot",
     "load_urdf",
+    "robot_files",
     "robots_folder",
 ]

@@ -28,6 +28,10 @@ MAX_STEP = 0.6
 """How far a joint may move between waypoints 0.05 m apart, rad or m."""
 _CHUNK = 2048
 _GROUP = 256
+_POSTURES = 2048
+"""Postures tried for collision at a time: more fall out of the processor's cache."""
+_FEW, _SPARSE = 16, 8
+"""Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
 
 SIDES = tuple(
     sign * math.tau * step / 12 for step in range(7) for sign in ((1, -1) if 0 < step < 6 else (1,))
@@ -167,6 +171,26 @@ def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor,
         The rows that are solved, ascending, (R,), and the joint positions of each (R, 5, n).
     """
     row, q = arm.candidates(path[:, 2])
+    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    solved = torch.zeros(len(path), dtype=torch.bool, device=row.device)
+    joints = q.new_zeros(len(path), path.shape[1], q.shape[1])
+    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
+    soon = few | (nth % _SPARSE == 0)
+    for part in (soon, ~soon):
+        part = part & ~solved[row]
+        if not part.any():
+            break
+        at, found = _feasible(arm, path, slab, body, row[part], q[part])
+        solved[at] = True
+        joints[at] = found
+    rows = solved.nonzero().squeeze(1)
+    return rows, joints[rows]
+
+
+def _feasible(
+    arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
+) -> tuple[Tensor, Tensor]:
+    """As `_try`, of postures q (M, n) at the grasps of ascending rows (M,) only."""
     free = ~touches(arm, q, _rows(slab, row), body)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])
@@ -187,7 +211,7 @@ def _first_of_each(row: Tensor) -> Tensor:
     return first
 
 
-def _rows(boxes: Boxes, row: Tensor) -> Boxes:
+def _rows(boxes: Boxes, row: Tensor | slice) -> Boxes:
     return Boxes(boxes.centre[row], boxes.rotation[row], boxes.half[row])
 
 
@@ -203,14 +227,17 @@ def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
     Returns:
         (B,) bool.
     """
-    if not len(q):
-        return torch.zeros(0, dtype=torch.bool, device=q.device)
     capsules = arm.capsules.to(q)
-    start, end = capsules.placed(arm.frames(q))
-    hit = collide(start, end, capsules.radius, slab)
     loose = capsules.joints > SHOULDER_JOINTS
     body = Boxes(body.centre[None], body.rotation[None], body.half[None])
-    return hit | collide(start[:, loose], end[:, loose], capsules.radius[loose], body)
+    hit = torch.zeros(len(q), dtype=torch.bool, device=q.device)
+    for first in range(0, len(q), _POSTURES):
+        part = slice(first, first + _POSTURES)
+        start, end = capsules.placed(arm.frames(q[part]))
+        hit[part] = collide(start, end, capsules.radius, _rows(slab, part)) | collide(
+            start[:, loose], end[:, loose], capsules.radius[loose], body
+        )
+    return hit
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:

@@ -14,6 +14,7 @@ from cgtorch.errors import RobotError
 from cgtorch.kinematics.arm import CHUNK, ArmModel
 from cgtorch.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.kinematics.description import Arm, RobotDescription, load_description
+from cgtorch.kinematics.files import robot_files
 from cgtorch.kinematics.inverse_kinematics import spherical_arm
 from cgtorch.kinematics.urdf import Urdf, load_urdf
 
@@ -75,28 +76,13 @@ class Robot:
         return tool.reshape(*q.shape[:-1], 4, 4)
 
 
-def robots_folder() -> Path:
-    """Where the built-in robots are: in an installed package, or beside it in a checkout.
-
-    Raises:
-        RobotError: They are in neither place.
-    """
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "robots", package.parent / "robots"):
-        if (folder / "pr2" / "pr2.urdf").is_file():
-            return folder
-    raise RobotError(
-        f"no built-in robots in {str(package / 'robots')!r} or {str(package.parent / 'robots')!r}: "
-        "install cgtorch again, or give a URDF and its robot description"
-    )
-
-
 def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
     """Load a robot and check that its URDF and its description fit.
 
     Args:
-        urdf: The URDF, or None for the built-in PR2.
-        description: The robot description, or None for `robot.json` beside the URDF.
+        urdf: The URDF, or None for the one beside the description.
+        description: The name of a built-in robot, a folder with a URDF and a `robot.json`, or a
+            robot description; None for `robot.json` beside the URDF, or the PR2 without one.
 
     Returns:
         The robot.
@@ -105,9 +91,8 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
         RobotError: A file is missing or broken, or the description names a link or joint that the
             URDF lacks or that cannot serve.
     """
-    path = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else Path(urdf)
-    model = load_urdf(path)
-    words = load_description(path.parent / "robot.json" if description is None else description)
+    urdf, description = robot_files(urdf, description)
+    model, words = load_urdf(urdf), load_description(description)
     rest = _rest_positions(model, words)
     model.model.update_cfg(rest)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}

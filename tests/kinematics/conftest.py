@@ -3,12 +3,25 @@ import math
 import pytest
 import torch
 
-from cgtorch.kinematics import Robot, load_robot
+from cgtorch.kinematics import ArmModel, Robot, load_robot
 
 
 @pytest.fixture(scope="session")
 def pr2() -> Robot:
     return load_robot()
+
+
+@pytest.fixture(scope="session")
+def fetch() -> Robot:
+    return load_robot(description="fetch")
+
+
+@pytest.fixture(params=["pr2 left", "pr2 right", "fetch arm"])
+def robot_and_arm(request: pytest.FixtureRequest) -> tuple[Robot, ArmModel]:
+    """Each arm of each built-in robot."""
+    robot, arm = request.param.split()
+    found: Robot = request.getfixturevalue(robot)
+    return found, found.arm(arm)
 
 
 @pytest.fixture

@@ -50,6 +50,39 @@ def test_capsules_touch_turned_boxes():
     assert collide(point, point, torch.tensor([0.09]), boxes).tolist() == [False]
 
 
+def turned(count, generator):
+    """(count, 3, 3) random rotations."""
+    q, r = torch.linalg.qr(torch.randn(count, 3, 3, generator=generator, dtype=torch.float64))
+    q = q * r.diagonal(dim1=1, dim2=2).sign()[:, None]
+    return q * q.det()[:, None, None]
+
+
+@pytest.mark.parametrize("shared", [True, False], ids=["the same boxes", "boxes of each row"])
+def test_looking_closely_only_where_it_is_near_changes_nothing(shared):
+    generator = torch.Generator().manual_seed(0)
+    rows, boxes = 400, 1 if shared else 400
+
+    def random(*shape):
+        return torch.rand(*shape, 3, generator=generator, dtype=torch.float64)
+
+    start, radius = 2 * random(rows, 4), 0.05 + 0.2 * random(4)[:, 0]
+    end = start + random(rows, 4) - 0.5
+    things = Boxes(
+        2 * random(boxes, 5),
+        turned(5 * boxes, generator).view(boxes, 5, 3, 3),
+        0.02 + 0.2 * random(boxes, 5),
+    )
+    axes = things.rotation.transpose(-1, -2)[:, None]
+    a, b = (
+        (axes @ (point[:, :, None] - things.centre[:, None])[..., None]).squeeze(-1)
+        for point in (start, end)
+    )
+    every = segment_box_distance(a, b, things.half[:, None]) < radius[:, None]
+    hit = collide(start, end, radius, things)
+    assert torch.equal(hit, every.flatten(1).any(dim=1))
+    assert 0.2 < hit.double().mean() < 0.9
+
+
 def test_nothing_touches_nothing():
     none = Boxes(torch.zeros(1, 0, 3), torch.zeros(1, 0, 3, 3), torch.zeros(1, 0, 3))
     ends = torch.zeros(4, 2, 3)

@@ -6,17 +6,16 @@ import torch
 from cgtorch.errors import RobotError
 
 
-@pytest.mark.parametrize("name", ["left", "right"])
-def test_both_tool_frames_agree_with_yourdfpy(pr2, random_joints, generator, name):
-    arm = pr2.arm(name)
+def test_tool_frames_agree_with_yourdfpy(robot_and_arm, random_joints, generator):
+    robot, arm = robot_and_arm
     q = random_joints(arm, 1000, generator)
-    pose = pr2.forward_kinematics(name, q)
-    model = pr2.urdf.model
-    tool = f"{name[0]}_gripper_tool_frame"
+    pose = robot.forward_kinematics(arm.name, q)
+    model, words = robot.urdf.model, robot.description
+    (tool,) = (a.tool_frame for a in words.arms if a.name == arm.name)
     for angles, got in zip(q, pose, strict=True):
-        torso = {"torso_lift_joint": pr2.description.torso_position}
+        torso = {words.torso_joint: words.torso_position}
         model.update_cfg(dict(zip(arm.joint_names, angles.tolist(), strict=True)) | torso)
-        want = torch.tensor(model.get_transform(tool, "base_footprint"))
+        want = torch.tensor(model.get_transform(tool, words.base_frame))
         assert (got[:3, 3] - want[:3, 3]).norm() < 1e-6
         assert (got[:3, :3] - want[:3, :3]).abs().max() < 1e-6
 

@@ -4,7 +4,9 @@ The reference finds the elbow by geometry instead of algebra, samples the pan an
 and lets it change on the way, and tests collision by points sampled along every capsule.
 """
 
+import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,7 +17,24 @@ from cgtorch.kinematics import graspable
 from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches
 
 PANS = 72
-UPPER_ARM, FOREARM, TOOL, SHOULDER = 0.4, 0.321, 0.18, 0.1
+
+
+class Lengths(NamedTuple):
+    """Of an arm, from published facts: m, `pan` in the arm's base link, `lift` after the pan."""
+
+    pan: tuple[float, float, float]
+    lift: tuple[float, float]
+    upper_arm: float
+    forearm: float
+    tool: float
+
+
+LENGTHS = {
+    "left": Lengths((0, 0.188, 0), (0.1, 0), 0.4, 0.321, 0.18),
+    "right": Lengths((0, -0.188, 0), (0.1, 0), 0.4, 0.321, 0.18),
+    "arm": Lengths((0.119525, 0, 0.34858), (0.117, 0.06), 0.352, 0.3215, 0.30495),
+}
+"""The PR2's arms and the Fetch's, by their names."""
 
 
 def rot_y(angle):
@@ -36,31 +55,34 @@ def rot_z(angle):
 def postures(arm, pose):
     """Every posture within limits at a pose, over the pan grid."""
     lower, upper = arm.lower.numpy(), arm.upper.numpy()
-    pan_joint = arm.mount.numpy()[:3, 3] + (0, 0.188 if arm.name == "left" else -0.188, 0)
-    wrist = pose[:3, 3] - TOOL * pose[:3, 0]
+    lengths = LENGTHS[arm.name]
+    pan_joint = arm.mount.numpy()[:3, 3] + lengths.pan
+    wrist = pose[:3, 3] - lengths.tool * pose[:3, 0]
     found = []
     for pan in np.linspace(lower[0], upper[0], PANS):
         ahead = np.array([math.cos(pan), math.sin(pan), 0])
-        shoulder = pan_joint + SHOULDER * ahead
+        shoulder = pan_joint + lengths.lift[0] * ahead + (0, 0, lengths.lift[1])
         way = wrist - shoulder
         # The elbow is in the vertical plane of the pan angle: meet there the circle about the
         # shoulder and the forearm's sphere about the wrist.
         flat, up = way @ ahead, way[2]
         reach = math.hypot(flat, up)
-        along = (way @ way + UPPER_ARM**2 - FOREARM**2) / (2 * UPPER_ARM)
+        along = (way @ way + lengths.upper_arm**2 - lengths.forearm**2) / (2 * lengths.upper_arm)
         if reach < 1e-9 or abs(along) > reach:
             continue
-        for side in (1, -1):
+        for side, bent, flexed in itertools.product((1, -1), repeat=3):
             pitch = math.atan2(up, flat) + side * math.acos(along / reach)
             lift = -pitch
             direction = math.cos(pitch) * ahead + np.array([0, 0, math.sin(pitch)])
-            forearm = (way - UPPER_ARM * direction) / FOREARM
+            forearm = (way - lengths.upper_arm * direction) / lengths.forearm
             turned = rot_z(pan) @ rot_y(lift)
             seen = turned.T @ forearm
-            flex = -math.acos(np.clip(seen[0], -1, 1))
+            flex = bent * math.acos(np.clip(seen[0], -1, 1))
+            if flex == 0:
+                continue
             roll = math.atan2(seen[1] / math.sin(flex), -seen[2] / math.sin(flex))
             left = (turned @ rot_x(roll) @ rot_y(flex)).T @ pose[:3, :3]
-            bend = -math.acos(np.clip(left[0, 0], -1, 1))
+            bend = flexed * math.acos(np.clip(left[0, 0], -1, 1))
             if bend == 0:
                 continue
             forearm_roll = math.atan2(left[1, 0] / math.sin(bend), -left[2, 0] / math.sin(bend))
@@ -182,26 +204,32 @@ def overlap(corners, table):
     return True
 
 
-def test_labels_agree_with_the_reference(pr2):
-    position, table = random_scene(100, seed=11)
-    labels = graspable(pr2, position, table).tolist()
+@pytest.mark.parametrize(("name", "count"), [("pr2", 100), ("fetch", 60)])
+def test_labels_agree_with_the_reference(request, name, count):
+    robot = request.getfixturevalue(name)
+    position, table = random_scene(count, seed=11)
+    labels = graspable(robot, position, table).tolist()
     reference = [
-        can_grasp(pr2, p, t)
+        can_grasp(robot, p, t)
         for p, t in zip(position.double().numpy(), table.double().numpy(), strict=True)
     ]
-    assert 20 <= sum(reference) <= 80
+    assert 0.2 * count <= sum(reference) <= 0.8 * count
     agreed = sum(a == b for a, b in zip(labels, reference, strict=True))
-    assert agreed >= 97
+    assert agreed >= 0.97 * count
 
 
 @pytest.mark.parametrize("height", [0.74, -9.0])
-def test_random_postures_collide_as_in_the_reference(pr2, random_joints, generator, height):
+@pytest.mark.parametrize("name", ["pr2", "fetch"])
+def test_random_postures_collide_as_in_the_reference(
+    request, random_joints, generator, name, height
+):
     """With a table before the robot, and with none near, so that only the body is in the way."""
-    arm = pr2.arm("left")
+    robot = request.getfixturevalue(name)
+    arm = robot.arms[0]
     q = random_joints(arm, 1000, generator)
     table = torch.tensor([[0.8, 0.1, 0.2, 0.8, 1.2, height]], dtype=torch.float64)
-    hit = touches(arm, q, table_slab(table.expand(1000, 6)), pr2.body)
-    body = [(c.numpy(), h.numpy()) for c, h in zip(pr2.body.centre, pr2.body.half, strict=True)]
+    hit = touches(arm, q, table_slab(table.expand(1000, 6)), robot.body)
+    body = [(c.numpy(), h.numpy()) for c, h in zip(robot.body.centre, robot.body.half, strict=True)]
     apart = free(arm, q.numpy(), sampled_capsules(arm), table[0].numpy(), body)
     assert 0.02 < hit.double().mean() < 0.9
     assert (hit.numpy() != apart).mean() >= 0.99

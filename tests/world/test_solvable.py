@@ -1,4 +1,4 @@
-"""Scenarios that can be solved, by the PR2's own arms."""
+"""Scenarios that can be solved, by the robots' own arms."""
 
 from functools import partial
 
@@ -21,9 +21,9 @@ from cgtorch.world.clear_way import CLEARANCE
 from cgtorch.world.geometry import box_rectangle, corners, rectangle_in_frame, to_frame
 
 
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot()
+@pytest.fixture(scope="module", params=["pr2", "fetch"])
+def robot(request: pytest.FixtureRequest) -> Robot:
+    return load_robot(description=request.param)
 
 
 @pytest.mark.parametrize("kind", ["general", "general-clutter"])
