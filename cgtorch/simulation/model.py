@@ -65,8 +65,8 @@ class ModelEnvironment:
         self.most_novel = most_novel
         self.seeds = torch.arange(len(percepts)) if seeds is None else seeds
         self.seeds = self.seeds.to(percepts.device)
-        self._first_state = percepts.new_zeros(len(percepts), 3)
-        self._first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
+        self.first_state = percepts.new_zeros(len(percepts), 3)
+        self.first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
 
     @property
     def num_scenarios(self) -> int:
@@ -80,7 +80,7 @@ class ModelEnvironment:
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        return self._first_state[scenario], self.percepts[scenario]
+        return self.first_state[scenario], self.percepts[scenario]
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """The percepts that Γ predicts for controls (n, U); as they were where one is not possible.

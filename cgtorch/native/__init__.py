@@ -1,0 +1,5 @@
+"""What the hot paths run on CPUs where there is a C compiler; without one torch does the same."""
+
+from cgtorch.native.library import available as available
+from cgtorch.native.library import function as function
+from cgtorch.native.library import threads as threads
