@@ -2,6 +2,7 @@
 
 from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
 from cgtorch.evolution.evolution import EvolutionState as EvolutionState
+from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
 from cgtorch.evolution.fitness import Evaluation as Evaluation

@@ -6,7 +6,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import SettingsError
+from cgtorch.dry_run import kind
+from cgtorch.errors import DataError, SettingsError
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.fitness import Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
@@ -102,13 +103,31 @@ def initial_state(
     generator: Generator,
     seeds: Population | None = None,
 ) -> EvolutionState:
-    """The first population: random, or half of it `seeds` (section IV-B)."""
+    """The first population: random, or half of it `seeds` (section IV-B).
+
+    Args:
+        settings: of the evolution.
+        actions: what nodes can do.
+        generator: of all random choices, a CPU one.
+        seeds: earlier individuals, with the same actions first in their sets.
+
+    Raises:
+        GraphError: an earlier individual has more nodes than `settings.capacity`.
+    """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
         population = random_population(settings.population, actions, *sizes)
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)
     return EvolutionState(population, 0, population[:1], float("-inf"))
+
+
+def ask(state: EvolutionState) -> Population:
+    """The P = `settings.population` individuals to evaluate next.
+
+    Whoever asks again before telling gets the same ones.
+    """
+    return state.population
 
 
 def tell(
@@ -119,19 +138,23 @@ def tell(
     generator: Generator,
     scores: Tensor | None = None,
 ) -> EvolutionState:
-    """The next generation, given how this one did; NaN counts as the worst.
+    """The next generation, given how this one did (Algorithm 2, lines 7 to 12).
 
     Args:
         state: with the generation that was evaluated.
-        fitness: (P,).
+        fitness: (P,) of the individuals in the order of `ask`, on the CPU; more is better, in any
+            unit, and NaN counts as the worst. It decides who is the elite and the best.
         settings: of the evolution.
         actions: what nodes can do.
         generator: of all random choices.
-        scores: (P, B) on each scenario, for selection; the fitness as of one if not given.
+        scores: (P, B) on each scenario or of each aim, for selection; the fitness as of one if not
+            given. More is better in each column, whatever its unit.
 
     Raises:
+        DataError: fitness or scores are not of such a shape.
         SettingsError: a crossover or mutation of one's own has made what is no valid population.
     """
+    _check(fitness, scores, len(state.population))
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
@@ -166,3 +189,11 @@ def _children(
     children = settings.mutation(children, actions, generator, settings.tau)
     check_offspring(children, 2 * q, capacity, actions)
     return Population(widened(children.graphs, capacity), children.strategy)
+
+
+def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
+    """DataError unless both are about a population of that size."""
+    if not isinstance(fitness, Tensor) or fitness.shape != (size,):
+        raise DataError(f"fitness is {kind(fitness)}; give a tensor ({size},), one of each")
+    if scores is not None and (scores.dim() != 2 or len(scores) != size or not scores.shape[1]):
+        raise DataError(f"scores are {kind(scores)}; give a tensor ({size}, B), B at least 1")

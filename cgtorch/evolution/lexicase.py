@@ -18,8 +18,16 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     children, however little else it solves.
 
     A population of more than `POOL` is parted at random into equal pools, each of which gives as
-    many parents, so that time and memory grow with the population and no faster. Arguments and
-    result are those of `cgtorch.evolution.selection.Selection`.
+    many parents, so that time and memory grow with the population and no faster.
+
+    Args:
+        order: (P,) long, individuals from best to worst; it does not matter here.
+        scores: (P, B) of each on every scenario.
+        count: how many parents to choose.
+        generator: of all random choices.
+
+    Returns:
+        (count,) long, the parents.
     """
     pools = -(-len(order) // POOL)
     if pools == 1:

@@ -7,11 +7,13 @@ from hypothesis import strategies as st
 from support import custom_actions, judged_by, model, nested_actions, same, seeded
 from torch import Tensor
 
-from cgtorch.errors import GraphError, SettingsError
+from cgtorch.errors import DataError, GraphError, SettingsError
 from cgtorch.evolution import (
     EvolutionSettings,
     EvolutionState,
+    Generation,
     Population,
+    ask,
     evaluate,
     evolve,
     initial_state,
@@ -150,6 +152,42 @@ def test_evolution_depends_on_its_seed_alone() -> None:
     torch.rand(100)  # the global generator must not matter
     assert same_population(one, run(3))
     assert not same_population(one, run(4))
+
+
+def test_ask_and_tell_are_the_same_search_as_evolve() -> None:
+    """Whoever evaluates by himself gets, generation by generation, what `evolve` gives."""
+    environment, keep = model(0, 4), torch.tensor([True, False, False, False])
+    searching = evolve(environment, ACTIONS, SETTINGS, seeded(5), keep=keep)
+    mine, generator = list[Generation](), seeded(5)
+    state = initial_state(SETTINGS, ACTIONS, generator)
+    for _ in range(6):
+        mine.append(next(searching))
+        population = ask(state)
+        assert same_population(population, mine[-1].population)
+        assert same_population(ask(state), population)
+        result = evaluate(population.graphs, ACTIONS, environment, keep)
+        assert torch.equal(result.fitness, mine[-1].fitness)
+        state = tell(state, result.fitness, SETTINGS, ACTIONS, generator, result.scores)
+        assert state.best_fitness == mine[-1].best
+        assert same_population(state.best, mine[-1].champion)
+    assert state.generation == 6
+
+
+@pytest.mark.parametrize(
+    ("fitness", "scores", "message"),
+    [
+        (torch.zeros(29), None, r"fitness is a tensor \(29,\) of float32; give a tensor \(30,\)"),
+        (torch.zeros(30, 1), None, r"fitness is a tensor \(30, 1\)"),
+        ([0.0] * 30, None, "fitness is a list"),
+        (torch.zeros(30), torch.zeros(30), r"scores are a tensor \(30,\)"),
+        (torch.zeros(30), torch.zeros(5, 30), r"scores are .*; give a tensor \(30, B\)"),
+        (torch.zeros(30), torch.zeros(30, 0), r"scores are a tensor \(30, 0\)"),
+    ],
+)
+def test_what_is_told_has_to_fit(fitness: Tensor, scores: Tensor | None, message: str) -> None:
+    state = initial_state(SETTINGS, ACTIONS, seeded(0))
+    with pytest.raises(DataError, match=message):
+        tell(state, fitness, SETTINGS, ACTIONS, seeded(1), scores)
 
 
 def test_selection_makes_what_is_rewarded_common() -> None:

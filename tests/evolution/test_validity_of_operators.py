@@ -3,7 +3,7 @@
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import all_valid, custom_actions, nested_actions, same, seeded
+from support import all_valid, nested_actions, same, seeded, stochastic_actions
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
@@ -24,7 +24,7 @@ from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import random_population, seeded_population
 from cgtorch.graphs import pruned, valid
 
-SETS = [paper_actions(), custom_actions(), nested_actions()]
+SETS = [paper_actions(), stochastic_actions(), nested_actions()]
 SIZE = 8
 
 seeds = st.integers(0, 2**31)
