@@ -1,6 +1,6 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
@@ -21,7 +21,7 @@ from cgtorch.evolution.population import (
     seeded_population,
 )
 from cgtorch.evolution.selection import Selection, ranking
-from cgtorch.graphs import compacted, widened
+from cgtorch.graphs import widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -182,10 +182,8 @@ def _children(
     """As many children as parents (2 Q,), by the operators of the settings."""
     if settings.crossover is crossover and settings.mutation is mutate:
         return offspring(population, parents, actions, generator, settings.tau)
-    # Operators of others look at every slot, so those that nobody needs go meanwhile.
     capacity, q = population.graphs.capacity, len(parents) // 2
-    some = replace(population, graphs=compacted(population.graphs, spare=1))
-    children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
+    children = settings.crossover(population[parents[:q]], population[parents[q:]], generator)
     children = settings.mutation(children, actions, generator, settings.tau)
     check_offspring(children, 2 * q, capacity, actions)
     return Population(widened(children.graphs, capacity), children.strategy)
