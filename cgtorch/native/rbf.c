@@ -8,10 +8,12 @@ typedef struct {
   real *values, *nearest;
 } Rows;
 
+/* So many rows at once that what is added up for them stays in registers. */
 INLINE void tiles(const Rows *rows, int64_t begin, int64_t end, int outputs, int features) {
+  int tile = outputs <= 2 ? TILE : SMALL_TILE;
   int64_t i = begin;
-  for (; i + TILE <= end; i += TILE)
-    machine_rows(&rows->f, rows->x + i * features, TILE, outputs, features,
+  for (; i + tile <= end; i += tile)
+    machine_rows(&rows->f, rows->x + i * features, tile, outputs, features,
                  rows->values + i * outputs, rows->nearest + i);
   for (; i < end; i++)
     machine_rows(&rows->f, rows->x + i * features, 1, outputs, features,
@@ -31,11 +33,9 @@ static void some_rows(void *what, int64_t begin, int64_t end) {
 }
 
 /* Values (n, k) and scaled squared distances (n,) to the nearest centre of rows x (n, d). */
-int rbf_values(const real *centres, const real *weights, const real *bias, real scale, int64_t m,
-               int64_t d, int64_t k, const real *x, int64_t n, real *values, real *nearest,
+int rbf_values(const Machine *machine, const real *x, int64_t n, real *values, real *nearest,
                int64_t threads) {
-  if (d > MOST_FEATURES || k > MOST_OUTPUTS) return 1;
-  Rows rows = {{centres, weights, bias, scale, m, d, k}, x, values, nearest};
+  Rows rows = {*machine, x, values, nearest};
   in_parallel(some_rows, &rows, n, 256, (int)threads);
   return 0;
 }

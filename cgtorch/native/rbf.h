@@ -14,6 +14,7 @@ typedef struct {
 #define MOST_FEATURES 64
 #define MOST_OUTPUTS 16
 #define TILE 4 /* rows that share what is loaded of the centres */
+#define SMALL_TILE 2
 
 /* Values (rows, k) and squared scaled distances (rows,) to the nearest centre of `rows` rows, TILE
    at most. Each row's numbers are made by the same steps in the same order however many come. */
@@ -54,14 +55,4 @@ INLINE void machine_rows(const Machine *f, const real *x, int rows, int outputs,
   }
 }
 
-/* One row of a machine with one output. */
-INLINE void machine_row(const Machine *f, const real *x, real *value, real *nearest) {
-  switch (f->d) { /* with the number of features known, all of it stays in registers */
-  case 4: machine_rows(f, x, 1, 1, 4, value, nearest); break;
-  case 7: machine_rows(f, x, 1, 1, 7, value, nearest); break;
-  case 8: machine_rows(f, x, 1, 1, 8, value, nearest); break;
-  case 10: machine_rows(f, x, 1, 1, 10, value, nearest); break;
-  default: machine_rows(f, x, 1, 1, (int)f->d, value, nearest);
-  }
-}
 #endif
