@@ -128,7 +128,8 @@ static void some_children(void *what, int64_t begin, int64_t end) {
       memcpy(parameters, mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k,
              (size_t)count * sizeof(real));
       for (; hit < last && which[hit] < at + count; hit++) {
-        float step = c->normal[hit] * c->sigma[row]; /* rounded before it is added, as in torch */
+        /* Rounded before it is added, as in torch, though products and sums may be contracted. */
+        volatile float step = c->normal[hit] * c->sigma[row];
         parameters[which[hit] - at] += step;
       }
       at += count;
