@@ -136,7 +136,7 @@ def parameters(
 ) -> Tensor:
     """See `cgtorch.evolution.parameters.parameters`."""
     p, n = graphs.action.shape
-    out = old.new_zeros(p, *old.shape[1:])
+    out = old.new_empty(p, *old.shape[1:])
     counts, first, hits = torch.empty(3, p + 1, dtype=torch.long)
     nodes = graphs.action, actions.num_parameters, len(actions), n
     _call("parameter_counts", old.dtype, *nodes, counts, first, p)

@@ -30,7 +30,7 @@ def offspring(
     Returns:
         2 Q children, in the order of `crossover`.
     """
-    graphs, strategy = population.graphs, population.strategy[parents]
+    graphs, strategy = population.graphs, population.strategy.index_select(0, parents)
     pairs = pairs_of(graphs, parents, strategy, generator)
     choices = choices_for(strategy, pairs.width, graphs.edges.shape[1:], generator)
     if compiled.takes(graphs, graphs.parameters):
