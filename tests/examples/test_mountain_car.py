@@ -18,12 +18,12 @@ from cgtorch.actions import check_action
 from cgtorch.dry_run import check_environment
 from cgtorch.environment import start_lanes
 from cgtorch.evolution import evolve
-from cgtorch.graphs import Skill, load_skill
+from cgtorch.graphs import Graphs, Skill, load_skill
 from cgtorch.improvement.events import Event, SkillAccepted, WorldTested
 from cgtorch.simulation import Recording, rollout
 from examples.mountain_car import __main__ as command
 from examples.mountain_car.actions import car_actions
-from examples.mountain_car.models import CarModels, fit_models, imagine, load_models
+from examples.mountain_car.models import MOST_NEW, CarModels, imagine, learn, load_models
 from examples.mountain_car.train import STAGES, car_setup, drive, points, train, tried
 from examples.mountain_car.world import (
     ANYWHERE,
@@ -116,10 +116,10 @@ def test_gamma_and_c_are_right_on_fresh_drives(models: CarModels) -> None:
     predicted, novelty = models.predict(fresh.percept, fresh.motion)
     error = (predicted - fresh.next_percept).abs().mean(0)
     still = (fresh.percept - fresh.next_percept).abs().mean(0)
-    assert error[0] < 0.018
-    assert error[1] < 0.03
-    assert error[2] < 0.0005
-    assert (error < still / 4).all()
+    assert error[0] < 0.01
+    assert error[1] < 0.015
+    assert error[2] < 0.0002
+    assert (error < still / 15).all()
     assert (novelty < 0.75).float().mean() > 0.95
     away = fresh.percept + torch.tensor([3.0, 0.0, 0.0])
     assert (models.predict(away, fresh.motion)[1] > 0.75).all()
@@ -157,23 +157,23 @@ def test_the_fitness_is_what_an_episode_earns(skill: Skill, models: CarModels) -
     assert (foretold - worth)[both].abs().mean() < 0.02
 
 
-def test_one_seed_gives_one_result() -> None:
-    def made(seed: int) -> tuple[CarModels, object]:
+def test_one_seed_gives_one_result(models: CarModels) -> None:
+    def made(seed: int) -> tuple[CarModels, Graphs]:
         generator, setup = seeded(seed), car_setup()
-        models = fit_models(drive(generator), seed)
+        more = learn(models, drive(generator), generator)
         percepts = MountainCar(draw_starts(4, generator)).start(torch.arange(4))[1]
         search = evolve(
-            imagine(models, percepts, 2, generator),
+            imagine(more, percepts, 2, generator),
             ACTIONS,
             replace(setup.evolution, population=20),
             generator,
         )
         for _ in range(3):
             population = next(search).population.graphs
-        return models, population
+        return more, population
 
     (one, first), (two, second) = made(5), made(5)
-    assert one.cells == two.cells
+    assert len(one.data.percept) == len(models.data.percept) + MOST_NEW
     assert torch.equal(one.gamma.weights, two.gamma.weights)
     assert torch.equal(one.classifier.weights, two.classifier.weights)
     assert same(first, second)
@@ -205,3 +205,16 @@ def test_a_skill_is_trained(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     again = CliRunner().invoke(command.group, ["test", str(tmp_path / "car"), "--count", "100"])
     assert again.exit_code == 0
     assert again.output == ended.output
+
+
+def test_it_shares_nothing_with_the_tabletop() -> None:
+    folder = command.TRAINED.parent
+    imported = {
+        line.split()[1]
+        for file in folder.glob("*.py")
+        for line in file.read_text().splitlines()
+        if line.startswith(("from cgtorch", "import cgtorch"))
+    }
+    assert len(imported) > 10
+    tabletop = ("cgtorch.world", "cgtorch.kinematics", "cgtorch.improvement.knowledge")
+    assert not [name for name in imported if name.startswith(tabletop)]
