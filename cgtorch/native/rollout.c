@@ -107,12 +107,14 @@ INLINE void say(Lane *lane, const real *said, int64_t count, int *changed) {
   lane->has_message = 1;
 }
 
-/* `ModelEnvironment.step`: 1 where the base has moved. */
-static int move(const Task *task, Layout layout, Lane *lane) {
+/* What takes long is kept out of the loop over transitions, whose registers it would take. */
+#define APART static __attribute__((noinline))
+
+/* `ModelEnvironment.step`, for a lane that has a message and is not lost: 1 where it has moved. */
+APART int move(const Task *task, Layout layout, Lane *lane) {
   const Models *m = task->models;
   const real *u = lane->message;
   int possible = 0;
-  if (!lane->has_message || lane->state[1] > 0) return 0;
   TIMED(IN_POSSIBLE, possible = motion_possible(lane->percept, u, layout, &m->body));
   if (!possible) return 0;
   real after[MOST_PERCEPT], novelty;
@@ -130,57 +132,79 @@ static int move(const Task *task, Layout layout, Lane *lane) {
   return 1;
 }
 
+APART real chance(const Task *task, Layout layout, const real *percept) {
+  real found = 0;
+  TIMED(IN_C, found = success_row(&task->models->classifier, layout, percept));
+  return found;
+}
+
+APART void continuous(const Task *task, Lane *lane, const Action *action, const real *weights,
+                      int *changed) {
+  real out[MOST_MESSAGE];
+  TIMED(IN_NETWORKS, network(lane->percept, weights, action, (int)action->outputs, out));
+  say(lane, out, action->outputs, changed);
+}
+
+APART int64_t branching(const Task *task, const Lane *lane, const Action *action,
+                        const real *weights) {
+  real out[2];
+  TIMED(IN_NETWORKS, network(lane->percept, weights, action, 2, out));
+  return branch(out);
+}
+
+APART void edge_network(const Task *task, Layout layout, Lane *lane, const Action *action,
+                        const real *weights, int *changed) {
+  real seen[SCENE], pose[3], out[3];
+  TIMED(IN_NETWORKS, {
+    Edge edge = edge_frame(lane->percept, layout);
+    table_scene(&edge, lane->percept, seen);
+    network(seen, weights, action, 3, pose);
+    motion_to(&edge, pose, out);
+  });
+  say(lane, out, 3, changed);
+}
+
+APART int64_t edge_branching(const Task *task, Layout layout, const Lane *lane,
+                             const Action *action, const real *weights) {
+  real seen[SCENE + MOST_PERCEPT], out[2];
+  TIMED(IN_NETWORKS, {
+    Edge edge = edge_frame(lane->percept, layout);
+    table_scene(&edge, lane->percept, seen);
+    obstacle_scene(&edge, lane->percept, layout, seen + SCENE);
+    network(seen, weights, action, 2, out);
+  });
+  return branch(out);
+}
+
 /* A lane's action: its outcome, and whether it changed anything a later action could depend on. */
-static int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
+INLINE int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
   const Program *program = task->program;
   const Action *action = program->actions + program->kind[lane->node];
   const real *weights = program->parameters + lane->node * program->width;
-  real seen[MOST_PERCEPT * 2], out[MOST_MESSAGE];
-  int64_t outcome = 0;
   *changed = 0;
   switch (action->kind) {
   case MOVE_BASE:
-    *changed = move(task, layout, lane);
-    outcome = !*changed;
-    break;
+    *changed = lane->has_message && !(lane->state[1] > 0) && move(task, layout, lane);
+    return !*changed;
   case GRASP:
     if (lane->state[2] == UNKNOWN) {
-      TIMED(IN_C, lane->state[2] = success_row(&task->models->classifier, layout, lane->percept));
+      lane->state[2] = chance(task, layout, lane->percept);
       *changed = 1;
     }
-    outcome = lane->state[2] <= (real)0.5;
-    break;
+    return lane->state[2] <= (real)0.5;
   case CONTINUOUS:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, (int)action->outputs, out));
-    say(lane, out, action->outputs, changed);
-    break;
+    continuous(task, lane, action, weights, changed);
+    return 0;
   case EDGE:
-    TIMED(IN_NETWORKS, {
-      Edge edge = edge_frame(lane->percept, layout);
-      real pose[3];
-      table_scene(&edge, lane->percept, seen);
-      network(seen, weights, action, 3, pose);
-      motion_to(&edge, pose, out);
-    });
-    say(lane, out, 3, changed);
-    break;
+    edge_network(task, layout, lane, action, weights, changed);
+    return 0;
   case BRANCHING:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, 2, out));
-    outcome = branch(out);
-    break;
+    return branching(task, lane, action, weights);
   case EDGE_BRANCHING:
-    TIMED(IN_NETWORKS, {
-      Edge edge = edge_frame(lane->percept, layout);
-      table_scene(&edge, lane->percept, seen);
-      obstacle_scene(&edge, lane->percept, layout, seen + SCENE);
-      network(seen, weights, action, 2, out);
-    });
-    outcome = branch(out);
-    break;
+    return edge_branching(task, layout, lane, action, weights);
   default: /* DETECT: Γ predicts what would be perceived */
-    break;
+    return 0;
   }
-  return outcome;
 }
 
 /* Into the sub-skills that a lane's node stands for, as deep as it takes (`frames.enter`). */
@@ -302,13 +326,12 @@ static void evaluate_graph(const Evaluation *e, Layout layout, int64_t graph) {
   for (int64_t i = 0; i < task->count && !(lost && i >= e->keep); i++) {
     int64_t scenario = task->scenarios[i];
     int success = run_lane(task, layout, graph, scenario, &lane) == SUCCESS;
-    real chance = lane.state[2];
-    if (chance == UNKNOWN)
-      TIMED(IN_C, chance = success_row(&task->models->classifier, layout, lane.percept));
-    int real_numbers = isfinite(chance) && all_finite(lane.percept, layout.size);
-    finite &= real_numbers;
-    chance = real_numbers ? (chance < 0 ? 0 : chance > 1 ? 1 : chance) : 0;
-    score[scenario] = success ? chance : chance / 2;
+    real c = lane.state[2];
+    if (c == UNKNOWN) c = chance(task, layout, lane.percept);
+    int numbers = isfinite(c) && all_finite(lane.percept, layout.size);
+    finite &= numbers;
+    c = numbers ? (c < 0 ? 0 : c > 1 ? 1 : c) : 0;
+    score[scenario] = success ? c : c / 2;
     succeeded[scenario] = (unsigned char)success;
     lost |= i < e->keep && !success;
     done += lane.step;
