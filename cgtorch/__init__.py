@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cgtorch.kinematics import graspable as graspable
     from cgtorch.kinematics import load_robot as load_robot
     from cgtorch.report import draw_skill as draw_skill
-    from cgtorch.simulation import rollout as rollout
+    from cgtorch.simulation.rollout import rollout as rollout
     from cgtorch.world import TabletopWorld as TabletopWorld
     from cgtorch.world import random_scenarios as random_scenarios
     from cgtorch.world import stage_scenarios as stage_scenarios
