@@ -62,7 +62,9 @@ def draw_success(shares: Shares, others: Shares, label: str, other: str, paper: 
     if paper:
         share = AROUND_SUCCEEDED / AROUND_TRIED
         axes.axhline(share, color=PAPER, ls="--", lw=1.2)
-        axes.plot([], [], color=PAPER, ls="--", lw=1.2, label=f"the paper's last test: {_percent(share)}")
+        axes.plot(
+            [], [], color=PAPER, ls="--", lw=1.2, label=f"the paper's last test: {_percent(share)}"
+        )
     names = [name for name, _, _ in shares]
     axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 10 else 0)
     axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
