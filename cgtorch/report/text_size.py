@@ -16,5 +16,6 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
         return 0.0
     font = FontProperties(weight="bold" if bold else "normal")
     # Not as mathematics, which a "$" in a name would be.
-    extents = Path(*text_to_path.get_text_path(font, text, ismath=False)).get_extents()
+    vertices, codes = text_to_path.get_text_path(font, text, ismath=False)
+    extents = Path(vertices, codes).get_extents()
     return float(extents.x1) * size / text_to_path.FONT_SCALE / POINTS_PER_INCH

@@ -13,6 +13,7 @@ from matplotlib import rc_context
 
 import cgtorch
 from cgtorch.errors import printable
+from cgtorch.experiments.run import versions
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import PERIMETER, STAGES
 from cgtorch.report.estimate import as_time
@@ -26,7 +27,7 @@ from cgtorch.report.page.paper import (
     EXPERIMENTS,
 )
 from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
-from cgtorch.report.page.reproduce import changes_of, training_commands
+from cgtorch.report.page.reproduce import OLD_ENGINE, changes_of, training_commands
 from cgtorch.report.page.shares import counted, interval, share, share_of
 from cgtorch.report.page.stages import stage_sections
 from cgtorch.report.page.vector import STYLE, inline_svg
@@ -67,7 +68,8 @@ def report_page(folder: Path, trusted: Sequence[str] = ()) -> bytes:
 def _context(contents: Contents) -> dict[str, Any]:
     run, about = contents.run, contents.about
     stages = stage_sections(contents)
-    made_with = [(name, str(about.get(name, DASH))) for name in ("cgtorch", "torch")]
+    known = {"engine": OLD_ENGINE, **about}
+    made_with = [(name, str(known.get(name, DASH))) for name in versions()]
     return {
         "name": run.folder.resolve().name,
         "made_with": made_with,

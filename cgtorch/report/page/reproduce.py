@@ -13,6 +13,8 @@ from cgtorch.experiments.takeover import option_of
 from cgtorch.kinematics import robots_folder
 
 AGAIN = "runs/again"
+ENGINE, OLD_ENGINE = "engine", "torch"
+"""What computes in a run, and what did before there was another and runs said so."""
 
 
 def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -45,20 +47,22 @@ def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, 
         about: its run.json.
         summary: its summary.json, which knows the goal of `--stage auto`; empty if there is none.
     """
-    names = {f.name for f in fields(RunSettings)}
+    names = {ENGINE, *(f.name for f in fields(RunSettings))}
     taken = [c for c in changes_of(about) if c[1] in names]
     at_first = {name: old for _, name, old, _ in reversed(taken)}
+    engine = at_first.get(ENGINE, str(about.get(ENGINE, OLD_ENGINE)))
     legs = _legs(run, summary, [before for before, *_ in taken])
     commands = []
     for number, (words, before) in enumerate(legs):
+        here = [(name, new) for place, name, _, new in taken if number and place == before]
+        engine = dict(here).get(ENGINE, engine)
         overrides = [
-            f"--override {shlex.quote(f'{name}={new}')}"
-            for place, name, _, new in taken
-            if number and place == before
+            f"--override {shlex.quote(f'{name}={new}')}" for name, new in here if name != ENGINE
         ]
         begin = [*_robot(run), *_settings(run, at_first), f"--run-dir {AGAIN}"]
         rest = [f"--resume {AGAIN}", *overrides] if number else begin
-        commands.append(" ".join(["cgtorch-train", *words, *rest]))
+        program = ["CGTORCH_NATIVE=0"] * (engine == OLD_ENGINE) + ["cgtorch-train"]
+        commands.append(" ".join([*program, *words, *rest]))
     return commands
 
 

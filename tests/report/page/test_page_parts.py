@@ -25,6 +25,8 @@ from cgtorch.report.page.event_files import read_event_files
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.vector import STYLE, inline_svg
 
+SLOW = "CGTORCH_NATIVE=0"
+
 
 def test_the_middle_of_a_histogram(tmp_path: Path) -> None:
     values = torch.linspace(0, 1, 1001)
@@ -68,7 +70,7 @@ def test_the_course_of_the_reference_run() -> None:
 
 def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """All options that a command line gives, and the settings among them."""
-    words = shlex.split(line)
+    words = [word for word in shlex.split(line) if word != SLOW]
     assert words[0] == "cgtorch-train"
     values = command.make_context("cgtorch-train", words[1:]).params
     names = set(RunSettings.__dataclass_fields__)
@@ -103,14 +105,16 @@ def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
     history = [
         {"before": "S1", "changed": {"population": [400, 600], "torch": ["2.4", "2.5"]}},
         {"before": "S1", "changed": {"population": [600, 650]}},
+        {"before": "auto-1", "changed": {"engine": ["torch", "compiled"]}},
         {"before": "auto-3", "changed": {"population": [650, 700], "attempts": [24, 5]}},
     ]
-    about = {"history": history}
+    about = {"history": history, "engine": "compiled"}
     lines = training_commands(run, about, {"target": 0.9, "rounds": 30, "minutes": 4})
     found = [options(line)[0] for line in lines]
     assert [(f["stage"], f["resume"] is None) for f in found] == [
         ("S0", True), ("S2", False), ("auto", False), ("auto", False),
     ]  # fmt: skip
+    assert [line.startswith(SLOW) for line in lines] == [True, True, False, False]
     assert (found[0]["population"], found[0]["attempts"]) == (400, 24)
     assert found[1]["override"] == ("population=600", "population=650")
     assert [f["override"] for f in found[2:]] == [(), ("population=700", "attempts=5")]
