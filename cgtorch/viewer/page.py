@@ -188,7 +188,7 @@ class Page:
 
     def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
         world = candidate.world_of(scenario)
-        check_percepts(candidate.skill, world.percept_size, "such scenarios")
+        _check(candidate, world)
         robot = candidate.robot
         if id(robot) not in self.rest:
             self.rest[id(robot)] = rest_postures(robot)
@@ -299,14 +299,21 @@ class Page:
             self.run(put_object(self.scenario, at), play=True)
 
 
+def _check(candidate: Candidate, world: TabletopWorld) -> None:
+    check_percepts(candidate.skill, world.percept_size, "such scenarios")
+
+
 def open_page(
     candidates: Mapping[str, Candidate], wish: Wish, host: str, port: int
 ) -> tuple[Page, str]:
     """Serve the page; the address says where it is, also if the port was taken.
 
     Raises:
-        SettingsError: this machine cannot listen there.
+        SettingsError: this machine cannot listen there, or a skill is for other percepts.
     """
+    scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
+    for name in filter(None, (wish.skill, wish.against)):
+        _check(candidates[name], candidates[name].world_of(scenario))
     try:
         socket.create_server((host, 0)).close()
     except OSError as e:

@@ -14,9 +14,11 @@ from cgtorch.kinematics import ArmModel, Robot
 from cgtorch.kinematics.collision import Boxes
 from cgtorch.kinematics.grasping import table_slab, touches
 
-SAMPLES = 1024
-VIAS, TOGETHER = 256, 16
-LEG = 10
+SAMPLES, TRIED = 16_384, 512
+APART = 4
+"""How much worse it is to cross over to the other arm than to reach beyond the footprint."""
+VIAS, TOGETHER = 1024, 32
+LEG = 14
 """Postures that are looked at on the way from one to the next."""
 SAME = 0.02
 """How far apart two arms may be for one to count as the mirror image of the other, m."""
@@ -25,7 +27,7 @@ SAME = 0.02
 def rest_postures(robot: Robot) -> tuple[Tensor, ...]:
     """A posture (n,) of each arm that is folded beside the body, rad or m.
 
-    It is the one of many random ones whose shapes are least outside of the footprint, on the arm's
+    It is the one of many random ones that reaches least beyond the footprint, on the arm's
     own side and clear of the body. An arm that can mirror an earlier one does.
     """
     found: list[Tensor] = []
@@ -38,14 +40,15 @@ def rest_postures(robot: Robot) -> tuple[Tensor, ...]:
 
 def _folded(robot: Robot, arm: ArmModel) -> Tensor:
     q = _random_postures(arm, SAMPLES)
-    q = q[~touches(arm, q, _no_table(len(q)), robot.body.to(q))]
-    points = _points(arm, q)
+    points, radius = _points(arm, q), arm.capsules.radius.repeat(2)
     x_min, x_max, y_min, y_max = robot.description.footprint
     low, high = points.new_tensor([x_min, y_min]), points.new_tensor([x_max, y_max])
-    outside = torch.maximum(points[..., :2] - high, low - points[..., :2]).clamp_min(0).sum((1, 2))
+    beyond = torch.maximum(points[..., :2] - high, low - points[..., :2]) + radius[:, None]
     side = math.copysign(1.0, float(arm.mount[1, 3]))
-    crossed = (-side * points[..., 1]).clamp_min(0).sum(1)
-    return q[(outside + crossed).argmin()]
+    crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1)
+    best = q[(beyond.clamp_min(0).amax(1).sum(1) + APART * crossed).argsort()[:TRIED]]
+    free = ~touches(arm, best, _no_table(len(best)), robot.body.to(best))
+    return best[int(free.long().argmax())]
 
 
 def _mirrored(arm: ArmModel, other: ArmModel, q: Tensor) -> Tensor | None:

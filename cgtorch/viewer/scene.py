@@ -36,12 +36,12 @@ class Scene:
         self.server, self.name, self.robot = server, name, robot
         self.place = server.scene.add_frame(name, show_axes=False)
         self.base = server.scene.add_frame(f"{name}/base", show_axes=False)
-        model = yourdfpy.URDF.load(
-            io.BytesIO(robot.urdf.xml), load_meshes=False, build_collision_scene_graph=True
-        )
         # Robots whose shapes are files of meshes, which a run does not keep, show what they
         # collide with.
+        model = _model(robot)
         visual = bool(model.scene.geometry)
+        if not visual:
+            model = _model(robot, build_collision_scene_graph=True)
         root = self._root(model)
         server.scene.add_frame(
             f"{name}/base/robot", show_axes=False, wxyz=root[0], position=root[1]
@@ -81,8 +81,9 @@ class Scene:
                 f"obstacle-{k}", box[:3], [*box[3:5].tolist(), OBSTACLE_HEIGHT],
                 OBSTACLE_HEIGHT / 2, BOX_COLOUR, visible=bool(present(box)),
             )  # fmt: skip
+        above = float(scene.table[0, 5]) + 0.5
         self.server.scene.add_label(
-            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, float(scene.table[0, 5]) + 1),
+            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, above),
             anchor="bottom-center", font_screen_scale=1.3,
         )  # fmt: skip
         stops = run.pose[torch.cat([torch.tensor([True]), (run.pose[1:] != run.pose[:-1]).any(1)])]
@@ -176,6 +177,11 @@ def _segments(points: Tensor) -> Tensor:
     """(n, 2, 2) the pieces of a way (F, 2) that have a length."""
     pieces = torch.stack([points[:-1], points[1:]], 1)
     return pieces[(pieces[:, 0] != pieces[:, 1]).any(1)]
+
+
+def _model(robot: Robot, **how: bool) -> Any:
+    """A model of the robot to move, apart from the one that kinematics keep."""
+    return yourdfpy.URDF.load(io.BytesIO(robot.urdf.xml), load_meshes=False, **how)
 
 
 def _rest(model: Any, robot: Robot) -> Array:

@@ -136,8 +136,8 @@ def test_drag_the_object_and_run_again(opened: Visit) -> None:
     page = opened.page
     seen = page.locator(".readings").first.inner_text()
     at = np.array([-0.0026, -0.4732, 0.74])  # of the first scenario of seed 0
-    arrow = pixel(page, at + [0.16, 0, 0])
-    target = pixel(page, at + [-0.14, 0, 0])
+    arrow = pixel(page, at + np.array([0.16, 0, 0]))
+    target = pixel(page, at + np.array([-0.14, 0, 0]))
     page.mouse.move(*arrow)
     page.wait_for_timeout(1000)
     page.mouse.down()
