@@ -21,7 +21,7 @@ from cgtorch.evolution.population import (
     seeded_population,
 )
 from cgtorch.evolution.selection import Selection, ranking
-from cgtorch.graphs import widened
+from cgtorch.graphs import compacted, resized, widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -182,8 +182,12 @@ def _children(
     """As many children as parents (2 Q,), by the operators of the settings."""
     if settings.crossover is crossover and settings.mutation is mutate:
         return offspring(population, parents, actions, generator, settings.tau)
-    capacity, q = population.graphs.capacity, len(parents) // 2
-    children = settings.crossover(population[parents[:q]], population[parents[q:]], generator)
+    # Operators of others look at every slot, so those that nobody needs go meanwhile.
+    graphs, q = population.graphs, len(parents) // 2
+    capacity, slots = graphs.capacity, int(graphs.num_nodes.max()) + 1
+    sizes = min(slots, capacity), graphs.edges.shape[2], graphs.parameters.shape[2]
+    some = Population(resized(compacted(graphs), *sizes), population.strategy)
+    children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
     children = settings.mutation(children, actions, generator, settings.tau)
     check_offspring(children, 2 * q, capacity, actions)
     return Population(widened(children.graphs, capacity), children.strategy)

@@ -19,8 +19,8 @@ Mutation: TypeAlias = Callable[[Population, ActionSet, Generator, float], Popula
 """From P individuals, what their nodes can do, the generator of all random choices and the variance
 of the drift of strategy parameters to as many individuals.
 
-Graphs come with as many slots as the capacity, of which any may be free; they may come back with
-fewer. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
+Graphs come compacted, with one slot that is free in every graph; they may come back with more
+slots, up to the capacity. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
 To add to what the library does, call `cgtorch.evolution.mutate` first."""
 
 

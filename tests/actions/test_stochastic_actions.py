@@ -22,7 +22,6 @@ from cgtorch.actions import Action, ActionSet, Detect, check_action, paper_actio
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.errors import ActionError, ModelError
 from cgtorch.graphs import Graphs, Skill, SubSkill
-from cgtorch.improvement.team import with_noise
 from cgtorch.simulation import ModelEnvironment, Recording, rollout
 from cgtorch.world import Noise, TabletopWorld
 
@@ -61,7 +60,7 @@ def test_a_lane_alone_draws_what_it_draws_among_others(
 
 def test_seeds_of_scenarios_decide() -> None:
     graphs, first = wandering(1, 4), world(0, 6, STILL)
-    other = TabletopWorld(with_noise(first.scenarios, 1), graspable, FOOTPRINT, STILL)
+    other = TabletopWorld(first.scenarios.with_noise(1), graspable, FOOTPRINT, STILL)
     runs, again = rollout(graphs, ACTIONS, first), rollout(graphs, ACTIONS, other)
     assert not torch.equal(runs.percept, again.percept)
     models = model(0, 6)
