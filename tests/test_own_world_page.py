@@ -39,14 +39,15 @@ def share(runs: Rollouts) -> float:
 
 
 def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
-    assert share(page["tried"]) > 0.95
-    assert share(page["hasty"]) > 0.95
+    assert share(page["tried"]) > 0.9
+    assert share(page["hasty"]) > 0.9
     actions = {name: float(page[name].transitions.float().mean()) for name in ("tried", "hasty")}
     assert actions["hasty"] < actions["tried"]
     progress = page["progress"]
-    assert share(page["tested"]) > 0.95
-    assert len(progress.solved) + len(progress.missed) == 120
-    assert len(progress.solved) >= 60
+    assert share(page["tested"]) > 0.9
+    # What the stage is about, and as many fresh ones after each of its rounds.
+    assert len(progress.solved) + len(progress.missed) in (120, 180, 240)
+    assert len(progress.solved) > 100
     world = page["Rail"](progress.solved)
     assert share(rollout(progress.skill.graph, page["actions"], world)) == 1
 
