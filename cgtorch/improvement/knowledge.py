@@ -23,8 +23,7 @@ from cgtorch.models import (
     update_transition_model,
 )
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.simulation.model import Possible
-from cgtorch.world import motion_possible, things_seen
+from cgtorch.world import ClearWay
 from cgtorch.world.percepts import BOX
 from cgtorch.world.percepts import parted as parts_of
 
@@ -146,18 +145,13 @@ def can_err(percept: Tensor) -> Tensor:
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 
 
-def possible_with(footprint: Tensor) -> Possible:
-    """MoveBase's own check on percepts: the way must be clear of table and obstacles as seen.
+def possible_with(footprint: Tensor) -> ClearWay:
+    """MoveBase's own check on percepts.
 
     It asks for `MARGIN` more room than the world does, so that a way which is possible in the
     models is not blocked by the noise of the world.
     """
-    wider = footprint + footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
-
-    def possible(percept: Tensor, motion: Tensor) -> Tensor:
-        return motion_possible(motion, things_seen(percept), wider)
-
-    return possible
+    return ClearWay(footprint + footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN]))
 
 
 MOST_NEW = 100  # transitions, and grasps that C got right, learned from one experience

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from cgtorch.world.percepts import PERCEPTS, parted, table_seen
+from cgtorch.world.percepts import BOX, PERCEPTS, parted, table_seen
 
 SIZES = tuple(size + obstacle for size in PERCEPTS.values() for obstacle in (0, 4))
 """Lengths of percepts that are those of a tabletop: box or yaw, with an obstacle or without."""
@@ -70,3 +70,10 @@ def used_features(percept: Tensor) -> int:
     if features != FLAT + 1 or percept.shape[-1] not in SIZES:
         return features
     return FLAT + int(bool(percept[:, 6].std(correction=0) > SAME_HEIGHT))
+
+
+def compiled_features(size: int, used: int) -> bool:
+    """Whether compiled code knows the `used` features of percepts of a size (models.h)."""
+    if size in SIZES:
+        return used == FLAT + 3 if size % BOX == 1 else used in (FLAT, FLAT + 1)
+    return size > max(SIZES) and size % BOX in (1, 3) and used == size

@@ -9,11 +9,13 @@ from torch import Tensor, nn
 
 from cgtorch.errors import DataError, ModelError, SettingsError
 from cgtorch.models import inputs
+from cgtorch.models.compiled import machine_values
 from cgtorch.models.fused import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
 from cgtorch.models.gram import Gram, gram
 from cgtorch.models.kernels import Kernel, make_kernel, resolve_gamma
 from cgtorch.models.problems import Problems
 from cgtorch.models.rounded import classify
+from cgtorch.native.structures import suits
 
 
 class KernelMachine(nn.Module):
@@ -89,7 +91,10 @@ class KernelMachine(nn.Module):
             DataError: Another number of features.
         """
         rows = self._rows(x)
-        values = fused_rbf(rows, *self._machine) if self.kernel == "rbf" else self._plain(rows)
+        if (found := self._compiled(rows)) is not None:
+            values = found[0]
+        else:
+            values = fused_rbf(rows, *self._machine) if self.kernel == "rbf" else self._plain(rows)
         return values.reshape(*x.shape[:-1], values.shape[1])
 
     def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -103,12 +108,19 @@ class KernelMachine(nn.Module):
         """
         rows = self._rows(x)
         if self.kernel == "rbf":
-            values, exponent = fused_rbf_and_nearest(rows, *self._machine)
+            found = self._compiled(rows)
+            values, exponent = found or fused_rbf_and_nearest(rows, *self._machine)
             distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
         else:
             values, distance = self._plain(rows), rows.new_zeros(len(rows))
         lead = x.shape[:-1]
         return values.reshape(*lead, values.shape[1]), distance.reshape(lead)
+
+    def _compiled(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
+        """What compiled code says of rows (n, d) where there is some and no gradient is asked."""
+        if self.kernel != "rbf" or not suits(rows, *self._machine):
+            return None
+        return machine_values(rows, *self._machine)
 
     @property
     def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:

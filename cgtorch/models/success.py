@@ -9,12 +9,20 @@ from torch import Tensor, nn
 
 from cgtorch.errors import DataError
 from cgtorch.models import inputs
-from cgtorch.models.grasp_features import FLAT, SIZES, grasp_features, used_features
+from cgtorch.models.compiled import Compiled, classifier_structure, successes
+from cgtorch.models.grasp_features import (
+    FLAT,
+    SIZES,
+    compiled_features,
+    grasp_features,
+    used_features,
+)
 from cgtorch.models.grid_search import Choice, Progress, grid_search
 from cgtorch.models.learning_curve import LearningCurve, doubling_sizes, learning_values
 from cgtorch.models.platt import fit_platt, probability
 from cgtorch.models.scores import balanced_accuracy
 from cgtorch.models.svc import SVC, ClassWeight
+from cgtorch.native.structures import suits
 
 C_GRID = (100.0, 300.0)
 GAMMA_GRID = (0.5, 1.0, 2.0)
@@ -87,7 +95,26 @@ class SuccessClassifier(nn.Module):
             DataError: Another number of coordinates than it was fitted on.
             ModelError: Not fitted.
         """
+        compiled = self.compiled(percept)
+        if compiled is not None:
+            found = successes(compiled, percept.reshape(-1, percept.shape[-1]))
+            if found is not None:
+                return found.view(percept.shape[:-1])
+        return self.predict_in_torch(percept)
+
+    def predict_in_torch(self, percept: Tensor) -> Tensor:
+        """What `forward` says, on any device and with gradients."""
         return self.machine(self.features(percept)).to(percept.dtype)
+
+    def compiled(self, percept: Tensor) -> Compiled | None:
+        """C as compiled code knows it, where that can be asked about these percepts."""
+        machine, platt = self.machine._machine, self.machine.platt
+        suited = suits(percept, *machine, platt, self.mean, self.scale)
+        if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
+            return None
+        if not compiled_features(percept.shape[-1], len(self.mean)):
+            return None
+        return classifier_structure(machine, self.mean, self.scale, platt)
 
     def decision_function(self, percept: Tensor) -> Tensor:
         """Signed decision value (...), positive for success."""

@@ -15,11 +15,14 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.models import geometry
+from cgtorch.models.compiled import Compiled, gamma_structure, transitions
 from cgtorch.models.svr import SVR
+from cgtorch.native.structures import suits
 from cgtorch.world.percepts import parted
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
 LN2 = math.log(2)
+_NUMBERS = ("mean", "scale", "sides", "most", "trust", "reach")
 
 
 class TransitionModel(nn.Module):
@@ -56,9 +59,7 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
-        scene = self._scene(percept, motion)
-        value = self.machine.values(self._features(scene))[..., 0]
-        return _following(scene, motion, value.to(percept), self.trust)
+        return self.predict_with_novelty(percept, motion)[0]
 
     def novelty(self, percept: Tensor, motion: Tensor) -> Tensor:
         """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
@@ -71,6 +72,15 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
             ModelError: Not fitted.
         """
+        compiled = self.compiled(percept, motion)
+        if compiled is not None and percept.shape[:-1] == motion.shape[:-1]:
+            rows = percept.reshape(-1, percept.shape[-1]), motion.reshape(-1, 3)
+            if (found := transitions(compiled, *rows)) is not None:
+                return found[0].view_as(percept), found[1].view(percept.shape[:-1])
+        return self.predict_in_torch(percept, motion)
+
+    def predict_in_torch(self, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
+        """What `predict_with_novelty` says, on any device and with gradients."""
         scene = self._scene(percept, motion)
         value, distance = self.machine.values_and_distance(self._features(scene))
         following = _following(scene, motion, value[..., 0].to(percept), self.trust)
@@ -78,6 +88,20 @@ class TransitionModel(nn.Module):
         beyond = (_extremes(scene, motion) / self.most.to(percept) - 1).clamp_min(0).sum(-1)
         exponent = distance / self.reach + beyond.to(distance) / _NOVEL_SHARE
         return following, (1 - torch.exp(-LN2 * exponent)).to(percept.dtype)
+
+    def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
+        """Γ as compiled code knows it, where that can be asked about these rows.
+
+        Raises:
+            DataError: Wrong shapes.
+        """
+        geometry.check_percept(percept, motion)
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        machine = self.machine._machine
+        suited = suits(percept, motion, *machine)
+        if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
+            return None
+        return gamma_structure(machine, numbers)
 
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., 4) that the machine sees; no motion changes them."""

@@ -4,5 +4,5 @@ from cgtorch.simulation.model import ModelEnvironment as ModelEnvironment
 from cgtorch.simulation.recording import Recording as Recording
 from cgtorch.simulation.rollout import MAX_STEPS as MAX_STEPS
 from cgtorch.simulation.rollout import MAX_TRANSITIONS as MAX_TRANSITIONS
-from cgtorch.simulation.rollout import Rollouts as Rollouts
 from cgtorch.simulation.rollout import rollout as rollout
+from cgtorch.simulation.rollouts import Rollouts as Rollouts

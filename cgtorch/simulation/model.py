@@ -61,8 +61,8 @@ class ModelEnvironment:
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
         self.most_novel = most_novel
-        self._first_state = percepts.new_zeros(len(percepts), 3)
-        self._first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
+        self.first_state = percepts.new_zeros(len(percepts), 3)
+        self.first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
 
     @property
     def num_scenarios(self) -> int:
@@ -76,7 +76,7 @@ class ModelEnvironment:
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        return self._first_state[scenario], self.percepts[scenario]
+        return self.first_state[scenario], self.percepts[scenario]
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """The percepts that Γ predicts; where the control is not possible they stay.

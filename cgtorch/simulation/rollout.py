@@ -1,7 +1,7 @@
-"""Algorithm 3: run every graph on every scenario, all in one batch."""
+"""Algorithm 3: run every graph on every scenario."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import torch
@@ -10,8 +10,10 @@ from torch import Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.graphs import Graphs
+from cgtorch.simulation.compiled import compiled_rollout
 from cgtorch.simulation.frames import TIMEOUT, first_frames, follow
 from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
+from cgtorch.simulation.rollouts import Rollouts
 
 MAX_TRANSITIONS = 20
 MAX_STEPS = MAX_TRANSITIONS**2
@@ -19,25 +21,6 @@ MAX_STEPS = MAX_TRANSITIONS**2
 own."""
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
-
-
-@dataclass(frozen=True)
-class Rollouts:
-    """How P graphs did on B scenarios.
-
-    Attributes:
-        succeeded: (P, B) bool, a terminal outcome with success was reached.
-        timed_out: (P, B) bool, no terminal outcome within the limit of transitions.
-        percept: (P, B, D), the last percept p_t.
-        state: (P, B, S), what the environment kept of the lane at its end.
-        transitions: (P, B) long, actions executed.
-    """
-
-    succeeded: Tensor
-    timed_out: Tensor
-    percept: Tensor
-    state: Tensor
-    transitions: Tensor
 
 
 def rollout(
@@ -71,7 +54,23 @@ def rollout(
     program = compile_graphs(graphs, actions)
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=program.kind.device)
-    p, b = len(graphs), len(scenarios)
+    if trace is None:
+        found = compiled_rollout(program, environment, scenarios, max_transitions, max_steps)
+        if found is not None:
+            return found
+    return rollout_in_torch(program, environment, scenarios, max_transitions, max_steps, trace)
+
+
+def rollout_in_torch(
+    program: Program,
+    environment: Environment,
+    scenarios: Tensor,
+    max_transitions: int,
+    max_steps: int,
+    trace: Trace | None = None,
+) -> Rollouts:
+    """The same for any actions, environment and device, all lanes in one batch."""
+    p, b = len(program.start), len(scenarios)
     lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
     frames = first_frames(program, b, max_transitions)
     status, transitions = torch.zeros_like(frames.node), lanes.step.clone()

@@ -1,5 +1,7 @@
 """The tabletop world and its scenarios."""
 
+from cgtorch.world.clear_way import ClearWay as ClearWay
+from cgtorch.world.clear_way import motion_possible as motion_possible
 from cgtorch.world.draws import DRAWS as DRAWS
 from cgtorch.world.draws import draw_of as draw_of
 from cgtorch.world.general import cluttered_scenarios as cluttered_scenarios
@@ -19,4 +21,3 @@ from cgtorch.world.solvable import standing_free as standing_free
 from cgtorch.world.tabletop import LAB_NOISE as LAB_NOISE
 from cgtorch.world.tabletop import Noise as Noise
 from cgtorch.world.tabletop import TabletopWorld as TabletopWorld
-from cgtorch.world.tabletop import motion_possible as motion_possible

@@ -58,7 +58,7 @@ def edge_frame(percept: Tensor) -> EdgeFrame:
     gaps = torch.cat([half + at, half - at], -1)
     nearest = gaps.argmin(-1, keepdim=True)
     front, right, back, left = (gaps.gather(-1, (nearest + k) % 4)[..., 0] for k in range(4))
-    yaw = wrap(table[..., 2] + torch.pi / 2 * nearest[..., 0])
+    yaw = wrap(table[..., 2] + torch.pi / 2 * nearest[..., 0].to(table))
     robot = rotate(-placed, -yaw)
     mirror = torch.where(robot[..., 1] < 0, -1.0, 1.0).to(robot)
     ends = torch.where(mirror > 0, left, right), torch.where(mirror > 0, right, left)

@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes
 from cgtorch.errors import SettingsError
+from cgtorch.world.clear_way import motion_possible
 from cgtorch.world.geometry import moved, rectangle_in_frame, to_frame
 from cgtorch.world.percepts import (
     BOX,
@@ -20,10 +21,6 @@ from cgtorch.world.percepts import (
     side_seen,
 )
 from cgtorch.world.scenarios import Scenarios
-from cgtorch.world.sweep import sweep_blocked
-
-MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
-CLEARANCE = 0.02  # m kept between base and table, four times the odometry noise
 
 Graspable: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Object positions (n, 3) and tables (n, 6) in the base frame to (n,) bool."""
@@ -44,24 +41,6 @@ class Noise:
 
 LAB_NOISE = Noise(0.005, torch.pi / 360)
 """A good lab robot: 5 mm and 0.5°."""
-
-
-def motion_possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
-    """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
-
-    False where the swept footprint would come within `CLEARANCE` of one of them, beyond
-    `MAX_TRANSLATION`, and for motions that are not finite.
-
-    Args:
-        motion: (n, 3) dx, dy (m), dθ (rad).
-        things: (n, 5) a table, or (n, R, 5) the table and obstacles; one of size 0 is none.
-        footprint: (4,) of the base (m).
-    """
-    short = motion[:, :2].norm(dim=1) <= MAX_TRANSLATION
-    free = short & torch.isfinite(motion).all(1)
-    for thing in things[:, None].unbind(1) if things.dim() == 2 else things.unbind(1):
-        free = free & ~(present(thing) & sweep_blocked(motion, thing, footprint, CLEARANCE))
-    return free
 
 
 def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:

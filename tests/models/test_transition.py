@@ -200,7 +200,7 @@ def test_novelty_costs_no_further_kernel_evaluation(fitted, monkeypatch):
         lambda self, x: calls.append(len(x)) or original(self, x),
     )
     p, u, _ = _torch(transitions(20, 8))
-    model.predict_with_novelty(p, u)
+    model.predict_in_torch(p, u)
     assert calls == [20]
 
 

@@ -17,8 +17,8 @@ from cgtorch.world import (
     random_scenarios,
     standing_free,
 )
+from cgtorch.world.clear_way import CLEARANCE
 from cgtorch.world.geometry import box_rectangle, corners, rectangle_in_frame, to_frame
-from cgtorch.world.tabletop import CLEARANCE
 
 
 @pytest.fixture(scope="module", params=["pr2", "fetch"])

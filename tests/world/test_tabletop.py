@@ -22,7 +22,7 @@ from cgtorch.world import (
     random_scenarios,
     stage_scenarios,
 )
-from cgtorch.world.tabletop import CLEARANCE, MAX_TRANSLATION
+from cgtorch.world.clear_way import CLEARANCE, MAX_TRANSLATION
 
 QUIET = Noise(0, 0)
 

@@ -12,7 +12,7 @@ from benchmarks.workload import Workload
 from cgtorch.improvement.knowledge import MARGIN
 from cgtorch.models import SuccessClassifier, TransitionModel
 from cgtorch.models.machine import KernelMachine
-from cgtorch.world.tabletop import CLEARANCE
+from cgtorch.world.clear_way import CLEARANCE
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,42 @@
+/* Γ and C for many rows (cgtorch.models.compiled). */
+#include "models.h"
+#include "parallel.h"
+
+#define PIECE 256
+
+typedef struct {
+  const Gamma *gamma;
+  const Classifier *classifier;
+  Layout layout;
+  const real *percept, *motion;
+  real *out, *novelty;
+} Rows;
+
+static void some_transitions(void *what, int64_t begin, int64_t end) {
+  const Rows *r = what;
+  int size = r->layout.size;
+  for (int64_t i = begin; i < end; i++)
+    gamma_row(r->gamma, r->layout, r->percept + i * size, r->motion + i * 3, r->out + i * size,
+              r->novelty + i);
+}
+static void some_successes(void *what, int64_t begin, int64_t end) {
+  const Rows *r = what;
+  for (int64_t i = begin; i < end; i++)
+    r->out[i] = success_row(r->classifier, r->layout, r->percept + i * r->layout.size);
+}
+
+/* Next percepts (n, size) and novelties (n,) of percepts (n, size) and motions (n, 3). */
+int transitions(const Gamma *gamma, int64_t size, const real *percept, const real *motion, int64_t n,
+                real *after, real *novelty, int64_t threads) {
+  Rows rows = {gamma, NULL, layout_of(size), percept, motion, after, novelty};
+  in_parallel(some_transitions, &rows, n, PIECE, (int)threads);
+  return 0;
+}
+
+/* Probabilities (n,) of success at percepts (n, size). */
+int successes(const Classifier *classifier, int64_t size, const real *percept, int64_t n, real *out,
+              int64_t threads) {
+  Rows rows = {NULL, classifier, layout_of(size), percept, NULL, out, NULL};
+  in_parallel(some_successes, &rows, n, PIECE, (int)threads);
+  return 0;
+}
