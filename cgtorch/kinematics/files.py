@@ -1,5 +1,6 @@
 """Where a robot's two files are: by name for a built-in robot, by path for any other."""
 
+from os.path import isdir, isfile  # which take any text for a path
 from pathlib import Path
 
 from cgtorch.errors import RobotError
@@ -51,6 +52,11 @@ def robot_files(
     words = _description(DEFAULT if description is None else str(description))
     if urdf is not None:
         return Path(urdf), words
+    if not isfile(words):
+        raise RobotError(
+            f"robot {str(description)!r} is no description, no folder with one and none of the "
+            f"built-in robots ({', '.join(built_in_robots())}): give one of these"
+        )
     beside = sorted(words.parent.glob("*.urdf"))
     if len(beside) != 1:
         raise RobotError(
@@ -63,11 +69,4 @@ def robot_files(
 def _description(robot: str) -> Path:
     if robot in built_in_robots():
         return robots_folder() / robot / DESCRIPTION
-    if Path(robot).is_dir():
-        return Path(robot) / DESCRIPTION
-    if Path(robot).is_file():
-        return Path(robot)
-    raise RobotError(
-        f"robot {robot!r} is no file, no folder and none of the built-in robots "
-        f"({', '.join(built_in_robots())}): give one of these"
-    )
+    return Path(robot) / DESCRIPTION if isdir(robot) else Path(robot)

@@ -56,7 +56,7 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["more"], "unexpected extra argument (more); see cgtorch-train --help"),
         (["--urdf", "none.urdf"], "none.urdf"),
         (["--robot", "none.json"], "none.json"),
-        (["--robot", "fetsch"], "none of the built-in robots (fetch, pr2): give one of these"),
+        (["--robot", "fetsch"], "none of the built-in robots (fetch, pr2): give one"),
         (["--resume", "none"], "'none' is no run (it has no run.json); give the folder of a run"),
         (["--run-dir", ""], "a run cannot replace the current folder; choose another"),
         (["--run-dir", "."], "a run cannot replace the current folder; choose another"),

@@ -41,19 +41,32 @@ def test_names_come_before_folders(tmp_path, monkeypatch):
     assert robot_files(description="fetch/robot.json")[0] == Path("fetch/pr2.urdf")
 
 
-def test_an_unknown_robot():
-    message = r"robot 'fetsch' is no file, no folder and none of .*\(fetch, pr2\): give one"
+@pytest.mark.parametrize("robot", ["fetsch", "fetsch" * 1000, "a\0b"])
+def test_an_unknown_robot(robot):
+    message = r"robot '.*' is no description, no folder.*\(fetch, pr2\): give one"
     with pytest.raises(RobotError, match=message):
-        robot_files(description="fetsch")
+        robot_files(description=robot)
 
 
 def test_a_folder_with_no_urdf_or_with_two(tmp_path):
+    shutil.copy(BOTH[1], tmp_path)
     with pytest.raises(RobotError, match="0 URDFs lie beside"):
         robot_files(description=tmp_path)
     for name in ("one.urdf", "two.urdf"):
         shutil.copy(BOTH[0], tmp_path / name)
     with pytest.raises(RobotError, match="2 URDFs lie beside"):
         robot_files(description=tmp_path)
-    (tmp_path / "two.urdf").unlink()
-    with pytest.raises(RobotError, match=r"robot.json.*cannot be read"):
-        load_robot(description=tmp_path)
+
+
+def test_a_folder_without_a_description(tmp_path):
+    with pytest.raises(RobotError, match="is no description, no folder with one"):
+        robot_files(description=tmp_path)
+
+
+def test_a_missing_file_is_named_when_it_is_read(tmp_path):
+    urdf, words = robot_files(tmp_path / "none.urdf")
+    assert robot_files(urdf, words) == (urdf, words)
+    with pytest.raises(RobotError, match=r"none\.urdf' cannot be read"):
+        load_robot(tmp_path / "none.urdf")
+    with pytest.raises(RobotError, match=r"robot\.json' cannot be read"):
+        load_robot(BOTH[0], words)
