@@ -40,6 +40,12 @@ def together() -> Iterator[None]:
         torch.distributed.destroy_process_group()
 
 
+def cores() -> int:
+    """How many of this machine's cores each rank on it can have to itself, at least 1."""
+    mine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, mine // int(os.environ.get("LOCAL_WORLD_SIZE", 1)))
+
+
 @dataclass(frozen=True)
 class Crew:
     """Ranks that share out rows among them.

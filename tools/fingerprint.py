@@ -1,14 +1,20 @@
 """Make a small run and print one number of all that it came to, to compare machines and ranks by.
 
-    python tools/fingerprint.py [--stage S0] [--seed 0] [--ranks 1 --ranks 2 ...]
+    python tools/fingerprint.py [--stage S0] [--seed 0] [--ranks 1 --ranks 2 ...] [--note]
 
-Machines whose CPU has the same vector instructions, with the same version of torch, print the same
-fingerprint with any number of ranks: the same skills, W, M, ledgers and history of fitness, to the
-last bit. The population, 61, divides by none.
+Machines of one kind, that is, with the same CPU, compiler, C library and version of torch, print
+the same fingerprint with any number of ranks: the same skills, W, M, ledgers and history of
+fitness, to the last bit. The population, 61, divides by none.
+
+`tools/fingerprints.json` holds what each kind of machine has printed. Where it holds another number
+for this kind, or numbers of ranks differ, this ends with exit code 1; `--note` writes what is new
+into it, for the next machine of the kind to be compared with.
 """
 
 import hashlib
 import json
+import platform
+import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,21 +24,64 @@ import torch
 from kill_and_resume import SMALL, told
 from measure_ranks import torchrun
 
+from cgtorch import native
+from cgtorch.files import write_json
+
+KNOWN = Path(__file__).parent / "fingerprints.json"
+
 
 @click.command()
 @click.option("--stage", default="S0", show_default=True, help="Stage to train up to.")
 @click.option("--seed", default=0, show_default=True, help="Of the run.")
 @click.option("--ranks", "counts", multiple=True, default=(1,), help="Ranks; may be repeated.")
-def command(stage: str, seed: int, counts: Sequence[int]) -> None:
-    """Make a small run and print a fingerprint of all that it came to."""
-    vectors = torch.backends.cpu.get_cpu_capability()
+@click.option("--note", is_flag=True, help="Write the fingerprint down as this kind's.")
+def command(stage: str, seed: int, counts: Sequence[int], note: bool) -> None:
+    """Make a small run, print a fingerprint of all that it came to, and compare it."""
+    name = f"{stage} of seed {seed} on {kind_of_machine()}"
+    known = json.loads(KNOWN.read_text())
+    found = set()
     for count in counts:
         with tempfile.TemporaryDirectory() as folder:
             run = Path(folder) / "run"
             train(run, stage, seed, count)
-            found = fingerprint(run)
-        about = f"torch {torch.__version__}, {vectors}, {stage} of seed {seed}, ranks {count}"
-        click.echo(f"{about}: {found}")
+            found.add(fingerprint(run))
+        click.echo(f"{name}, ranks {count}: {fingerprint_of(found)}")
+    if note:
+        write_json(KNOWN, {**known, name: fingerprint_of(found)})
+    elif name not in known:
+        click.echo("no machine of this kind has been here before; --note writes it down")
+    elif {known[name]} == found:
+        click.echo("the same as on another machine of this kind")
+    else:
+        raise SystemExit(f"another machine of this kind came to {known[name]}")
+
+
+def fingerprint_of(found: set[str]) -> str:
+    """The only one; with several, ranks have come to different results."""
+    if len(found) > 1:
+        raise SystemExit(f"the ranks differ: {', '.join(sorted(found))}")
+    return next(iter(found))
+
+
+def kind_of_machine() -> str:
+    """What the last digits of its numbers depend on."""
+    cpu = {}
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        name, _, value = line.partition(":")
+        cpu.setdefault(name.strip(), value.strip())
+    parts = [
+        " ".join(cpu.get(name, "?") for name in ("vendor_id", "cpu family", "model")),
+        torch.backends.cpu.get_cpu_capability(),
+        " ".join(platform.libc_ver()),
+        f"torch {torch.__version__}",
+        _compiler() if native.available() else "no compiler",
+    ]
+    return ", ".join(parts)
+
+
+def _compiler() -> str:
+    said = subprocess.run(["cc", "--version"], check=True, capture_output=True, text=True)  # noqa: S607
+    return said.stdout.splitlines()[0]
 
 
 def train(run: Path, stage: str, seed: int, ranks: int) -> None:

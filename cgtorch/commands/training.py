@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from cgtorch import ranks
+from cgtorch import native, ranks
 from cgtorch.errors import SettingsError
 from cgtorch.experiments.auto import reached, train_until
 from cgtorch.experiments.goal import AUTO, Goal
@@ -122,9 +122,13 @@ def _train(
     checkpoint_seconds: float,
 ) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
+    native.use_threads(ranks.cores())
     taken = take_over(run, settings, stage)
     run = taken.run
     with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+        if native.to_be_compiled():
+            with display.working("compiling for this CPU, once"):
+                native.prepare()
         missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])
@@ -151,7 +155,7 @@ def _train(
 def _changes(taken: TakenOver) -> Iterator[str]:
     """What a run goes on with that was otherwise before."""
     again = f"; {taken.before} begins again" if taken.set_aside else f" from {taken.before} on"
-    versions = [name for name in ("cgtorch", "torch") if name in taken.changed]
+    versions = [name for name in ("cgtorch", "torch", "engine") if name in taken.changed]
     for name in (n for n in taken.changed if n not in versions):
         was, now = taken.changed[name]
         yield f"{name} is {now} in place of {was}{again}"

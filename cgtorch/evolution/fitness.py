@@ -9,7 +9,9 @@ from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, start_lanes
 from cgtorch.graphs import Graphs
-from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, rollout
+from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
+from cgtorch.simulation.compiled import compiled_evaluation
+from cgtorch.simulation.program import compile_graphs
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,10 @@ def _evaluate_at_once(
     """Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
+    program = compile_graphs(graphs, actions)
+    found = compiled_evaluation(program, environment, keep, max_transitions, MAX_STEPS)
+    if found is not None:
+        return found
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)
@@ -107,7 +113,7 @@ def _evaluate_at_once(
         transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
-        score[alive[:, None], part] = probability
+        score[alive[:, None], part] = probability.float()
         finite[alive] &= real.all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
     lost = torch.ones(p, dtype=torch.bool, device=device)

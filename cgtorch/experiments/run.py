@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 import cgtorch
-from cgtorch import ranks
+from cgtorch import native, ranks
 from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.perception import NETWORKS, networks_of, percept_of, usual_percept
@@ -95,6 +95,12 @@ def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
     return ranks.gathered(graspable(robot, position[mine], table[mine]), rows)
 
 
+def versions() -> dict[str, str]:
+    """What the last digits of a run's numbers depend on besides its settings, by name."""
+    engine = "compiled" if native.available() else "torch"
+    return {"cgtorch": cgtorch.__version__, "torch": str(torch.__version__), "engine": engine}
+
+
 def create_run(
     folder: Path,
     settings: RunSettings,
@@ -116,8 +122,7 @@ def create_run(
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     source = robots_folder() / "pr2" / "pr2.urdf" if urdf is None else urdf
     words = source.parent / "robot.json" if description is None else description
-    about = {"format": FORMAT, "version": VERSION, "cgtorch": cgtorch.__version__}
-    about["torch"] = str(torch.__version__)
+    about = {"format": FORMAT, "version": VERSION, **versions()}
     try:
         robot_bytes, words_bytes = source.read_bytes(), words.read_bytes()
         folder.parent.mkdir(parents=True, exist_ok=True)

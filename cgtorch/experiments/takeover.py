@@ -15,14 +15,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import torch
-
-import cgtorch
 from cgtorch import ranks
 from cgtorch.errors import RunError, SettingsError
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.journal import FOLDER
-from cgtorch.experiments.run import Run
+from cgtorch.experiments.run import Run, versions
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import STAGES, round_name
 from cgtorch.files import read_json, write_json
@@ -109,22 +106,27 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
     about = read_json(run.folder / "run.json")
     old, new = run.settings.to_dict(), settings.to_dict()
     changed = {name: (old[name], new[name]) for name in old if old[name] != new[name]}
-    versions = {"cgtorch": cgtorch.__version__, "torch": str(torch.__version__)}
-    changed |= {k: (about.get(k), v) for k, v in versions.items() if about.get(k) != v}
+    about = {"engine": "torch", **about}  # as it was before there was another one
+    current = versions()
+    changed |= {k: (about.get(k), v) for k, v in current.items() if about.get(k) != v}
     before = _next(run, stage)
     if not changed:
         return TakenOver(run, {}, before, None)
     history = about.get("history", [])
     if not isinstance(history, list):
         raise RunError(f"history in {str(run.folder / 'run.json')!r} is no list; restore the file")
-    aside = _free(run) if set(changed) != {"torch"} and (run.folder / FOLDER).is_dir() else None
+    aside = (
+        _free(run)
+        if set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
+        else None
+    )
     ranks.wait()  # all have read before anyone writes
     if ranks.first():
         entry: dict[str, Any] = {"before": before, "changed": {k: [*v] for k, v in changed.items()}}
         if aside is not None:
             _set_aside(run, aside)
             entry["set_aside"] = aside
-        now = {**about, **versions, "settings": new, "history": [*history, entry]}
+        now = {**about, **current, "settings": new, "history": [*history, entry]}
         write_json(run.folder / "run.json", now)
     ranks.wait()
     return TakenOver(replace(run, settings=settings), changed, before, aside)

@@ -14,6 +14,7 @@ import os
 import platform
 import shutil
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,7 +25,7 @@ import torch
 SOURCES = Path(__file__).parent
 FLAGS = (
     "-O3", "-march=native", "-std=c11", "-fPIC", "-shared", "-pthread",
-    "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math",
+    "-fopenmp-simd", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
 SECONDS = 120
 """A compiler that has not ended by then is taken for none."""
@@ -35,8 +36,25 @@ Function = Any
 
 
 def available() -> bool:
-    """Whether hot paths run compiled; compiles them the first time, which takes seconds."""
+    """Whether hot paths run compiled; compiles one of them the first time, which takes seconds."""
     return _library("rbf", "float") is not None
+
+
+def to_be_compiled() -> bool:
+    """Whether `prepare` has work to do: a compiler is there, but not yet what it makes."""
+    compiler = _compiler()
+    try:
+        return compiler is not None and any(
+            not _kept(path.stem, "float", compiler).exists() for path in SOURCES.glob("*.c")
+        )
+    except (OSError, subprocess.SubprocessError):
+        return False
+
+
+def prepare() -> None:
+    """Compile all sources, side by side, so that nobody waits for it later."""
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda path: _library(path.stem, "float"), SOURCES.glob("*.c")))
 
 
 @cache
@@ -60,8 +78,17 @@ def function(source: str, name: str, dtype: torch.dtype, *types: Any) -> Functio
 
 
 def threads() -> int:
-    """How many threads compiled code may use: as many as torch."""
-    return torch.get_num_threads()
+    """How many threads compiled code may use: as many as torch, or what `use_threads` said."""
+    return _threads or torch.get_num_threads()
+
+
+def use_threads(count: int) -> None:
+    """Let compiled code use so many threads, whatever torch uses; no result depends on it."""
+    global _threads
+    _threads = count
+
+
+_threads = 0
 
 
 @cache
@@ -72,6 +99,8 @@ def _library(source: str, real: str) -> ctypes.CDLL | None:
         return None
     try:
         path = _kept(source, real, compiler)
+        if not path.exists():
+            _compile(source, real, compiler, path)
         return ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError):
         return None
@@ -85,18 +114,28 @@ def _compiler() -> str | None:
 
 def _kept(source: str, real: str, compiler: str) -> Path:
     """Where the compiled source lies, named by all that it depends on."""
-    command = [compiler, *FLAGS, f"-DREAL={real}", f"-DREAL_IS_{real.upper()}"]
-    target = _run([compiler, *FLAGS, "-E", "-dM", "-x", "c", os.devnull])  # version and CPU
     text = b"".join(path.read_bytes() for path in sorted(SOURCES.glob("*.[ch]")))
-    about = "\0".join([*command, source, platform.machine(), target])
+    about = "\0".join([source, platform.machine(), *_command(real, compiler), _target(compiler)])
     name = hashlib.sha256(about.encode() + text).hexdigest()[:32]
-    kept = _folder() / f"{source}-{real}-{name}.so"
-    if not kept.exists():
-        with TemporaryDirectory(dir=kept.parent) as folder:
-            made = Path(folder) / kept.name
-            _run([*command, str(SOURCES / f"{source}.c"), "-o", str(made), "-lm"])
-            made.replace(kept)
-    return kept
+    return _folder() / f"{source}-{real}-{name}.so"
+
+
+def _compile(source: str, real: str, compiler: str, path: Path) -> None:
+    """Make the file whole or not at all, whoever else is at it."""
+    with TemporaryDirectory(dir=path.parent) as folder:
+        made = Path(folder) / path.name
+        _run([*_command(real, compiler), str(SOURCES / f"{source}.c"), "-o", str(made), "-lm"])
+        made.replace(path)
+
+
+def _command(real: str, compiler: str) -> list[str]:
+    return [compiler, *FLAGS, f"-DREAL={real}", f"-DREAL_IS_{real.upper()}"]
+
+
+@cache
+def _target(compiler: str) -> str:
+    """What the compiler says of its version and of this CPU."""
+    return _run([compiler, *FLAGS, "-E", "-dM", "-x", "c", os.devnull])
 
 
 def _run(command: list[str]) -> str:

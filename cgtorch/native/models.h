@@ -26,10 +26,18 @@ INLINE void rigid(real x, real y, const real *u, real c, real s, real *mx, real 
   *mx = c * x + s * y;
   *my = c * y - s * x;
 }
-INLINE void turned_extents(real yaw, const real *sides, real *w, real *h) {
-  real c = absolute(FN(cos)(yaw)), s = absolute(FN(sin)(yaw));
+INLINE void turned_extents(real c, real s, const real *sides, real *w, real *h) {
+  c = absolute(c), s = absolute(s);
   *w = sides[0] * c + sides[1] * s;
   *h = sides[0] * s + sides[1] * c;
+}
+/* Cosine and sine of half the angle of (x, y), y >= 0, whichever is the larger one first. */
+INLINE void half_angle(real x, real y, real *c, real *s) {
+  real size = FN(sqrt)(x * x + y * y), share = size > 0 ? x / size : 1;
+  real larger = FN(sqrt)((1 + absolute(share)) / 2);
+  real smaller = size > 0 ? y / (2 * size * larger) : 0;
+  *c = share >= 0 ? larger : smaller;
+  *s = share >= 0 ? smaller : larger;
 }
 INLINE void loosely_turned(real w, real h, real cos2, real *tw, real *th) {
   real total = w + h, gap = (w - h) * cos2;
@@ -41,31 +49,30 @@ INLINE void loosely_turned(real w, real h, real cos2, real *tw, real *th) {
 INLINE void gamma_row(const Gamma *g, Layout layout, const real *p, const real *u, real *after,
                       real *novelty) {
   real cx = (p[0] + p[1]) / 2, cy = (p[2] + p[3]) / 2, ew = p[1] - p[0], eh = p[3] - p[2];
-  real ox = p[4] - cx, oy = p[5] - cy, first, second, sides[2];
+  real ox = p[4] - cx, oy = p[5] - cy, c1, s1, s2, sides[2]; /* of the two yaws, whose cosine is one */
   if (layout.side) {
     Rectangle table = table_seen(p, layout);
-    first = second = table.yaw;
+    c1 = FN(cos)(table.yaw), s1 = s2 = FN(sin)(table.yaw);
     sides[0] = table.sx, sides[1] = table.sy;
   } else {
     real a2 = g->sides[0] * g->sides[0], b2 = g->sides[1] * g->sides[1], w2 = ew * ew, h2 = eh * eh;
-    real gap = b2 - a2;
-    real sin2 = positive((w2 + h2 - a2 - b2) / (2 * (g->sides[0] * g->sides[1])));
-    real size = FN(atan2)(sin2, (h2 - w2) / (gap < (real)1e-9 ? (real)1e-9 : gap)) / 2;
-    first = ox * oy < 0 ? -size : size;
-    second = -first;
+    real gap = b2 - a2, twice = 2 * (g->sides[0] * g->sides[1]);
+    real y = positive((w2 + h2 - a2 - b2) / twice);
+    half_angle((h2 - w2) / (gap < (real)1e-9 ? (real)1e-9 : gap), y, &c1, &s1);
+    s1 = ox * oy < 0 ? -s1 : s1;
+    s2 = -s1;
     sides[0] = g->sides[0], sides[1] = g->sides[1];
   }
-  real c1 = FN(cos)(first), s1 = FN(sin)(first), c2 = FN(cos)(second), s2 = FN(sin)(second);
   real at[4] = {absolute(c1 * ox + s1 * oy), absolute(c1 * oy - s1 * ox),
-                absolute(c2 * ox + s2 * oy), absolute(c2 * oy - s2 * ox)};
+                absolute(c1 * ox + s2 * oy), absolute(c1 * oy - s2 * ox)};
   for (int i = 0; i < 4; i++) at[i] = (at[i] - g->mean[i]) / g->scale[i];
   real value, distance;
   machine_rows(&g->machine, at, 1, 1, 4, &value, &distance);
 
-  real c = FN(cos)(u[2]), s = FN(sin)(u[2]), cos2 = FN(cos)(2 * u[2]), sin2 = FN(sin)(2 * u[2]);
+  real c = FN(cos)(u[2]), s = FN(sin)(u[2]), cos2 = c * c - s * s, sin2 = 2 * c * s;
   real w1, h1, wt, ht, lw, lh, mx, my;
-  turned_extents(first - u[2], sides, &w1, &h1);
-  turned_extents(second - u[2], sides, &wt, &ht);
+  turned_extents(c1 * c + s1 * s, s1 * c - c1 * s, sides, &w1, &h1);
+  turned_extents(c1 * c + s2 * s, s2 * c - c1 * s, sides, &wt, &ht);
   real bounded = value < -1 ? -1 : value > 1 ? 1 : value;
   real weight = FN(sin)((real)(PI / 2) * bounded) / 2;
   real w = (w1 + wt) / 2 + weight * (w1 - wt), h = (h1 + ht) / 2 + weight * (h1 - ht);
@@ -91,7 +98,7 @@ INLINE void gamma_row(const Gamma *g, Layout layout, const real *p, const real *
       memset(out, 0, 4 * sizeof(real));
     }
   }
-  turned_extents(first, sides, &w1, &h1);
+  turned_extents(c1, s1, sides, &w1, &h1);
   real extreme[4] = {length(p[4], p[5]), length(u[0], u[1]), absolute(u[2]),
                      length(ew - w1, eh - h1)};
   real over = 0;
@@ -107,6 +114,13 @@ INLINE void gamma_row(const Gamma *g, Layout layout, const real *p, const real *
 #define TURN 2
 #define RISE 3
 
+/* NEAR tanh(x / NEAR) of a few numbers, in place. */
+INLINE void saturate(real *x, int count) {
+  for (int i = 0; i < count; i++) x[i] *= 2 / NEAR;
+  sigmoids(x, count);
+  for (int i = 0; i < count; i++) x[i] = NEAR * (2 * x[i] - 1);
+}
+
 /* How the two edges lie that the robot stands farthest in front of, `grasp_features.edges`. */
 INLINE void edges(Rectangle table, const real *placed, real *out) {
   real c = FN(cos)(table.yaw), s = FN(sin)(table.yaw), x = placed[0] - table.x, y = placed[1] - table.y;
@@ -121,7 +135,8 @@ INLINE void edges(Rectangle table, const real *placed, real *out) {
     if (ahead[i] > ahead[one]) one = i;
   for (int i = 0; i < 4; i++)
     if (i != one && (two < 0 || ahead[i] > ahead[two])) two = i;
-  out[0] = NEAR * FN(tanh)(ahead[one] / NEAR), out[1] = NEAR * FN(tanh)(ahead[two] / NEAR);
+  out[0] = ahead[one], out[1] = ahead[two];
+  saturate(out, 2);
   out[2] = inset[one], out[3] = inset[two];
   out[4] = NEAR * nx[one], out[5] = NEAR * ny[one];
 }
@@ -138,8 +153,7 @@ INLINE real success_row(const Classifier *f, Layout layout, const real *p) {
     polar[0] = STRETCH * far, polar[1] = TURN * p[4] / far, polar[2] = TURN * p[5] / far;
     polar[3] = RISE * p[6];
     if (layout.side) edges(table_seen(p, layout), p + 4, at + 4);
-    else
-      for (int i = 0; i < 4; i++) at[i] = NEAR * FN(tanh)(p[i] / NEAR);
+    else memcpy(at, p, 4 * sizeof(real)), saturate(at, 4);
   }
   for (int i = 0; i < f->machine.d; i++) at[i] = (at[i] - f->mean[i]) / f->scale[i];
   switch (f->machine.d) { /* with the number of features known, all of it stays in registers */

@@ -8,10 +8,12 @@ typedef struct {
   real *values, *nearest;
 } Rows;
 
+/* So many rows at once that what is added up for them stays in registers. */
 INLINE void tiles(const Rows *rows, int64_t begin, int64_t end, int outputs, int features) {
+  int tile = outputs <= 2 ? TILE : SMALL_TILE;
   int64_t i = begin;
-  for (; i + TILE <= end; i += TILE)
-    machine_rows(&rows->f, rows->x + i * features, TILE, outputs, features,
+  for (; i + tile <= end; i += tile)
+    machine_rows(&rows->f, rows->x + i * features, tile, outputs, features,
                  rows->values + i * outputs, rows->nearest + i);
   for (; i < end; i++)
     machine_rows(&rows->f, rows->x + i * features, 1, outputs, features,

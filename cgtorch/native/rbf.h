@@ -14,6 +14,7 @@ typedef struct {
 #define MOST_FEATURES 64
 #define MOST_OUTPUTS 16
 #define TILE 4 /* rows that share what is loaded of the centres */
+#define SMALL_TILE 2
 
 /* Values (rows, k) and squared scaled distances (rows,) to the nearest centre of `rows` rows, TILE
    at most. Each row's numbers are made by the same steps in the same order however many come. */

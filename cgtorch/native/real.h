@@ -38,31 +38,50 @@ INLINE vec select_vec(vwhole yes, vec a, vec b) {
 INLINE vec vec_max(vec a, vec b) { return select_vec(a > b, a, b); }
 INLINE vec vec_min(vec a, vec b) { return select_vec(a < b, a, b); }
 
-/* The sum and the least of a vector's parts, pairwise. */
+/* The sum and the least of a vector's parts, the first half with the second and so on. */
+#ifdef REAL_IS_FLOAT
+#define HALF(v) __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7)
+#define QUARTER(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11)
+#define EIGHTH(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13)
+#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14)
+#else
+#define HALF(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)
+#define QUARTER(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)
+#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6)
+#endif
 INLINE real sum(vec v) {
-  real part[WIDTH];
-  store(part, v);
-  for (int n = WIDTH / 2; n; n /= 2)
-    for (int i = 0; i < n; i++) part[i] += part[i + n];
-  return part[0];
+  v += HALF(v);
+  v += QUARTER(v);
+#ifdef REAL_IS_FLOAT
+  v += EIGHTH(v);
+#endif
+  v += LAST(v);
+  return v[0];
 }
 INLINE real least(vec v) {
-  real part[WIDTH];
-  store(part, v);
-  for (int n = WIDTH / 2; n; n /= 2)
-    for (int i = 0; i < n; i++) part[i] = part[i + n] < part[i] ? part[i + n] : part[i];
-  return part[0];
+  v = vec_min(v, HALF(v));
+  v = vec_min(v, QUARTER(v));
+#ifdef REAL_IS_FLOAT
+  v = vec_min(v, EIGHTH(v));
+#endif
+  v = vec_min(v, LAST(v));
+  return v[0];
 }
 
 /* 2^x for x <= 0 to the last digit or two; what would be denormal is the smallest normal number. */
 INLINE vec exp2_vec(vec x) {
   x = vec_max(x, all(SMALLEST));
-  vec big = x + MAGIC;
-  vec f = (x - (big - MAGIC)) * (real)0.69314718055994530942;
-#ifdef REAL_IS_FLOAT
-  vec p = all(1.0f / 5040);
-  p = p * f + 1.0f / 720;
-#else
+  vec big = x + MAGIC, f = x - (big - MAGIC);
+#ifdef REAL_IS_FLOAT /* near the best polynomial of its degree, 2.5e-9 off at most */
+  vec p = all(0.00015461445f);
+  p = p * f + 0.0013400428f;
+  p = p * f + 0.009618057f;
+  p = p * f + 0.055503272f;
+  p = p * f + 0.24022651f;
+  p = p * f + 0.6931472f;
+  p = p * f + 1.0f;
+#else /* Taylor's series */
+  f = f * 0.69314718055994530942;
   vec p = all(1.0 / 6227020800.0);
   p = p * f + 1.0 / 479001600;
   p = p * f + 1.0 / 39916800;
@@ -71,13 +90,24 @@ INLINE vec exp2_vec(vec x) {
   p = p * f + 1.0 / 40320;
   p = p * f + 1.0 / 5040;
   p = p * f + 1.0 / 720;
+  p = p * f + 1.0 / 120;
+  p = p * f + 1.0 / 24;
+  p = p * f + 1.0 / 6;
+  p = p * f + 0.5;
+  p = p * f + 1.0;
+  p = p * f + 1.0;
 #endif
-  p = p * f + (real)(1.0 / 120);
-  p = p * f + (real)(1.0 / 24);
-  p = p * f + (real)(1.0 / 6);
-  p = p * f + (real)0.5;
-  p = p * f + (real)1;
-  p = p * f + (real)1;
   return (vec)((vwhole)p + ((vwhole)big << MANTISSA));
+}
+
+/* 1 / (1 + exp(-x)) of up to WIDTH numbers, in place; what is not a number stays so. */
+INLINE void sigmoids(real *x, int count) {
+  vec v = all(0);
+  memcpy(&v, x, (size_t)count * sizeof(real));
+  vec size = select_vec(v < 0, v, -v); /* -|x|, whose power of two is never large */
+  vec power = exp2_vec(size * (real)1.44269504088896340736);
+  vec p = select_vec(v < 0, power, all(1)) / (1 + power);
+  p = select_vec(v == v, p, v);
+  memcpy(x, &p, (size_t)count * sizeof(real));
 }
 #endif

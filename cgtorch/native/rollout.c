@@ -6,6 +6,8 @@
 #define MOST_DEPTH 16
 #define MOST_MESSAGE 16
 #define MOST_HIDDEN 64
+#define MOST_BEEN 32 /* in longer loops every transition is made */
+#define PIECE 8 /* graphs that a thread takes at once */
 #define SUCCESS (-1)
 #define TIMEOUT (-3)
 #define UNKNOWN (-1)
@@ -49,7 +51,8 @@ typedef struct {
 typedef struct {
   real percept[MOST_PERCEPT], state[3], message[MOST_MESSAGE];
   int has_message;
-  int64_t scenario, step, node, level, anchor, since;
+  int64_t scenario, step, node, level;
+  int64_t been[MOST_BEEN], places; /* nodes it was at since anything has changed, on this level */
   int64_t caller[MOST_DEPTH], left[MOST_DEPTH];
 } Lane;
 
@@ -72,19 +75,29 @@ INLINE int64_t now(void) {
   } while (0)
 
 /* A network with one hidden layer, `one_hidden_layer`. */
-INLINE void network(const real *x, const real *w, const Action *a, real *out) {
-  real hidden[MOST_HIDDEN];
-  const real *b1 = w + a->hidden * a->inputs, *w2 = b1 + a->hidden, *b2 = w2 + a->outputs * a->hidden;
-  for (int64_t i = 0; i < a->hidden; i++) {
+INLINE void layers(const real *x, const real *w, int inputs, int hidden, int outputs, real *out) {
+  real at[MOST_HIDDEN];
+  const real *b1 = w + hidden * inputs, *w2 = b1 + hidden, *b2 = w2 + outputs * hidden;
+  for (int i = 0; i < hidden; i++) {
     real total = 0;
-    for (int64_t j = 0; j < a->inputs; j++) total += w[i * a->inputs + j] * x[j];
-    hidden[i] = sigmoid(total + b1[i]);
+    for (int j = 0; j < inputs; j++) total += w[i * inputs + j] * x[j];
+    at[i] = total + b1[i];
   }
-  for (int64_t i = 0; i < a->outputs; i++) {
+  for (int i = 0; i < hidden; i += WIDTH) sigmoids(at + i, hidden - i < WIDTH ? hidden - i : WIDTH);
+  for (int i = 0; i < outputs; i++) {
     real total = 0;
-    for (int64_t j = 0; j < a->hidden; j++) total += w2[i * a->hidden + j] * hidden[j];
+    for (int j = 0; j < hidden; j++) total += w2[i * hidden + j] * at[j];
     out[i] = total + b2[i];
   }
+}
+INLINE void network(const real *x, const real *w, const Action *a, int outputs, real *out) {
+  if (a->hidden == 3 && a->inputs == 7) layers(x, w, 7, 3, outputs, out);
+  else if (a->hidden == 3 && a->inputs == 9) layers(x, w, 9, 3, outputs, out);
+  else layers(x, w, (int)a->inputs, (int)a->hidden, outputs, out);
+}
+INLINE int64_t branch(real *out) {
+  sigmoids(out, 2);
+  return out[1] > out[0];
 }
 
 INLINE void say(Lane *lane, const real *said, int64_t count, int *changed) {
@@ -94,12 +107,14 @@ INLINE void say(Lane *lane, const real *said, int64_t count, int *changed) {
   lane->has_message = 1;
 }
 
-/* `ModelEnvironment.step`: 1 where the base has moved. */
-static int move(const Task *task, Layout layout, Lane *lane) {
+/* What takes long is kept out of the loop over transitions, whose registers it would take. */
+#define APART static __attribute__((noinline))
+
+/* `ModelEnvironment.step`, for a lane that has a message and is not lost: 1 where it has moved. */
+APART int move(const Task *task, Layout layout, Lane *lane) {
   const Models *m = task->models;
   const real *u = lane->message;
   int possible = 0;
-  if (!lane->has_message || lane->state[1] > 0) return 0;
   TIMED(IN_POSSIBLE, possible = motion_possible(lane->percept, u, layout, &m->body));
   if (!possible) return 0;
   real after[MOST_PERCEPT], novelty;
@@ -117,57 +132,79 @@ static int move(const Task *task, Layout layout, Lane *lane) {
   return 1;
 }
 
+APART real chance(const Task *task, Layout layout, const real *percept) {
+  real found = 0;
+  TIMED(IN_C, found = success_row(&task->models->classifier, layout, percept));
+  return found;
+}
+
+APART void continuous(const Task *task, Lane *lane, const Action *action, const real *weights,
+                      int *changed) {
+  real out[MOST_MESSAGE];
+  TIMED(IN_NETWORKS, network(lane->percept, weights, action, (int)action->outputs, out));
+  say(lane, out, action->outputs, changed);
+}
+
+APART int64_t branching(const Task *task, const Lane *lane, const Action *action,
+                        const real *weights) {
+  real out[2];
+  TIMED(IN_NETWORKS, network(lane->percept, weights, action, 2, out));
+  return branch(out);
+}
+
+APART void edge_network(const Task *task, Layout layout, Lane *lane, const Action *action,
+                        const real *weights, int *changed) {
+  real seen[SCENE], pose[3], out[3];
+  TIMED(IN_NETWORKS, {
+    Edge edge = edge_frame(lane->percept, layout);
+    table_scene(&edge, lane->percept, seen);
+    network(seen, weights, action, 3, pose);
+    motion_to(&edge, pose, out);
+  });
+  say(lane, out, 3, changed);
+}
+
+APART int64_t edge_branching(const Task *task, Layout layout, const Lane *lane,
+                             const Action *action, const real *weights) {
+  real seen[SCENE + MOST_PERCEPT], out[2];
+  TIMED(IN_NETWORKS, {
+    Edge edge = edge_frame(lane->percept, layout);
+    table_scene(&edge, lane->percept, seen);
+    obstacle_scene(&edge, lane->percept, layout, seen + SCENE);
+    network(seen, weights, action, 2, out);
+  });
+  return branch(out);
+}
+
 /* A lane's action: its outcome, and whether it changed anything a later action could depend on. */
-static int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
+INLINE int64_t act(const Task *task, Layout layout, Lane *lane, int *changed) {
   const Program *program = task->program;
   const Action *action = program->actions + program->kind[lane->node];
   const real *weights = program->parameters + lane->node * program->width;
-  real seen[MOST_PERCEPT * 2], out[MOST_MESSAGE];
-  int64_t outcome = 0;
   *changed = 0;
   switch (action->kind) {
   case MOVE_BASE:
-    *changed = move(task, layout, lane);
-    outcome = !*changed;
-    break;
+    *changed = lane->has_message && !(lane->state[1] > 0) && move(task, layout, lane);
+    return !*changed;
   case GRASP:
     if (lane->state[2] == UNKNOWN) {
-      TIMED(IN_C, lane->state[2] = success_row(&task->models->classifier, layout, lane->percept));
+      lane->state[2] = chance(task, layout, lane->percept);
       *changed = 1;
     }
-    outcome = lane->state[2] <= (real)0.5;
-    break;
+    return lane->state[2] <= (real)0.5;
   case CONTINUOUS:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, out));
-    say(lane, out, action->outputs, changed);
-    break;
+    continuous(task, lane, action, weights, changed);
+    return 0;
   case EDGE:
-    TIMED(IN_NETWORKS, {
-      Edge edge = edge_frame(lane->percept, layout);
-      real pose[3];
-      table_scene(&edge, lane->percept, seen);
-      network(seen, weights, action, pose);
-      motion_to(&edge, pose, out);
-    });
-    say(lane, out, 3, changed);
-    break;
+    edge_network(task, layout, lane, action, weights, changed);
+    return 0;
   case BRANCHING:
-    TIMED(IN_NETWORKS, network(lane->percept, weights, action, out));
-    outcome = sigmoid(out[1]) > sigmoid(out[0]);
-    break;
+    return branching(task, lane, action, weights);
   case EDGE_BRANCHING:
-    TIMED(IN_NETWORKS, {
-      Edge edge = edge_frame(lane->percept, layout);
-      table_scene(&edge, lane->percept, seen);
-      obstacle_scene(&edge, lane->percept, layout, seen + SCENE);
-      network(seen, weights, action, out);
-    });
-    outcome = sigmoid(out[1]) > sigmoid(out[0]);
-    break;
+    return edge_branching(task, layout, lane, action, weights);
   default: /* DETECT: Γ predicts what would be perceived */
-    break;
+    return 0;
   }
-  return outcome;
 }
 
 /* Into the sub-skills that a lane's node stands for, as deep as it takes (`frames.enter`). */
@@ -181,12 +218,18 @@ INLINE void enter(const Program *program, Lane *lane) {
   }
 }
 
+INLINE int has_been(const Lane *lane, int64_t node) {
+  int found = 0;
+  for (int64_t i = 0; i < lane->places; i++) found |= lane->been[i] == node;
+  return found;
+}
+
 /* `frames.follow`: how the lane ended, 0 if it goes on; `skipped` transitions need not be made. */
 INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int changed,
                       int64_t *skipped) {
   int64_t level = lane->level, head = program->heads[lane->node * program->outcomes + outcome];
   int64_t remain = lane->left[level] - 1;
-  *skipped = !changed && head >= 0 && head == lane->anchor ? remain : 0;
+  *skipped = !changed && has_been(lane, head) ? remain : 0;
   remain -= *skipped;
   if (head >= 0 && remain <= 0) head = TIMEOUT;
   while (head < 0 && level > 0) {
@@ -199,8 +242,8 @@ INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int c
   lane->left[level] = remain;
   int64_t next = head < 0 ? 0 : head;
   int same = !changed && level == lane->level && program->kind[next] < program->primitives;
-  lane->since = same ? lane->since + 1 : 0;
-  if ((lane->since & (lane->since - 1)) == 0) lane->anchor = head; /* Brent's cycle detection */
+  if (!same) lane->places = 0;
+  if (lane->places < MOST_BEEN) lane->been[lane->places++] = next;
   lane->node = next;
   lane->level = level;
   if (head < 0) return head;
@@ -208,40 +251,109 @@ INLINE int64_t follow(const Program *program, Lane *lane, int64_t outcome, int c
   return 0;
 }
 
-static void run_lane(const Task *task, Layout layout, int64_t graph, int64_t index) {
+/* A lane from its start to its end: `SUCCESS`, FAILURE, `TIMEOUT`, or 0 out of steps. */
+static int64_t run_lane(const Task *task, Layout layout, int64_t graph, int64_t scenario, Lane *lane) {
   const Models *m = task->models;
-  Lane lane = {.scenario = task->scenarios[index], .node = task->program->start[graph], .anchor = -1};
-  size_t wide = (size_t)layout.size * sizeof(real);
-  memcpy(lane.percept, m->percepts + lane.scenario * layout.size, wide);
-  memcpy(lane.state, m->state + lane.scenario * 3, sizeof lane.state);
-  lane.left[0] = task->max_transitions;
-  enter(task->program, &lane);
+  memcpy(lane->percept, m->percepts + scenario * layout.size, (size_t)layout.size * sizeof(real));
+  memcpy(lane->state, m->state + scenario * 3, sizeof lane->state);
+  memset(lane->message, 0, sizeof lane->message);
+  lane->has_message = 0;
+  lane->step = lane->level = lane->places = 0;
+  lane->scenario = scenario;
+  lane->node = task->program->start[graph];
+  lane->left[0] = task->max_transitions;
+  enter(task->program, lane);
   int64_t end = 0, skipped;
   do {
     int changed;
-    int64_t outcome = act(task, layout, &lane, &changed);
-    end = follow(task->program, &lane, outcome, changed, &skipped);
-    lane.step += 1 + skipped;
-    if (lane.step >= task->max_steps) {
+    int64_t outcome = act(task, layout, lane, &changed);
+    end = follow(task->program, lane, outcome, changed, &skipped);
+    lane->step += 1 + skipped;
+    if (lane->step >= task->max_steps) {
       if (skipped) end = TIMEOUT;
+      lane->step = task->max_steps;
       break;
     }
   } while (!end);
-  int64_t row = graph * task->count + index;
-  memcpy(task->percept + row * layout.size, lane.percept, wide);
-  memcpy(task->state + row * 3, lane.state, sizeof lane.state);
-  task->status[row] = end;
-  task->transitions[row] = lane.step < task->max_steps ? lane.step : task->max_steps;
+  return end;
 }
 
 static void run_graphs(void *what, int64_t begin, int64_t end) {
   const Task *task = what;
   Layout layout = layout_of(task->models->size);
-  for (int64_t graph = begin; graph < end; graph++)
-    for (int64_t i = 0; i < task->count; i++) run_lane(task, layout, graph, i);
+  size_t wide = (size_t)layout.size * sizeof(real);
+  Lane lane;
+  for (int64_t row = begin * task->count; row < end * task->count; row++) {
+    int64_t scenario = task->scenarios[row % task->count];
+    task->status[row] = run_lane(task, layout, row / task->count, scenario, &lane);
+    task->transitions[row] = lane.step;
+    memcpy(task->percept + row * layout.size, lane.percept, wide);
+    memcpy(task->state + row * 3, lane.state, sizeof lane.state);
+  }
 }
 
 int rollouts(Task *task, int64_t threads) {
-  in_parallel(run_graphs, task, task->graphs, 8, task->ticks ? 1 : (int)threads);
+  in_parallel(run_graphs, task, task->graphs, PIECE, task->ticks ? 1 : (int)threads);
+  return 0;
+}
+
+/* Eq. 3 for graphs whose nodes lie `nodes` after `nodes` in the table; of `task` only what there is
+   to do is read, and its scenarios are those of W, `keep` of them, and then those of M. */
+typedef struct {
+  Task task;
+  int64_t nodes, keep;
+  real *score;              /* (P, B) */
+  unsigned char *succeeded; /* (P, B) */
+  unsigned char *finite;    /* (P,) */
+  int64_t *transitions;     /* (P,) */
+} Evaluation;
+
+INLINE int all_finite(const real *x, int64_t count) {
+  real total = 0; /* 0 times what is not finite is not a number */
+#pragma omp simd reduction(+ : total)
+  for (int64_t i = 0; i < count; i++) total += x[i] * 0;
+  return total == 0;
+}
+
+static void evaluate_graph(const Evaluation *e, Layout layout, int64_t graph) {
+  const Task *task = &e->task;
+  const Program *program = task->program;
+  Lane lane;
+  int64_t first = graph * e->nodes * program->width, done = 0, lost = 0;
+  int finite = all_finite(program->parameters + first, e->nodes * program->width);
+  real *score = e->score + graph * task->count;
+  unsigned char *succeeded = e->succeeded + graph * task->count;
+  for (int64_t i = 0; i < task->count && !(lost && i >= e->keep); i++) {
+    int64_t scenario = task->scenarios[i];
+    int success = run_lane(task, layout, graph, scenario, &lane) == SUCCESS;
+    real c = lane.state[2];
+    if (c == UNKNOWN) c = chance(task, layout, lane.percept);
+    int numbers = isfinite(c) && all_finite(lane.percept, layout.size);
+    finite &= numbers;
+    c = numbers ? (c < 0 ? 0 : c > 1 ? 1 : c) : 0;
+    score[scenario] = success ? c : c / 2;
+    succeeded[scenario] = (unsigned char)success;
+    lost |= i < e->keep && !success;
+    done += lane.step;
+  }
+  if (lost) memset(score, 0, (size_t)task->count * sizeof(real));
+  e->finite[graph] = (unsigned char)finite;
+  e->transitions[graph] = done;
+}
+
+static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
+  const Evaluation *e = what;
+  Layout layout = layout_of(e->task.models->size);
+  for (int64_t graph = begin; graph < end; graph++) evaluate_graph(e, layout, graph);
+}
+
+/* The clock that `ticks` are of. */
+int clock_now(int64_t *ticks) {
+  *ticks = now();
+  return 0;
+}
+
+int evaluations(Evaluation *e, int64_t threads) {
+  in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : (int)threads);
   return 0;
 }

@@ -21,7 +21,7 @@ MOST_FEATURES, MOST_OUTPUTS, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DEPTH
 
 @cache
 def structures(dtype: torch.dtype) -> SimpleNamespace:
-    """`Machine`, `Gamma`, `Classifier`, `Body`, `Action`, `Program`, `Models` and `Task`."""
+    """The structures by the names that they have in C."""
     real = REAL[dtype]
 
     def structure(name: str, **fields: Any) -> type[ctypes.Structure]:
@@ -57,7 +57,13 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         max_transitions=WHOLE, max_steps=WHOLE, percept=POINTER, state=POINTER, status=POINTER,
         transitions=POINTER, ticks=POINTER,
     )  # fmt: skip
+    evaluation = structure(
+        "Evaluation",
+        task=task, nodes=WHOLE, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
+        transitions=POINTER,
+    )  # fmt: skip
     return SimpleNamespace(
+        Evaluation=evaluation,
         Machine=machine,
         Gamma=gamma,
         Classifier=classifier,

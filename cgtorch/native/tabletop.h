@@ -83,11 +83,13 @@ INLINE int within_reach(const real *u, Rectangle r, const Body *body) {
 }
 INLINE int turn_blocked(const real *u, Rectangle r, const Body *body) {
   real x = r.x - u[0], y = r.y - u[1], w = r.sx / 2, h = r.sy / 2, whole_turn = wrap(u[2]);
+  real cy = FN(cos)(r.yaw), sy = FN(sin)(r.yaw);
   for (int i = 1; i <= TURN_STEPS; i++) {
     real turned = whole_turn * ((real)i / TURN_STEPS);
     real c = FN(cos)(turned), s = FN(sin)(turned);
     real px = c * x + s * y - body->bx, py = c * y - s * x - body->by;
-    c = FN(cos)(r.yaw - turned), s = FN(sin)(r.yaw - turned);
+    real ct = cy * c + sy * s; /* of the rectangle as seen from the turned body */
+    s = sy * c - cy * s, c = ct;
     real ac = absolute(c), as = absolute(s);
     if (!(absolute(px) > body->hx + ac * w + as * h || absolute(py) > body->hy + as * w + ac * h ||
           absolute(px * c + py * s) > w + ac * body->hx + as * body->hy ||

@@ -67,24 +67,16 @@ def compiled_rollout(
         ticks: (4,) long to which ticks of the CPU's clock are added that Γ, C, networks and the
             check of motions take; then one thread runs.
     """
-    if not isinstance(environment, ModelEnvironment):
+    call = function("rollout", "rollouts", program.parameters.dtype, POINTER, WHOLE)
+    task = _task(program, environment, scenarios, max_transitions, max_steps, ticks)
+    if call is None or task is None:
         return None
-    nodes, models = _program(program, environment.percept_size), _models(environment)
-    call = function("rollout", "rollouts", environment.percepts.dtype, POINTER, WHOLE)
-    if nodes is None or models is None or call is None:
-        return None
-    if program.parameters.dtype != environment.percepts.dtype or scenarios.device.type != "cpu":
-        return None
-    p, b, like = len(program.start), len(scenarios), environment.percepts
-    percept, state = like.new_empty(p, b, like.shape[1]), like.new_empty(p, b, 3)
+    p, b, like = len(program.start), len(scenarios), program.parameters
+    percept, state = like.new_empty(p, b, environment.percept_size), like.new_empty(p, b, 3)
     status, transitions = torch.empty(2, p, b, dtype=torch.long).unbind()
-    scenarios = scenarios.contiguous()
-    task = structures(like.dtype).Task(
-        nodes.address, models.address, scenarios.data_ptr(), p, b, max_transitions, max_steps,
-        percept.data_ptr(), state.data_ptr(), status.data_ptr(), transitions.data_ptr(),
-        None if ticks is None else ticks.data_ptr(),
-    )  # fmt: skip
-    call(ctypes.addressof(task), threads())
+    given, made = task.structure, (percept, state, status, transitions)
+    given.percept, given.state, given.status, given.transitions = (x.data_ptr() for x in made)
+    call(task.address, threads())
     succeeded = status == SUCCESS
     return Rollouts(
         succeeded=succeeded,
@@ -93,6 +85,81 @@ def compiled_rollout(
         state=state,
         transitions=transitions,
     )
+
+
+def compiled_evaluation(
+    program: Program,
+    environment: Environment,
+    keep: Tensor,
+    max_transitions: int,
+    max_steps: int,
+    ticks: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+    """What P graphs of as many slots each achieve on all B scenarios, by eq. 3.
+
+    W comes first: a graph that has failed there is not run on the rest.
+
+    Args:
+        program: the graphs.
+        environment: the models.
+        keep: (B,) bool, the scenarios of W.
+        max_transitions: see `cgtorch.simulation.rollout`.
+        max_steps: likewise.
+        ticks: as for `compiled_rollout`.
+
+    Returns:
+        Scores (P, B), C(p_t) or half of it without success, and 0 where W is lost; successes
+        (P, B); actions executed (P,); whether all numbers were finite (P,). Or None, where it has
+        to be done in torch.
+    """
+    call = function("rollout", "evaluations", program.parameters.dtype, POINTER, WHOLE)
+    if call is None or keep.device.type != "cpu":
+        return None
+    order = (~keep).long().argsort(stable=True)
+    task = _task(program, environment, order, max_transitions, max_steps, ticks)
+    if task is None:
+        return None
+    p, b = len(program.start), len(keep)
+    score = program.parameters.new_zeros(p, b)
+    succeeded = torch.zeros(p, b, dtype=torch.bool)
+    finite, transitions = torch.empty(p, dtype=torch.bool), torch.empty(p, dtype=torch.long)
+    made = (score, succeeded, finite, transitions)
+    evaluation = structures(score.dtype).Evaluation(
+        task.structure, program.nodes, int(keep.sum()), *(x.data_ptr() for x in made)
+    )
+    call(ctypes.addressof(evaluation), threads())
+    return score.float(), succeeded, transitions, finite
+
+
+def _task(
+    program: Program,
+    environment: Environment,
+    scenarios: Tensor,
+    max_transitions: int,
+    max_steps: int,
+    ticks: Tensor | None,
+) -> Compiled | None:
+    """What there is to do, without where to write, if compiled code knows all of it."""
+    if not isinstance(environment, ModelEnvironment) or scenarios.device.type != "cpu":
+        return None
+    if program.parameters.dtype != environment.percepts.dtype:
+        return None
+    nodes, models = _program(program, environment.percept_size), _models(environment)
+    if nodes is None or models is None:
+        return None
+    scenarios = scenarios.contiguous()
+    made = structures(program.parameters.dtype).Task(
+        program=nodes.address,
+        models=models.address,
+        scenarios=scenarios.data_ptr(),
+        graphs=len(program.start),
+        count=len(scenarios),
+        max_transitions=max_transitions,
+        max_steps=max_steps,
+        ticks=None if ticks is None else ticks.data_ptr(),
+    )
+    made.parts = nodes, models  # they must live as long
+    return Compiled(made, (scenarios,))
 
 
 def _program(program: Program, percept_size: int) -> Compiled | None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.actions import Action, ActionSet
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
@@ -23,6 +24,7 @@ class Program:
         kind: (T,) long, index into `primitives`, or len(primitives) + sub-skill index.
         heads: (T, O) long.
         parameters: (T, K) float.
+        nodes: slots of each graph; those of the first graph come first.
         start: (P,) long, first node of each graph.
         entry: (number of sub-skills,) long, first node of each sub-skill.
         limit: (number of sub-skills,) long, the most transitions of each.
@@ -35,6 +37,7 @@ class Program:
     kind: Tensor
     heads: Tensor
     parameters: Tensor
+    nodes: int
     start: Tensor
     entry: Tensor
     limit: Tensor
@@ -61,13 +64,16 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
         tables.append(_table(skill.graph, skill.actions, offset, outcomes, width, order, index))
         entry.append(offset + int(skill.graph.start[0]))
         offset += skill.graph.action.numel()
-    kind, heads, parameters = (torch.cat(parts) for parts in zip(*tables, strict=True))
+    kind, heads, parameters = (
+        torch.cat(parts) if skills else parts[0] for parts in zip(*tables, strict=True)
+    )
     rows = torch.arange(len(graphs), device=graphs.start.device) * graphs.capacity
     return Program(
         primitives=tuple(primitives),
         kind=kind,
         heads=heads,
         parameters=parameters,
+        nodes=graphs.capacity,
         start=rows + graphs.start,
         entry=torch.tensor(entry, dtype=torch.long, device=kind.device),
         limit=torch.tensor(
@@ -106,10 +112,12 @@ def _table(
     p, n, o = graphs.edges.shape
     action = graphs.action.clamp_min(0)
     base = offset + torch.arange(p, device=device)[:, None, None] * n
-    succeeds = actions.succeeds.to(device)[action][..., :o]
-    end = torch.where(succeeds, SUCCESS, FAILURE)
-    heads = torch.full((p * n, outcomes), FAILURE, device=device)
-    heads[:, :o] = torch.where(graphs.edges == NO_NODE, end, graphs.edges + base).flatten(0, 1)
-    parameters = graphs.parameters.new_zeros(p * n, width)
-    parameters[:, : graphs.parameters.shape[-1]] = graphs.parameters.flatten(0, 1)
-    return kinds[action].flatten(), heads, parameters
+    ends = torch.where(actions.succeeds[:, :o], SUCCESS, FAILURE).to(device)
+    heads = torch.where(graphs.edges == NO_NODE, ends[action], graphs.edges + base)
+    parameters = graphs.parameters.flatten(0, 1)
+    # Slots that nothing of this graph uses: padding a population costs no more than this.
+    if more := outcomes - o:
+        heads = pad(heads, (0, more), value=FAILURE)
+    if more := width - parameters.shape[1]:
+        parameters = pad(parameters, (0, more))
+    return kinds[action].flatten(), heads.flatten(0, 1), parameters

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from command_line import Shell
 from torch import Tensor
 from trained import SMALL, Trained, begin_last, copied, first_evolution, interrupted
 
-import cgtorch
-from cgtorch.experiments.run import open_run
+from cgtorch.experiments.run import open_run, versions
 
 TRAIN = "cgtorch-train"
 
@@ -66,7 +64,9 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     assert same(begin_last(open_run(folder)), found)
 
 
-@pytest.mark.parametrize(("name", "again"), [("cgtorch", True), ("torch", False)])
+@pytest.mark.parametrize(
+    ("name", "again"), [("cgtorch", True), ("torch", False), ("engine", False)]
+)
 def test_another_version_is_said_once_and_another_cgtorch_begins_the_stage_again(
     name: str, again: bool, shell: Shell, trained: Trained, tmp_path: Path
 ) -> None:
@@ -80,7 +80,7 @@ def test_another_version_is_said_once_and_another_cgtorch_begins_the_stage_again
     assert ("S1 begins again" in said) == again
     assert (run.folder / "set-aside" / "1" / "S1").exists() == again
     assert (run.folder / "journal" / "S1").exists() == (not again)
-    version = {"cgtorch": cgtorch.__version__, "torch": str(torch.__version__)}[name]
+    version = versions()[name]
     assert about(run.folder)[name] == version
     assert about(run.folder)["history"][0]["changed"] == {name: ["0.0.1", version]}
     assert "was made with" not in shell(TRAIN, *words).err

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from benchmarks import paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
-from benchmarks.generation import MODELS, PARTS, generation_split, logger, with_timers
+from benchmarks.generation import INSIDE, MODELS, PARTS, generation_split, logger, rollout_shares
 from benchmarks.growth import widened
 from benchmarks.measure import DisagreementError
 from benchmarks.networkx_operators import individuals, kinds_of
@@ -100,8 +100,10 @@ def test_processes_give_what_one_gives() -> None:
 
 def test_the_tensor_way_gives_the_same_numbers() -> None:
     others = tensor_rollout(graphs_to_run(), work().actions, work().environment, LIMIT)
-    for name in ("succeeded", "timed_out", "percept", "transitions"):
+    for name in ("succeeded", "timed_out", "transitions"):
         assert torch.equal(getattr(others, name), getattr(runs(), name)), name
+    # Networks in torch and compiled round otherwise, and each motion makes more of it.
+    torch.testing.assert_close(others.percept, runs().percept, atol=1e-4, rtol=0)
 
 
 def test_lanes_that_end_otherwise_are_noticed() -> None:
@@ -145,16 +147,15 @@ def test_parents_stay_as_they_were() -> None:
 
 
 def test_a_generation_is_split_into_all_its_parts() -> None:
-    timed = with_timers(work())
     population = first_population(30, work().actions)
-    with logger(timed) as log:
-        seconds = generation_split(timed, population, log)
+    with logger(work()) as log:
+        seconds = generation_split(work(), population, log)
     assert set(seconds) == set(PARTS)
     assert all(seconds[name] > 0 for name in (*MODELS, "operators", "selection", "logging"))
-    again = rollout(population.graphs, timed.actions, timed.environment)
-    assert torch.equal(
-        again.percept, rollout(population.graphs, work().actions, work().environment).percept
-    )
+    keep = torch.zeros(work().environment.num_scenarios, dtype=torch.bool)
+    shares = rollout_shares(work(), population, keep)
+    assert set(shares) == set(INSIDE)
+    assert 0 < sum(shares.values()) < 1
 
 
 def test_more_room_changes_no_result() -> None:

@@ -1,41 +1,34 @@
 """One generation of evolution, split into what it is made of."""
 
-import copy
 import statistics
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
 
 import torch
+from torch import Tensor
 
 from benchmarks.measure import Comparison, Effort, Line, cores, timing, torch_threads
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.workload import Workload, populations, workload
-from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.actions.networks import BranchingNN, ContinuousNN
 from cgtorch.evolution import EvolutionSettings, Generation, Island, Population
 from cgtorch.evolution.evolution import EvolutionState, tell
 from cgtorch.evolution.fitness import evaluate
 from cgtorch.evolution.selection import ranking
 from cgtorch.improvement.events import GenerationDone
+from cgtorch.native import function
+from cgtorch.native.structures import POINTER
 from cgtorch.report.tensorboard import TensorBoardWatch
-from cgtorch.simulation import ModelEnvironment
+from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
+from cgtorch.simulation.compiled import compiled_evaluation
+from cgtorch.simulation.program import compile_graphs
 
 MODELS = ("Γ", "C", "networks")
 """What a generation is for; the rest is overhead."""
-PARTS = (*MODELS, "possible motions", "rest of rollouts", "selection", "operators", "logging")
+INSIDE = (*MODELS, "possible motions")
+"""What compiled code counts the ticks of, in the order of rollout.c."""
+PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 LOGGED = 20  # generations that are logged for each that is timed; one in 20 has histograms
-
-
-@dataclass(frozen=True)
-class Timed:
-    """The workload with timers around Γ, C, the check of motions and the networks."""
-
-    watch: Stopwatch
-    environment: ModelEnvironment
-    actions: ActionSet
 
 
 def overhead_share(effort: Effort) -> Line:
@@ -60,9 +53,8 @@ def overhead_share(effort: Effort) -> Line:
 
 
 def _split(work: Workload, population: Population, label: str, repeats: int) -> Comparison:
-    timed = with_timers(work)
-    with logger(timed) as log:
-        samples = [generation_split(timed, population, log) for _ in range(repeats + 1)][1:]
+    with logger(work) as log:
+        samples = [generation_split(work, population, log) for _ in range(repeats + 1)][1:]
     whole = [sum(sample.values()) for sample in samples]
     overhead = [sum(v for k, v in sample.items() if k not in MODELS) for sample in samples]
     shares = {
@@ -85,45 +77,31 @@ def _split(work: Workload, population: Population, label: str, repeats: int) -> 
     )
 
 
-def with_timers(work: Workload) -> Timed:
-    """The workload's environment and actions of its own, timed; the library knows nothing of it."""
-    watch, environment, actions = Stopwatch(), copy.copy(work.environment), paper_actions()
-    environment.gamma = watch.around("Γ", environment.gamma)
-    environment.classifier = watch.around("C", environment.classifier)
-    environment.possible = watch.around("possible motions", environment.possible)
-    for action in actions.actions:
-        if isinstance(action, ContinuousNN | BranchingNN):
-            forward: Any = watch.around("networks", action.forward)
-            action.forward = forward  # type: ignore[method-assign]
-    return Timed(watch, environment, actions)
-
-
 @contextmanager
-def logger(timed: Timed) -> Iterator[TensorBoardWatch]:
+def logger(work: Workload) -> Iterator[TensorBoardWatch]:
     """A run's TensorBoard files, in a folder that goes again."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        TensorBoardWatch(folder, {}, actions=timed.actions) as log,
+        TensorBoardWatch(folder, {}, actions=work.actions) as log,
     ):
         yield log
 
 
 def generation_split(
-    timed: Timed, population: Population, log: TensorBoardWatch
+    work: Workload, population: Population, log: TensorBoardWatch
 ) -> dict[str, float]:
     """Seconds of each of `PARTS` in one generation that begins with this population."""
-    watch, generator = timed.watch, torch.Generator().manual_seed(6)
+    watch, generator = Stopwatch(), torch.Generator().manual_seed(6)
     select = watch.around("selection", EvolutionSettings().selection)
     settings = EvolutionSettings(population=len(population), selection=select)
-    keep = torch.zeros(timed.environment.num_scenarios, dtype=torch.bool)
-    watch.taken()
+    keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
     with watch.running("rollouts"):
-        result = evaluate(population.graphs, timed.actions, timed.environment, keep)
-    rollouts = watch.taken()
+        result = evaluate(population.graphs, work.actions, work.environment, keep)
+    rollouts = watch.taken()["rollouts"]
     with watch.running("operators"):
         best = int(ranking(result.fitness, population.graphs.num_nodes)[0])
         state = EvolutionState(population, 0, population[:1], 0.0)
-        tell(state, result.fitness, settings, timed.actions, generator, result.scores)
+        tell(state, result.fitness, settings, work.actions, generator, result.scores)
     after = watch.taken()
     solved, fitness = result.succeeded[best], float(result.fitness[best])
     champion, islands = population[best : best + 1], [Island(state, generator)]
@@ -134,10 +112,29 @@ def generation_split(
             )
             log(GenerationDone("S0", "S0", done, 150, 0, 0, int(solved.sum()), len(keep), 1.0))
     logged = watch.taken()["logging"] / LOGGED
-    inside = {name: rollouts.get(name, 0.0) for name in (*MODELS, "possible motions")}
+    inside = {
+        name: share * rollouts for name, share in rollout_shares(work, population, keep).items()
+    }
     return inside | {
-        "rest of rollouts": rollouts["rollouts"] - sum(inside.values()),
+        "rest of rollouts": rollouts - sum(inside.values()),
         "selection": after["selection"],
         "operators": after["operators"] - after["selection"],
         "logging": logged,
     }
+
+
+def rollout_shares(work: Workload, population: Population, keep: Tensor) -> dict[str, float]:
+    """What share of the evaluation of a population Γ, C, networks and checks of motions take.
+
+    Compiled code counts the ticks of the CPU's clock around each of them, on one thread. Counting
+    takes time itself, some hundredths, which go to the rest.
+    """
+    program = compile_graphs(population.graphs, work.actions)
+    ticks, ends = torch.zeros(4, dtype=torch.long), torch.zeros(2, dtype=torch.long)
+    clock = function("rollout", "clock_now", torch.float32, POINTER)
+    assert clock is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
+    clock(ends[:1].data_ptr())
+    compiled_evaluation(program, work.environment, keep, MAX_TRANSITIONS, MAX_STEPS, ticks)
+    clock(ends[1:].data_ptr())
+    whole = int(ends[1] - ends[0])
+    return dict(zip(INSIDE, (ticks / whole).tolist(), strict=True))

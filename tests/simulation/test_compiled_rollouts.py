@@ -3,6 +3,7 @@
 import copy
 
 import pytest
+import reference
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -78,6 +79,26 @@ def test_the_comparison_meets_every_end(scene: tuple[str, int]) -> None:
     success, timeout, moved = torch.tensor(ends).sum(0).tolist()
     lost = sum(int((r.state[..., 1] > 0).sum()) for r in found if r)
     assert min(success, timeout, moved, lost) >= 20, (success, timeout, moved, lost)
+
+
+@given(seed=st.integers(0, 2**31), limit=st.integers(1, 20), steps=st.integers(1, 40))
+@settings(max_examples=15, deadline=None)
+def test_compiled_rollouts_are_those_of_the_plain_interpreter(
+    seed: int, limit: int, steps: int
+) -> None:
+    environment = random_models(seed, 4)
+    actions = as_double_actions(nested_actions(seed % 5, paper_actions()))
+    graphs = as_double(random_graphs(seed, 5, actions))
+    program = compile_graphs(graphs, actions)
+    found = compiled_rollout(program, environment, torch.arange(4), limit, steps)
+    assert found is not None
+    for i in range(len(graphs)):
+        for j in range(4):
+            end, robot = reference.run(graphs[i : i + 1], actions, environment, j, limit, steps)
+            assert (end == "success") == bool(found.succeeded[i, j])
+            assert (end == "timeout") == bool(found.timed_out[i, j])
+            assert robot.steps == int(found.transitions[i, j])
+            assert found.percept[i, j].tolist() == pytest.approx(robot.percept.tolist(), abs=1e-9)
 
 
 def test_rollout_asks_compiled_code_first() -> None:
