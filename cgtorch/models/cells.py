@@ -83,7 +83,7 @@ class Cells:
         held_out: Decision value of each row from the fold that held it out (E, N, K, n), in the
             task's units.
         gap: Largest relative duality gap of a cell's folds (E, N, K).
-        direct: False where a fold of the cell had to be finished by SMO (E, N, K).
+        direct: False where a fold of the cell had to be finished by plain SMO (E, N, K).
     """
 
     held_out: Tensor

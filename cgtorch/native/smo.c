@@ -15,6 +15,8 @@
 #define FINER 0.25    /* of the tolerance, where the duality gap is still too large */
 #define FINEST 1e-3   /* of the tolerance, below which single precision ends */
 #define GATHERED 4    /* steps' work for a value that is gathered */
+#define ALL_ROWS 8    /* steps for each row between two choices, where sets would be too large */
+#define ADRIFT 256    /* steps for each row, after which single precision has drifted too far */
 
 typedef struct {
   const real *kernel; /* (n, stride), n filled up to WIDTH with finite numbers */
@@ -124,7 +126,9 @@ static void gather(const Problem *p, Memory *m, int64_t count) {
   m->set.stride = stride;
 }
 
-static void fill(const Problem *p, Memory *m, int64_t count) {
+/* Gradients are taken from their middle, where free coefficients have theirs: what is near 0 has
+   digits enough for millions of small changes. */
+static void fill(const Problem *p, Memory *m, int64_t count, double middle) {
   Set *s = &m->set;
   s->count = (count + WIDTH - 1) / WIDTH * WIDTH;
   s->epsilon = p->epsilon;
@@ -133,7 +137,7 @@ static void fill(const Problem *p, Memory *m, int64_t count) {
     m->before[k] = s->beta[k] = p->beta[t];
     s->lower[k] = p->lower[t];
     s->upper[k] = p->upper[t];
-    s->gradient[k] = (real)p->gradient[t];
+    s->gradient[k] = (real)(p->gradient[t] + middle);
     s->diagonal[k] = p->kernel[t * p->stride + t];
     set_ends(s, k);
   }
@@ -191,18 +195,21 @@ static double solve(const Problem *p, double tolerance, double gap, double worth
       tolerance *= FINER;
     }
     if (work > worth) return wrong;
-    int64_t near, count = choose(p, high, low, m, &near), most = INT64_MAX;
-    if (round == 0 && 4 * near > p->n) { /* most have to move once, all together */
+    int64_t near, count = choose(p, high, low, m, &near), most;
+    if (near > LARGEST_SET || (round == 0 && 4 * near > p->n)) { /* too many to be gathered */
       for (int64_t t = 0; t < p->n; t++) m->index[t] = (int32_t)t;
       m->set.kernel = p->kernel;
       m->set.stride = p->stride;
-      most = count = p->n;
+      count = p->n;
+      most = round ? ALL_ROWS * count : count;
     } else {
       gather(p, m, count);
       work += GATHERED * (double)(count * count);
-      most = (int64_t)((worth - work) / (double)count) + count;
+      most = ADRIFT * count;
     }
-    fill(p, m, count);
+    int64_t affordable = (int64_t)((worth - work) / (double)count) + count;
+    most = most < affordable ? most : affordable;
+    fill(p, m, count, (high + low) / 2);
     double aim = ROUND * wrong > 0.5 * tolerance ? ROUND * wrong : 0.5 * tolerance;
     int64_t steps = pairs(&m->set, (real)aim, most);
     if (steps == 0) return wrong; /* single precision sees nothing to do */
