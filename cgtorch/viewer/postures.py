@@ -6,6 +6,7 @@ pre-grasp is nobody's business there. For the eye it needs a way that touches no
 
 import itertools
 import math
+from functools import partial
 
 import torch
 from torch import Generator, Tensor
@@ -17,9 +18,10 @@ from cgtorch.kinematics.grasping import table_slab, touches
 SAMPLES, TRIED = 16_384, 512
 APART = 4
 """How much worse it is to cross over to the other arm than to reach beyond the footprint."""
-VIAS, TOGETHER = 1024, 32
-LEG = 14
-"""Postures that are looked at on the way from one to the next."""
+VIAS, FEW = 512, 24
+"""Postures to go through, and how many of these are tried in pairs."""
+COARSE, FINE = 10, 200
+"""Postures that are looked at between two, of all ways and of those that seem free."""
 SAME = 0.02
 """How far apart two arms may be for one to count as the mirror image of the other, m."""
 
@@ -69,8 +71,9 @@ def _mirrored(arm: ArmModel, other: ArmModel, q: Tensor) -> Tensor | None:
 def way_to(robot: Robot, arm: ArmModel, start: Tensor, goal: Tensor, table: Tensor) -> Tensor:
     """Postures (W, n) from `start` to `goal` without touching the table or the body, ends included.
 
-    Straight in joint space or, where that touches something, by the first random posture from and
-    to which it does not. If none of them serves, it is straight nevertheless.
+    Straight in joint space or, where that touches something, through one or two random postures
+    with which it does not, as in a probabilistic roadmap (Kavraki et al. 1996). If none of them
+    serves, it is straight nevertheless.
 
     Args:
         robot: the robot.
@@ -80,20 +83,32 @@ def way_to(robot: Robot, arm: ArmModel, start: Tensor, goal: Tensor, table: Tens
         table: (6,) the table in the base frame, as for `cgtorch.kinematics.graspable`.
     """
     goal = start + arm.difference(goal, start)
+    free = partial(_free, arm, table_slab(table[None].to(goal)), robot.body.to(goal))
     vias = torch.cat([((start + goal) / 2)[None], _random_postures(arm, VIAS, around=start)])
-    slab, body = table_slab(table[None].to(vias)), robot.body.to(vias)
-    for some in vias.split([1, *[TOGETHER] * (VIAS // TOGETHER)]):
-        ways = torch.cat([_between(start.expand_as(some), some),
-                          _between(some, goal.expand_as(some))], 1)  # fmt: skip
-        hit = touches(arm, ways.flatten(0, 1), slab, body).view(ways.shape[:2]).any(1)
-        if not hit.all():
-            return torch.stack([start, some[int((~hit).nonzero()[0])], goal])
-    return torch.stack([start, vias[0], goal])
+    there, back = free(start.expand_as(vias), vias), free(vias, goal.expand_as(vias))
+    ways = [torch.stack([start, via, goal]) for via in vias[there & back][:FEW]]
+    if not ways:
+        first, last = vias[there][:FEW], vias[back][:FEW]
+        one, two = first.repeat_interleave(len(last), 0), last.repeat(len(first), 1)
+        both = free(one, two)
+        ways = [torch.stack([start, a, b, goal]) for a, b in zip(one[both], two[both], strict=True)]
+    sound = (way for way in ways[:FEW] if free(way[:-1], way[1:], FINE).all())
+    return next(sound, torch.stack([start, goal]))
 
 
-def _between(a: Tensor, b: Tensor) -> Tensor:
-    """(K, LEG, n) postures on straight lines."""
-    share = torch.linspace(0, 1, LEG, dtype=a.dtype)[None, :, None]
+def _free(
+    arm: ArmModel, slab: Boxes, body: Boxes, a: Tensor, b: Tensor, steps: int = COARSE
+) -> Tensor:
+    """(K,) whether an arm touches nothing on straight lines from postures a to b (K, n)."""
+    if not len(a):
+        return torch.zeros(0, dtype=torch.bool)
+    line = _between(a, b, steps)
+    return ~touches(arm, line.flatten(0, 1), slab, body).view(len(a), steps).any(1)
+
+
+def _between(a: Tensor, b: Tensor, steps: int) -> Tensor:
+    """(K, steps, n) postures on straight lines."""
+    share = torch.linspace(0, 1, steps, dtype=a.dtype)[None, :, None]
     return a[:, None] + share * (b - a)[:, None]
 
 

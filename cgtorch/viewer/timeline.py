@@ -139,13 +139,15 @@ def _grasp(
     mine = slice(first, first + len(arm.joint_names))
     grasp = solution.joints[0, :, : len(arm.joint_names)].double()
     there = way_to(robot, arm, joints[mine], grasp[0], table[0])
-    corners = [*there, *grasp[1:]]
-    moving = [corners[0][None]]
-    for k, goal in enumerate(corners[1:], start=1):
+    moving = [there[:1]]
+    for goal in there[1:]:  # not the short way round, which may not be free
         here = moving[-1][-1]
-        turn = arm.difference(goal, here)
-        seconds = float(turn.abs().max()) / SWING
-        moving.append(_line(here, here + turn, seconds if k < len(there) else max(seconds, NEAR)))
+        moving.append(_line(here, goal, float((goal - here).abs().max()) / SWING))
+    for waypoint in grasp[1:]:
+        here = moving[-1][-1]
+        goal = here + arm.difference(waypoint, here)
+        seconds = float((goal - here).abs().max()) / SWING
+        moving.append(_line(here, goal, max(seconds, NEAR)))
     path = torch.cat(moving)
     grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
     all_joints = joints.expand(len(path), -1).clone()

@@ -4,7 +4,7 @@ import torch
 
 from cgtorch.kinematics import grasp_solution, load_robot
 from cgtorch.kinematics.grasping import table_slab, touches
-from cgtorch.viewer.postures import LEG, rest_postures, way_to
+from cgtorch.viewer.postures import FINE, rest_postures, way_to
 
 ROBOT = load_robot()
 REST = rest_postures(ROBOT)
@@ -32,7 +32,7 @@ def test_arms_rest_beside_the_body_and_mirror_each_other() -> None:
 
 def hits(way: torch.Tensor, which: int) -> bool:
     """Whether the arm touches table or body on a way, looked at finely."""
-    arm, share = ROBOT.arms[which], torch.linspace(0, 1, 4 * LEG, dtype=way.dtype)[:, None]
+    arm, share = ROBOT.arms[which], torch.linspace(0, 1, 2 * FINE, dtype=way.dtype)[:, None]
     fine = torch.cat([a + share * (b - a) for a, b in pairwise(way)])
     slab = table_slab(TABLE.expand(len(fine), 6))
     return bool(touches(arm, fine, slab, ROBOT.body).any())
