@@ -17,7 +17,7 @@ import torch
 from support import world
 
 from cgtorch.actions import ActionSet, check_action
-from cgtorch.commands import evaluate, export, train
+from cgtorch.commands import evaluate, export, report, train, view
 from cgtorch.graphs import Graphs, Skill, load_skill, skill_to_dict
 from cgtorch.simulation import rollout
 
@@ -26,6 +26,8 @@ COMMANDS = {
     "cgtorch-train": train.command,
     "cgtorch-evaluate": evaluate.command,
     "cgtorch-export": export.command,
+    "cgtorch-report": report.command,
+    "cgtorch-view": view.command,
 }
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 OWN, PYTHON = ROOT / "docs" / "own-action.md", ROOT / "docs" / "python.md"

@@ -5,6 +5,14 @@ from pathlib import Path
 import click
 
 from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.completion import runs_or_skills
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    quiet_option,
+    waiting,
+)
 from cgtorch.errors import RunError
 
 EXAMPLES = """\b
@@ -15,18 +23,21 @@ Examples:
 """
 
 
-@click.command("cgtorch-report", epilog=EXAMPLES)
-@click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
+@click.command("cgtorch-report", epilog=epilog(EXAMPLES))
+@click.argument(
+    "run", metavar="RUN", type=click.Path(path_type=Path), shell_complete=runs_or_skills
+)
 @click.option(
     "--output",
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
     help="The HTML file to write.",
 )
-@click.option("--actions", multiple=True, help="Further actions that the run uses.")
+@actions_option
 @click.option("--force", is_flag=True, help="Replace the file if there is one.")
-@click.version_option(package_name="cgtorch")
-def command(run: Path, output: Path, actions: tuple[str, ...], force: bool) -> None:
+@quiet_option
+@common_options
+def command(run: Path, output: Path, actions: tuple[str, ...], force: bool, quiet: bool) -> None:
     """Write one HTML page about a run that needs no other file, no script and no network.
 
     Its stages beside the paper's figures, success seen from above, fitness and rates over
@@ -42,7 +53,8 @@ def command(run: Path, output: Path, actions: tuple[str, ...], force: bool) -> N
 
     torch.set_num_threads(1)
     import_from_here(actions)
-    page = report_page(run, actions)
+    with waiting(f"drawing {run}", quiet):
+        page = report_page(run, actions)
     write_bytes(output, page)
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")
 

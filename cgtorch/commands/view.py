@@ -8,6 +8,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.completion import SCENARIOS, one_of, runs_or_skills
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    quiet_option,
+    run_or_skill,
+    skill_option,
+    waiting,
+)
 from cgtorch.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -22,24 +32,34 @@ Examples:
 """
 
 
-@click.command("cgtorch-view", epilog=EXAMPLES)
-@click.argument("path", metavar="RUN_OR_SKILL", type=click.Path(path_type=Path))
+@click.command("cgtorch-view", epilog=epilog(EXAMPLES))
+@run_or_skill
 @click.option(
     "--against",
     metavar="RUN_OR_SKILL",
     type=click.Path(path_type=Path),
+    shell_complete=runs_or_skills,
     help="Another skill, to be shown beside the first one on the same scenario.",
 )
 @click.option(
     "--scenarios",
+    shell_complete=one_of(SCENARIOS),
     help="What is shown first: near, left, right, far or perimeter of the paper's table; general: "
     "any table, from any side; general-clutter: half of them with a box in the way. If not given, "
     "what the run is about.",
 )
-@click.option("--count", type=click.IntRange(1, 10_000), default=40, show_default=True)
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
-@click.option("--skill", help="An earlier skill of the run, by its name in the run's ledger.")
-@click.option("--actions", multiple=True, help="Further actions that the skills use.")
+@click.option(
+    "--count",
+    type=click.IntRange(1, 10_000),
+    default=40,
+    show_default=True,
+    help="Scenarios to choose from.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Of these."
+)
+@skill_option
+@actions_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
 @click.option(
     "--port",
@@ -48,7 +68,8 @@ Examples:
     show_default=True,
     help="If it is taken, the next free one; 0: any free one.",
 )
-@click.version_option(package_name="cgtorch")
+@quiet_option
+@common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
@@ -66,7 +87,8 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    offer = _offer(path, rest["skill"], rest["actions"], scenarios)
+    with waiting(f"loading {path}", rest["quiet"]):
+        offer = _offer(path, rest["name"], rest["actions"], scenarios)
     draw_of(offer.kind)  # there must be such scenarios
     candidates, against, other = dict(offer.candidates), None, rest["against"]
     if other is not None:
