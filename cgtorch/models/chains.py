@@ -15,7 +15,7 @@ from cgtorch.models.gram import Gram
 from cgtorch.models.polish import polish
 from cgtorch.models.problems import Problems
 
-_WORTH = 1 / 80, 2e7
+_WORTH = 1 / 80, 5e6
 """Kernel values of the first turn: a share of n^3, as the cost of a factor, and some more."""
 _TURNS = 4  # each twice as long as the one before
 

@@ -54,7 +54,7 @@ def svc_grid_search(effort: Effort) -> Line:
 def svr_grid_search(effort: Effort) -> Line:
     """Γ's transitions as the paper learns them: seven outputs, five folds, six costs and widths.
 
-    Ten minutes in full, nearly all of it scikit-learn's.
+    A quarter of an hour in full, nearly all of it scikit-learn's.
     """
     sizes = (300, 500, 2000) if effort.size == 1 else (100,)
     return _line("svr_grid_search", [_transitions(n) for n in sizes], 10.0)
