@@ -28,7 +28,7 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
 )
 HERE = {"127.0.0.1", "localhost"}
-WAIT_MS = 60_000  # on a busy machine
+WAIT_MS = 120_000  # on a busy machine
 
 
 @dataclass
