@@ -93,7 +93,7 @@ class TransitionModel(nn.Module):
         return following, (1 - torch.exp(-LN2 * exponent)).to(percept.dtype)
 
     def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
-        """Γ as compiled code knows it, where that can be asked about (n, D) and motions (n, 3).
+        """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
 
         Raises:
             DataError: Wrong shapes.
