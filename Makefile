@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test lint format types fingerprint reference clean
+.PHONY: help setup train test lint docs format types fingerprint reference clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -28,6 +28,9 @@ lint: setup types  ## Check style and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
+docs: setup  ## Build the documentation into site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 types: setup  ## Check types
 	$(BIN)/mypy
 
@@ -42,4 +45,4 @@ reference: setup  ## Make runs/reference again
 	$(BIN)/python tools/make_reference_run.py
 
 clean:  ## Remove the environment and caches
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist site

@@ -1,3 +1,60 @@
-"""cgtorch: robot skills that improve themselves, as evolving computational graphs in PyTorch."""
+"""cgtorch: robot skills that improve themselves, as evolving computational graphs in PyTorch.
+
+What one begins with is here by its name, as in `from cgtorch import Action, evolve`; everything
+else is in the folder that it belongs to.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cgtorch.actions import Action as Action
+    from cgtorch.actions import ActionSet as ActionSet
+    from cgtorch.actions import edge_actions as edge_actions
+    from cgtorch.actions import paper_actions as paper_actions
+    from cgtorch.actions import resolve_actions as resolve_actions
+    from cgtorch.environment import Environment as Environment
+    from cgtorch.environment import Lanes as Lanes
+    from cgtorch.evolution import EvolutionSettings as EvolutionSettings
+    from cgtorch.evolution import ask as ask
+    from cgtorch.evolution import evolve as evolve
+    from cgtorch.evolution import initial_state as initial_state
+    from cgtorch.evolution import tell as tell
+    from cgtorch.graphs import Skill as Skill
+    from cgtorch.graphs import load_skill as load_skill
+    from cgtorch.graphs import save_skill as save_skill
+    from cgtorch.kinematics import graspable as graspable
+    from cgtorch.kinematics import load_robot as load_robot
+    from cgtorch.report import draw_skill as draw_skill
+    from cgtorch.simulation.rollout import rollout as rollout
+    from cgtorch.world import TabletopWorld as TabletopWorld
+    from cgtorch.world import random_scenarios as random_scenarios
+    from cgtorch.world import stage_scenarios as stage_scenarios
 
 __version__ = "0.1.0"
+
+# Torch takes a second to import, so that a name is looked up once somebody asks for it.
+_FOLDERS = {
+    "actions": ("Action", "ActionSet", "edge_actions", "paper_actions", "resolve_actions"),
+    "environment": ("Environment", "Lanes"),
+    "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),
+    "graphs": ("Skill", "load_skill", "save_skill"),
+    "kinematics": ("graspable", "load_robot"),
+    "report": ("draw_skill",),
+    "simulation": ("rollout",),
+    "world": ("TabletopWorld", "random_scenarios", "stage_scenarios"),
+}
+_HOME = {name: folder for folder, names in _FOLDERS.items() for name in names}
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    """One of the names above, from its folder (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """What there is, for whoever looks around."""
+    return sorted({*globals(), *_HOME})

@@ -1,15 +1,46 @@
-"""What a running skill sees and where it acts: lanes, and the environment interface.
+"""What a running skill starts from, sees, and acts in: scenarios, lanes, environments.
 
 A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes, and
 every place a skill can run in (the learned models Γ and C, the tabletop world, a user's own
 domain) is an `Environment`. Both are plain data and pure functions: a step returns new lanes.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Protocol, Self, runtime_checkable
 
 import torch
 from torch import Tensor
+
+
+@dataclass(frozen=True)
+class ScenarioBatch:
+    """B states of a world that a skill starts from.
+
+    A subclass is a frozen dataclass of tensors of B rows, of whatever a world needs to know, such
+    as where things stand or a seed; it needs nothing more than its fields. A skill that is run
+    again on a scenario must do the same again, so noise is part of a scenario, too.
+    """
+
+    def __len__(self) -> int:
+        """The number of scenarios, B."""
+        return len(getattr(self, fields(self)[0].name))
+
+    def __getitem__(self, index: Tensor | slice) -> Self:
+        """The scenarios at `index`."""
+        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def joined(self, *more: Self) -> Self:
+        """These scenarios, and more of them after these."""
+        parts = (self, *more)
+        return type(self)(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(self)))
+
+    def with_noise(self, copy: int) -> Self:
+        """The same met by other noise; copy 0 is the scenarios themselves. Here nothing is noisy.
+
+        Args:
+            copy: which noise.
+        """
+        return self
 
 
 @dataclass(frozen=True)
@@ -21,7 +52,7 @@ class Lanes:
         state: (n, S) what the environment keeps of each lane; never seen by actions.
         message: (n, M) the message travelling along the edges.
         has_message: (n,) bool, whether a message has been sent yet.
-        memory: (n, C) the common memory, shared by all nodes of a lane.
+        memory: (n, C) the common memory of a lane's nodes; an action sees its part of it.
         scenario: (n,) long, which scenario the lane runs on.
         step: (n,) long, how many actions the lane has executed.
     """
@@ -50,6 +81,10 @@ class Lanes:
             if mine is not theirs and f.name not in ("scenario", "step"):
                 changed |= (mine != theirs).view(len(self), -1).any(1)
         return changed
+
+    def with_memory(self, part: slice) -> Self:
+        """The same lanes, of whose memory only a part is seen; what is written there is theirs."""
+        return replace(self, memory=self.memory[:, part])
 
     def write(self, index: Tensor, before: "Lanes", after: "Lanes") -> None:
         """Overwrite in place the lanes at `index` (k,) with what differs between two versions."""
@@ -101,6 +136,24 @@ class Environment(Protocol):
         could notice.
         """
         ...
+
+
+@runtime_checkable
+class Seeded(Protocol):
+    """An environment whose scenarios have seeds of their own, for actions that are stochastic.
+
+    It is for environments that can hold the same scenario under another index.
+    """
+
+    @property
+    def seeds(self) -> Tensor:
+        """(B,) long, one of each scenario."""
+        ...
+
+
+def seeds_of(environment: Environment, scenario: Tensor) -> Tensor:
+    """(n,) long, the seeds of scenarios (n,): their indices where the environment has none."""
+    return environment.seeds[scenario] if isinstance(environment, Seeded) else scenario
 
 
 def start_lanes(

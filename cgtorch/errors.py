@@ -15,7 +15,12 @@ class CgtorchError(Exception):
         text = super().__str__()
         if len(text) > BEGINNING + END:
             text = f"{text[:BEGINNING]} … {text[-END:]}"
-        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+        return printable(text)
+
+
+def printable(text: str) -> str:
+    """Text from a file that may be hostile, with escapes for what does not print."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class SettingsError(CgtorchError, ValueError):

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 import torch
-from support import custom_actions, model, seeded
+from support import model, seeded, stochastic_actions
 
 from cgtorch import ranks
 from cgtorch.evolution import EvolutionSettings
@@ -44,7 +44,9 @@ def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
 
     about = settings, BUDGET, generator, watch, "S0", "x"
     with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
-        champion, solved = evolve_candidate(model(0, 7), custom_actions(), *about, journal=journal)
+        champion, solved = evolve_candidate(
+            model(0, 7), stochastic_actions(), *about, journal=journal
+        )
         after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
         found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
         return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]

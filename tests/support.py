@@ -40,6 +40,34 @@ class Counter(Action):
         return replace(lanes, memory=memory, message=message), torch.where(lost, 2, enough.long())
 
 
+class Wander(Action):
+    """Sends a random motion and tells where it leads; after some it is tired."""
+
+    outcomes: tuple[str, ...] = ("left", "ahead", "right", "tired")
+    num_parameters: int = 1
+    message_size: int = 3
+    memory_size: int = 2
+    deterministic: bool = False
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        lanes, drawn = self.uniform(lanes, environment, 3)
+        motion = (drawn - 0.5) * parameters
+        side = torch.where(motion[:, 1] > 0.1, 0, torch.where(motion[:, 1] < -0.1, 2, 1))
+        memory = lanes.memory.clone()
+        memory[:, 0] += motion[:, :2].norm(dim=1)
+        outcome = torch.where(memory[:, 0] > 1, 3, side)
+        has = torch.ones_like(lanes.has_message)
+        message = torch.cat([motion, lanes.message[:, 3:]], 1)
+        return replace(lanes, memory=memory, message=message, has_message=has), outcome
+
+
+def stochastic_actions() -> ActionSet:
+    """The paper's actions, one that counts, and one that draws random numbers."""
+    return custom_actions().extended(["Wander"], [Wander()])
+
+
 def seeded(seed: int) -> Generator:
     return torch.Generator().manual_seed(seed)
 

@@ -19,7 +19,12 @@ from typing import Any
 import click
 from benchmarks.gamma import gamma_ceiling
 from benchmarks.generation import overhead_share
-from benchmarks.grid import svc_grid_search, svr_grid_search
+from benchmarks.grid import (
+    svc_grid_search,
+    svc_grid_search_large,
+    svr_grid_search,
+    svr_grid_search_large,
+)
 from benchmarks.growth import growth_10x, padding
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
@@ -36,6 +41,8 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "inference_ceiling": inference_ceiling,
     "svc_grid_search": svc_grid_search,
     "svr_grid_search": svr_grid_search,
+    "svc_grid_search_large": svc_grid_search_large,
+    "svr_grid_search_large": svr_grid_search_large,
     "paper_way": paper_way,
     "strong_cpu": strong_cpu,
     "tensor_way": tensor_way,
@@ -45,6 +52,9 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "growth_10x": growth_10x,
     "padding": padding,
 }
+
+LONG = {"svc_grid_search_large", "svr_grid_search_large"}
+"""Lines that take minutes even with --quick, where they run only by name."""
 
 PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")
 
@@ -110,7 +120,7 @@ def _version(package: str) -> str | None:
 def main(quick: bool, print_json: bool, only: tuple[str, ...]) -> None:
     """Measure cgtorch against what it is compared to."""
     effort, begin, lines = QUICK if quick else FULL, time.perf_counter(), []
-    for name in only or LINES:
+    for name in only or [name for name in LINES if not (quick and name in LONG)]:
         click.echo(f"{name} ...", err=True)
         try:
             lines.append(line := LINES[name](effort))

@@ -2,11 +2,14 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.environment import Environment, Lanes
+from cgtorch import chance
+from cgtorch.environment import Environment, Lanes, seeds_of
+from cgtorch.errors import ActionError
 
 
 class Action(nn.Module, ABC):
@@ -20,8 +23,11 @@ class Action(nn.Module, ABC):
         terminal: outcomes that end the computation, and whether the skill then succeeded.
         num_parameters: how many real parameters each node of this action carries.
         message_size: length of the message it reads or writes, 0 for none.
-        memory_size: how much of the common memory it uses, from its beginning.
-        deterministic: whether equal lanes and parameters always give equal results.
+        memory_size: numbers of the common memory that it uses; they are zero when a skill begins.
+        memory_part: name of the part of the memory that these are. Actions that give the same name
+            share it; without a name the part is the action's own.
+        deterministic: whether equal lanes and parameters always give equal results; one that draws
+            random numbers says False.
     """
 
     outcomes: tuple[str, ...] = ("success",)
@@ -29,6 +35,7 @@ class Action(nn.Module, ABC):
     num_parameters: int = 0
     message_size: int = 0
     memory_size: int = 0
+    memory_part: str = ""
     deterministic: bool = True
 
     @abstractmethod
@@ -38,7 +45,8 @@ class Action(nn.Module, ABC):
         """Run the action on n lanes.
 
         Args:
-            lanes: the n lanes that are at a node of this action.
+            lanes: the n lanes that are at a node of this action; of their memory (n, C) it is the
+                action's part.
             parameters: (n, num_parameters) the parameters of those nodes.
             environment: where the skill runs; `step` moves, `observe` perceives, `success` tests.
 
@@ -50,3 +58,39 @@ class Action(nn.Module, ABC):
     def initial_parameters(self, n: int, generator: Generator) -> Tensor:
         """(n, num_parameters) parameters of new nodes, standard normal unless overridden."""
         return torch.randn(n, self.num_parameters, generator=generator)
+
+    def uniform(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
+        """Random numbers, for an action that is stochastic (`cgtorch.chance`).
+
+        They depend on the seed of a lane's scenario, the name of the action's class, and how often
+        the lane has drawn with it, which the last number of the action's memory counts. So they
+        belong to the scenario, as the noise of the world does, and what a skill has solved it
+        solves again. All seeds come from the generator that the scenarios were drawn with.
+
+        Args:
+            lanes: the n lanes.
+            environment: where they run.
+            size: numbers for each lane.
+
+        Returns:
+            The lanes, which have drawn once more, and (n, size) numbers in [0, 1).
+
+        Raises:
+            ActionError: the action does not say that it is stochastic, or has no memory.
+        """
+        if self.deterministic or not self.memory_size:
+            raise ActionError(
+                f"{type(self).__name__} draws random numbers; give it deterministic = False and a "
+                "memory_size of at least 1, of which the last number counts the draws"
+            )
+        memory = lanes.memory.clone()
+        count = memory[:, -1].long()
+        memory[:, -1] += 1
+        seeds = seeds_of(environment, lanes.scenario)
+        drawn = chance.uniform(seeds, type(self).__qualname__, count, size)
+        return replace(lanes, memory=memory), drawn.to(memory)
+
+    def normal(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
+        """Standard normal numbers (n, size); the rest as for `uniform`."""
+        lanes, drawn = self.uniform(lanes, environment, 2 * size)
+        return lanes, chance.normal(drawn)

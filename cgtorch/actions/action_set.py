@@ -26,7 +26,6 @@ class ActionSet:
         has_edge: (A, O) bool, outcomes that must lead to a node.
         num_parameters: (A,) long.
         message_size: length of the longest message.
-        memory_size: length of the common memory.
 
     Raises:
         ActionError: no action, a name used twice, or an action without outcomes.
@@ -39,7 +38,6 @@ class ActionSet:
     has_edge: Tensor = field(init=False, repr=False, compare=False)
     num_parameters: Tensor = field(init=False, repr=False, compare=False)
     message_size: int = field(init=False, repr=False, compare=False)
-    memory_size: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the actions and lay out their tables."""
@@ -58,7 +56,6 @@ class ActionSet:
             "has_edge": (torch.arange(width) < counts[:, None]) & ~terminal,
             "num_parameters": torch.tensor([a.num_parameters for a in self.actions]),
             "message_size": max(a.message_size for a in self.actions),
-            "memory_size": max(a.memory_size for a in self.actions),
         }
         for name, value in tables.items():
             object.__setattr__(self, name, value)

@@ -1,6 +1,7 @@
 """Finding actions by name, and checking that they keep the interface."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 
 import torch
@@ -9,7 +10,7 @@ from torch import Generator, Tensor
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
 from cgtorch.dry_run import ROWS, copied, expect, expect_lanes, expect_pair, returned, two_rows
-from cgtorch.environment import Environment, start_lanes
+from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
@@ -92,6 +93,23 @@ def check_action(
             f"{who} returned outcomes {outcome.tolist()}; they index {action.outcomes}, so give 0 "
             f"to {len(action.outcomes) - 1}"
         )
+    turned = torch.tensor([1, 0], device=outcome.device)
+    given = lanes.rows(turned), parameters[turned], environment
+    _expect_same(
+        who, (after.rows(turned), outcome[turned]), returned(ActionError, who, action, *given)
+    )
+
+
+def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tensor]) -> None:
+    """An error unless both are the same: what becomes of a row is its own affair."""
+    pairs = [(getattr(once[0], f.name), getattr(again[0], f.name)) for f in fields(Lanes)]
+    for first, second in [*pairs, (once[1], again[1])]:
+        if not torch.equal(first.nan_to_num(), second.nan_to_num()):
+            raise ActionError(
+                f"{who} did something else with the same two lanes in another order; treat each "
+                "lane by itself, and draw random numbers with self.uniform(lanes, environment, "
+                "size)"
+            )
 
 
 def _parameters(name: str, action: Action, generator: Generator) -> Tensor:

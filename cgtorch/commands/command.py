@@ -3,20 +3,31 @@
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any, NoReturn, TypeVar
 
 import click
 
+from cgtorch.commands.completion import one_of
 from cgtorch.errors import CgtorchError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def options_of(settings: type, skip: Sequence[str] = ()) -> Callable[[F], F]:
-    """Decorator: one option per field of a dataclass, with its default and help text."""
+def options_of(
+    settings: type,
+    skip: Sequence[str] = (),
+    choices: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Callable[[F], F]:
+    """Decorator: one option per field of a dataclass, with its default and help text.
+
+    Args:
+        settings: the dataclass.
+        skip: fields that get no option.
+        choices: what shells complete for a field.
+    """
 
     def decorate(function: F) -> F:
         for f in reversed(fields(settings)):
@@ -29,6 +40,7 @@ def options_of(settings: type, skip: Sequence[str] = ()) -> Callable[[F], F]:
                 default=f.default,
                 show_default=True,
                 help=f.metadata["help"],
+                shell_complete=one_of(choices[f.name]) if f.name in choices else None,
             )(function)
         return function
 
@@ -59,7 +71,9 @@ def run_command(command: click.Command) -> None:
     except CgtorchError as e:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort):
-        _end(name, "interrupted; what was done is kept, go on with --resume", 1)
+        resumes = any(parameter.name == "resume" for parameter in command.params)
+        kept = "; what was done is kept, go on with --resume" if resumes else ""
+        _end(name, f"interrupted{kept}", 1)
     except OSError as e:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__

@@ -7,6 +7,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.completion import SCENARIOS, one_of
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    quiet_option,
+    run_or_skill,
+    skill_option,
+    waiting,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,26 +38,40 @@ Examples:
 PICTURED = 24
 
 
-@click.command("cgtorch-evaluate", epilog=EXAMPLES)
-@click.argument("path", metavar="RUN_OR_SKILL", type=click.Path(path_type=Path))
+@click.command("cgtorch-evaluate", epilog=epilog(EXAMPLES))
+@run_or_skill
 @click.option(
     "--scenarios",
     default="perimeter",
     show_default=True,
+    shell_complete=one_of(SCENARIOS),
     help="near, left, right, far or perimeter of the paper's table; general: any table, from any "
     "side; general-clutter: half of them with a box in the way.",
 )
-@click.option("--count", type=click.IntRange(1, 1_000_000), default=40, show_default=True)
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True)
-@click.option("--skill", help="An earlier skill of the run, by its name in the run's ledger.")
-@click.option("--actions", multiple=True, help="Further actions that the skill uses.")
+@click.option(
+    "--count",
+    type=click.IntRange(1, 1_000_000),
+    default=40,
+    show_default=True,
+    help="How many scenarios.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**31 - 1),
+    default=0,
+    show_default=True,
+    help="Seed of the scenarios and their noise.",
+)
+@skill_option
+@actions_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"Also draw the first {PICTURED} scenes from above into this PNG file.",
 )
-@click.version_option(package_name="cgtorch")
+@quiet_option
+@common_options
 def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
@@ -65,15 +89,18 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    skill, world_of, stage = _chosen(path, rest["skill"], rest["actions"], scenarios)
-    score = evaluate_skill(skill, world_of, scenarios, count, seed)
+    skill, world_of, stage = _chosen(path, rest["name"], rest["actions"], scenarios)
+    quiet = rest["quiet"]
+    with waiting(f"trying {skill.name} on {scenarios} scenarios", quiet, count) as done:
+        score = evaluate_skill(skill, world_of, scenarios, count, seed, done)
     if rest["picture"]:
         _draw(rest["picture"], score, skill.name)
     kept, again = None, None
     if stage is not None:
         if holds_models(stage):
             knowledge = load_knowledge(stage)
-            kept = kept_promises(score, skill, knowledge, world_of(score.scenarios), seed)
+            with waiting(f"asking the models what they promise of {skill.name}", quiet):
+                kept = kept_promises(score, skill, knowledge, world_of(score.scenarios), seed)
         index = {line["name"]: line for line in read_index(stage.absolute().parent)}
         again = index.get(skill.name, {}).get("w_other_noise")
     if as_json:
@@ -155,3 +182,7 @@ def _draw(path: Path, score: "Score", name: str) -> None:
 def main() -> None:
     """Entry point of `cgtorch-evaluate`."""
     run_command(command)
+
+
+if __name__ == "__main__":
+    main()

@@ -6,6 +6,16 @@ from typing import TYPE_CHECKING
 import click
 
 from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.completion import SCENARIOS, one_of
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    quiet_option,
+    run_or_skill,
+    skill_option,
+    waiting,
+)
 from cgtorch.errors import RunError
 
 if TYPE_CHECKING:
@@ -25,8 +35,8 @@ Examples:
 FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
 
 
-@click.command("cgtorch-export", epilog=EXAMPLES)
-@click.argument("path", metavar="RUN_OR_SKILL", type=click.Path(path_type=Path))
+@click.command("cgtorch-export", epilog=epilog(EXAMPLES))
+@run_or_skill
 @click.option(
     "--format",
     "form",
@@ -42,16 +52,18 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     required=True,
     help="The file to write.",
 )
-@click.option("--skill", "name", help="An earlier skill of the run, by its name in its ledger.")
-@click.option("--actions", multiple=True, help="Further actions that the skill uses.")
+@skill_option
+@actions_option
 @click.option(
     "--scenarios",
     default="perimeter",
     show_default=True,
+    shell_complete=one_of(SCENARIOS),
     help="Of a skill file: what the skill was evolved on, which says what it perceives.",
 )
 @click.option("--force", is_flag=True, help="Replace the file if there is one.")
-@click.version_option(package_name="cgtorch")
+@quiet_option
+@common_options
 def command(
     path: Path,
     form: str,
@@ -60,6 +72,7 @@ def command(
     actions: tuple[str, ...],
     scenarios: str,
     force: bool,
+    quiet: bool,
 ) -> None:
     """Write a skill as something that others read or run, without cgtorch.
 
@@ -73,7 +86,8 @@ def command(
 
     import_from_here(actions)
     skill = _chosen(path, name, actions, scenarios)
-    data = WRITERS[form](skill)
+    with waiting(f"exporting {skill.name} as {form}", quiet):
+        data = WRITERS[form](skill)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
 
@@ -95,3 +109,7 @@ def _chosen(path: Path, name: str | None, actions: tuple[str, ...], scenarios: s
 def main() -> None:
     """Entry point of `cgtorch-export`."""
     run_command(command)
+
+
+if __name__ == "__main__":
+    main()

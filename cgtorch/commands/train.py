@@ -8,9 +8,11 @@ from typing import Any
 import click
 
 from cgtorch.commands.command import import_from_here, options_of, run_command
+from cgtorch.commands.completion import DEVICES, STAGES, one_of, runs
+from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
 from cgtorch.errors import RunError, SettingsError
 from cgtorch.experiments.goal import AUTO, Goal
-from cgtorch.experiments.settings import RunSettings
+from cgtorch.experiments.settings import CHOICES, RunSettings
 
 EXAMPLES = """\b
 Examples:
@@ -26,17 +28,23 @@ Examples:
 """
 
 
-@click.command("cgtorch-train", epilog=EXAMPLES)
+@click.command("cgtorch-train", epilog=epilog(EXAMPLES))
 @click.option(
     "--stage",
     default="S2",
     show_default=True,
+    shell_complete=one_of(STAGES),
     help="Last stage to make, S0 to S3, or auto: go on until a goal is met.",
 )
 @click.option(
     "--run-dir", type=click.Path(path_type=Path), help="Folder of the run.  [runs/seed-N]"
 )
-@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run.")
+@click.option(
+    "--resume",
+    type=click.Path(path_type=Path),
+    shell_complete=runs,
+    help="Go on with this run.",
+)
 @click.option(
     "--override",
     multiple=True,
@@ -52,8 +60,14 @@ Examples:
 @click.option(
     "--urdf", type=click.Path(path_type=Path), help="Its URDF.  [the one beside the description]"
 )
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
-@click.option("--actions", multiple=True, help="Further action: name or package.module:Class.")
+@click.option(
+    "--device",
+    default="auto",
+    show_default=True,
+    shell_complete=one_of(DEVICES),
+    help="auto, cpu, cuda or cuda:N.",
+)
+@actions_option
 @click.option(
     "--checkpoint-seconds",
     type=click.FloatRange(min=0),
@@ -61,10 +75,10 @@ Examples:
     show_default=True,
     help="Keep this often where an evolution stands, s; what is finished is kept at once.",
 )
-@click.option("--quiet", is_flag=True, help="Print the final table only.")
+@quiet_option
 @options_of(Goal)
-@options_of(RunSettings, skip=("actions",))
-@click.version_option(package_name="cgtorch")
+@options_of(RunSettings, skip=("actions",), choices=CHOICES)
+@common_options
 @click.pass_context
 def command(context: click.Context, /, **options: Any) -> None:
     """Evolve a robot skill: collect data, fit Γ and C, evolve, and test it in the world.

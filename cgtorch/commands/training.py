@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rich.console import Console
 
 from cgtorch import native, ranks
 from cgtorch.errors import SettingsError
@@ -149,7 +150,7 @@ def _train(
                 results = train(run, stage, *common)
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
-        display.console.print(final_table(results))
+        Console().print(final_table(results))
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:

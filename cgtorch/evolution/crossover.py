@@ -3,9 +3,22 @@
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.evolution import compiled
+from cgtorch.evolution.choices import Pairing, Pairs, pair_parts
+from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import bernoulli, choose, choose_many
-from cgtorch.graphs import NO_NODE, Graphs, pruned
+from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
+from cgtorch.graphs import (
+    NO_NODE,
+    Graphs,
+    compacted,
+    concatenate,
+    narrowed,
+    nodes_first,
+    pruned,
+    rearranged,
+    widened,
+)
 
 
 def crossover(first: Population, second: Population, generator: Generator) -> Population:
@@ -25,29 +38,71 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     Returns:
         2 Q children, those that take the frame of the first parents before the others.
     """
-    a, b = first.graphs, second.graphs
-    probability = (first.strategy[:, 0] + second.strategy[:, 0]) / 2
-    crossed = bernoulli(probability, (), generator)
-    half = torch.minimum(a.num_nodes, b.num_nodes) // 2
-    k = 1 + (torch.rand(len(half), generator=generator) * half).long().clamp_max(half - 1)
-    k = torch.where(crossed & (half > 0), k, 0)
-    group_a, group_b = _group(a, generator), _group(b, generator)
-    one = _graft(a, group_a, b, group_b, k, generator)
-    two = _graft(b, group_b, a, group_a, k, generator)
-    graphs = Graphs(
-        *(torch.cat(pair) for pair in zip(vars(one).values(), vars(two).values(), strict=True))
+    graphs = concatenate([first.graphs, second.graphs])
+    strategy = torch.cat([first.strategy, second.strategy])
+    pairs = pairs_of(graphs, torch.arange(len(graphs)), strategy, generator)
+    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
+    return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
+
+
+def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
+    """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
+    draws = torch.rand(len(parents) // 2, 2, generator=generator)
+    way = compiled.paired if compiled.takes(graphs, graphs.parameters) else paired
+    chosen, size, crossed, width = way(graphs, parents, strategy.float(), draws)
+    count = words_for(sum(pair_parts(width, graphs.edges.shape[2])))
+    return Pairs(parents, chosen, size, words((crossed, count), generator), width)
+
+
+def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
+    """Which pairs are crossed, and how many nodes they swap, as draws (Q, 2) say; in torch."""
+    nodes = graphs.num_nodes[parents].view(2, -1)
+    half = nodes.amin(0) // 2
+    probability = strategy[:, 0].view(2, -1).sum(0) / 2
+    crossed = (draws[:, 0] < probability) & (half > 0)
+    chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
+    width = int(nodes.max()) if len(half) else 0
+    return chosen, 1 + pick(draws[:, 1], half), int(crossed.sum()), width
+
+
+def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
+    """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
+
+    They are marked (`cgtorch.evolution.parameters`): marks point to the parameters of `graphs`.
+    """
+    parents, chosen, draws, width = pairs.parents, pairs.chosen, pairs.draws, pairs.width
+    (_, n, o), q = graphs.edges.shape, len(chosen)
+    both = marked(graphs)[parents]
+    first, second = both[:q], both[q:]
+    at = chosen >= 0
+    every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
+    numbers = uniform(every, sum(pair_parts(width, o))).split(pair_parts(width, o), 1)
+    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
+    size = torch.where(at, pairs.size, 0)
+    order_a, order_b = nodes_first(first), nodes_first(second)
+    a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
+    group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)
+    one = graft(a, group_a, b, group_b, size, heads_a.view(q, width, o))
+    two = graft(b, group_b, a, group_a, size, heads_b.view(q, width, o))
+    return pruned(
+        concatenate(
+            [
+                rearranged(widened(child, n), torch.argsort(order, dim=1), order)
+                for child, order in ((one, order_a), (two, order_b))
+            ]
+        )
     )
-    return Population(pruned(graphs), torch.cat([first.strategy, second.strategy]))
 
 
-def _group(graphs: Graphs, generator: Generator) -> Tensor:
+def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """(Q, N) long, slots in the order an undirected breadth-first search meets them.
 
-    The search begins at a random node; within one distance the order is random.
+    The search begins at the node that `begin` (Q, 1) draws; within one distance the order is that
+    of `jitter` (Q, N).
     """
-    distance = undirected_distance(graphs, choose(graphs.used, generator))
-    jitter = torch.rand(distance.shape, generator=generator)
-    return torch.argsort(distance + jitter, dim=1)
+    distance = undirected_distance(graphs, nth_true(graphs.used, begin)[:, 0])
+    # Whole numbers, as a sum of floats could round up to the next distance.
+    return torch.argsort((distance << BITS) + (jitter * 2**BITS).long(), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
@@ -71,25 +126,27 @@ def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
     return distance
 
 
-def _graft(
+def graft(
     host: Graphs,
     host_group: Tensor,
     donor: Graphs,
     donor_group: Tensor,
     k: Tensor,
-    generator: Generator,
+    heads: Tensor,
 ) -> Graphs:
-    """The hosts with their first k group nodes replaced by the donors', by position."""
+    """The hosts with their first k group nodes replaced by the donors', by position.
+
+    Edges that leave the group go where `heads` (Q, N, O), by position, draws.
+    """
     q, n, o = host.edges.shape
     inside = torch.arange(n) < k[:, None]
     position = torch.argsort(donor_group, dim=1)  # slot of the donor → place in its group
-    heads = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
-    head_position = position.gather(1, heads.clamp_min(0).flatten(1))
+    before = donor.edges.gather(1, donor_group[..., None].expand(q, n, o))
+    head_position = position.gather(1, before.clamp_min(0).flatten(1))
     mapped = host_group.gather(1, head_position).view(q, n, o)
     within = (head_position < k[:, None]).view(q, n, o)
-    elsewhere = choose_many(host.used, (n, o), generator)
-    edges = torch.where(within, mapped, elsewhere)
-    edges = torch.where(heads == NO_NODE, heads, edges)
+    edges = torch.where(within, mapped, nth_true(host.used, heads))
+    edges = torch.where(before == NO_NODE, NO_NODE, edges)
 
     def put(old: Tensor, new: Tensor) -> Tensor:
         """New values at the group's slots, in group order, where they are within the first k."""

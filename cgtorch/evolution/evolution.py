@@ -1,15 +1,19 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import SettingsError
+from cgtorch.dry_run import kind
+from cgtorch.errors import DataError, SettingsError
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.fitness import Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.own_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -17,7 +21,7 @@ from cgtorch.evolution.population import (
     seeded_population,
 )
 from cgtorch.evolution.selection import Selection, ranking
-from cgtorch.graphs import compacted, widened
+from cgtorch.graphs import compacted, resized, widened
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -26,9 +30,15 @@ WORST = -1e30  # a score in place of one that is not a number, of which differen
 class EvolutionSettings:
     """How a population evolves.
 
+    Its four parts are functions, for each of which one's own can be given: `selection`, `fitness`,
+    `crossover` and `mutation`.
+
     Attributes:
         population: number of individuals, of each island.
         selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
+        fitness: what a run is worth.
+        crossover: how two parents become two children.
+        mutation: how children change.
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
@@ -42,6 +52,9 @@ class EvolutionSettings:
 
     population: int = 400
     selection: Selection = lexicase
+    fitness: Fitness = chance_of_success
+    crossover: Crossover = crossover
+    mutation: Mutation = mutate
     elite: int = 1
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
@@ -90,13 +103,31 @@ def initial_state(
     generator: Generator,
     seeds: Population | None = None,
 ) -> EvolutionState:
-    """The first population: random, or half of it `seeds` (section IV-B)."""
+    """The first population: random, or half of it `seeds` (section IV-B).
+
+    Args:
+        settings: of the evolution.
+        actions: what nodes can do.
+        generator: of all random choices, a CPU one.
+        seeds: earlier individuals, with the same actions first in their sets.
+
+    Raises:
+        GraphError: an earlier individual has more nodes than `settings.capacity`.
+    """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
         population = random_population(settings.population, actions, *sizes)
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)
     return EvolutionState(population, 0, population[:1], float("-inf"))
+
+
+def ask(state: EvolutionState) -> Population:
+    """The P = `settings.population` individuals to evaluate next.
+
+    Whoever asks again before telling gets the same ones.
+    """
+    return state.population
 
 
 def tell(
@@ -107,34 +138,64 @@ def tell(
     generator: Generator,
     scores: Tensor | None = None,
 ) -> EvolutionState:
-    """The next generation, given how this one did; NaN counts as the worst.
+    """The next generation, given how this one did (Algorithm 2, lines 7 to 12).
 
     Args:
         state: with the generation that was evaluated.
-        fitness: (P,).
+        fitness: (P,) of the individuals in the order of `ask`, on the CPU; more is better, in any
+            unit, and NaN counts as the worst. It decides who is the elite and the best.
         settings: of the evolution.
         actions: what nodes can do.
         generator: of all random choices.
-        scores: (P, B) on each scenario, for selection; the fitness as of one if not given.
+        scores: (P, B) on each scenario or of each aim, for selection; the fitness as of one if not
+            given. More is better in each column, whatever its unit.
+
+    Raises:
+        DataError: fitness or scores are not of such a shape.
+        SettingsError: a crossover or mutation of one's own has made what is no valid population.
     """
+    _check(fitness, scores, len(state.population))
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
-    # Operators look at every slot, so those that nobody needs go meanwhile.
-    capacity = state.population.graphs.capacity
-    population = replace(state.population, graphs=compacted(state.population.graphs, spare=1))
+    population = state.population
     order = ranking(fitness, population.graphs.num_nodes)
     count = settings.population - settings.elite
     pairs = (count + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
-    first, second = population[parents[:pairs]], population[parents[pairs:]]
-    offspring = crossover(first, second, generator)
-    offspring = mutate(offspring, actions, generator, settings.tau)
-    graphs = widened(offspring.graphs[:count], capacity)
-    children = Population(graphs, offspring.strategy[:count])
+    children = _children(population, parents, settings, actions, generator)[:count]
     return EvolutionState(
-        population=join(state.population[order[: settings.elite]], children),
+        population=join(population[order[: settings.elite]], children),
         generation=state.generation + 1,
-        best=state.population[order[:1]],
+        best=population[order[:1]],
         best_fitness=float(fitness[order[0]]),
     )
+
+
+def _children(
+    population: Population,
+    parents: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> Population:
+    """As many children as parents (2 Q,), by the operators of the settings."""
+    if settings.crossover is crossover and settings.mutation is mutate:
+        return offspring(population, parents, actions, generator, settings.tau)
+    # Operators of others look at every slot, so those that nobody needs go meanwhile.
+    graphs, q = population.graphs, len(parents) // 2
+    capacity, slots = graphs.capacity, int(graphs.num_nodes.max()) + 1
+    sizes = min(slots, capacity), graphs.edges.shape[2], graphs.parameters.shape[2]
+    some = Population(resized(compacted(graphs), *sizes), population.strategy)
+    children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
+    children = settings.mutation(children, actions, generator, settings.tau)
+    check_offspring(children, 2 * q, capacity, actions)
+    return Population(widened(children.graphs, capacity), children.strategy)
+
+
+def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
+    """DataError unless both are about a population of that size."""
+    if not isinstance(fitness, Tensor) or fitness.shape != (size,):
+        raise DataError(f"fitness is {kind(fitness)}; give a tensor ({size},), one of each")
+    if scores is not None and (scores.dim() != 2 or len(scores) != size or not scores.shape[1]):
+        raise DataError(f"scores are {kind(scores)}; give a tensor ({size}, B), B at least 1")

@@ -1,6 +1,8 @@
-"""The fitness of eq. 3."""
+"""The fitness of eq. 3, or one of one's own in its place."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -13,19 +15,30 @@ from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_evaluation
 from cgtorch.simulation.program import compile_graphs
 
+Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
+"""From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
+each. More is better, and 1 is as good as can be: what is less than 0 counts as 0, which is what an
+individual gets that has lost W, and searches end by `Budget.enough`. Rows must not influence one
+another, and equal arguments must give equal results."""
+
+
+def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
+    """Eq. 3: C(p_t), and half of it where an individual has not come to an end with success."""
+    return torch.where(runs.succeeded, probability, probability / 2)
+
 
 @dataclass(frozen=True)
 class Evaluation:
     """What P individuals achieved.
 
     Attributes:
-        fitness: (P,), in [0, 1].
-        scores: (P, B), what `fitness` is the mean of: C(p_t), half of it without success, and all
-            0 where W is lost.
+        fitness: (P,), from 0 on; of eq. 3 in [0, 1].
+        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0 where W is
+            lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
         transitions: actions executed in all.
-        not_finite: individuals whose parameters, last percepts or C(p_t) were not all finite;
-            nothing of what they did counts.
+        not_finite: individuals whose parameters, last percepts, C(p_t) or scores were not all
+            finite; nothing of what they did counts.
     """
 
     fitness: Tensor
@@ -48,12 +61,13 @@ def evaluate(
     max_transitions: int = MAX_TRANSITIONS,
     most_lanes: int = MOST_LANES,
     crew: ranks.Crew | None = None,
+    fitness: Fitness = chance_of_success,
 ) -> Evaluation:
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
 
     Where an individual runs out of transitions, C(p_t) counts half, so that getting near is worth
     something and ending in success is worth more. W comes first: who fails there is not run on
-    the rest.
+    the rest. Another `fitness` says what a run is worth instead of C(p_t).
 
     Args:
         graphs: P individuals.
@@ -65,11 +79,12 @@ def evaluate(
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
         crew: the ranks (`cgtorch.ranks`) that have this population, all if not given. Individuals
             are shared out among them, and each of them gets all results.
+        fitness: what a run is worth.
     """
     p, size = len(graphs), max(1, most_lanes // max(1, len(keep)))
     mine = graphs[ranks.share(p, crew)]
     parts = [
-        _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions)
+        _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions, fitness)
         for i in range(0, max(1, len(mine)), size)
     ]
     scores, succeeded, transitions, finite = (
@@ -77,8 +92,8 @@ def evaluate(
     )
     scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
     # The mean of all at once: that of some rows may round otherwise.
-    fitness = scores.mean(1)
-    return Evaluation(fitness, scores, succeeded, int(transitions.sum()), int((~finite).sum()))
+    mean, lost = scores.mean(1), int((~finite).sum())
+    return Evaluation(mean, scores, succeeded, int(transitions.sum()), lost)
 
 
 def _evaluate_at_once(
@@ -87,14 +102,16 @@ def _evaluate_at_once(
     environment: Environment,
     keep: Tensor,
     max_transitions: int,
+    fitness: Fitness,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
-    program = compile_graphs(graphs, actions)
-    found = compiled_evaluation(program, environment, keep, max_transitions, MAX_STEPS)
-    if found is not None:
-        return found
+    if fitness is chance_of_success:  # the only one that is compiled
+        program = compile_graphs(graphs, actions)
+        found = compiled_evaluation(program, environment, keep, max_transitions, MAX_STEPS)
+        if found is not None:
+            return found
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)
@@ -113,8 +130,9 @@ def _evaluate_at_once(
         transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
-        score[alive[:, None], part] = probability.float()
-        finite[alive] &= real.all(1)
+        worth = fitness(runs, probability).float()
+        score[alive[:, None], part] = torch.nan_to_num(worth).clamp_min(0)
+        finite[alive] &= (real & worth.isfinite()).all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
     lost = torch.ones(p, dtype=torch.bool, device=device)
     lost[alive] = False
@@ -128,8 +146,8 @@ def last_success(
     """C(p_t) where each lane ended, and whether that is a number.
 
     Returns:
-        (P, B) C(p_t), half of it where the lane did not succeed, 0 where it is not finite, and
-        (P, B) bool whether it and the percept are finite.
+        (P, B) C(p_t) in [0, 1], 0 where it is not finite, and (P, B) bool whether it and the
+        percept are finite.
     """
     p, b = runs.succeeded.shape
     lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)
@@ -137,5 +155,4 @@ def last_success(
     probability = environment.success(lanes)[1].view(p, b)
     finite = probability.isfinite() & runs.percept.isfinite().all(-1)
     # What is not finite is worth nothing, and no other lane is the worse for it.
-    probability = torch.where(finite, probability, 0.0).clamp(0, 1)
-    return torch.where(runs.succeeded, probability, probability / 2), finite
+    return torch.where(finite, probability, 0.0).clamp(0, 1), finite

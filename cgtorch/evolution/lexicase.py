@@ -3,6 +3,8 @@
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.evolution import compiled
+
 POOL = 1024  # individuals that a parent is chosen from at most
 
 
@@ -16,8 +18,16 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     children, however little else it solves.
 
     A population of more than `POOL` is parted at random into equal pools, each of which gives as
-    many parents, so that time and memory grow with the population and no faster. Arguments and
-    result are those of `cgtorch.evolution.selection.Selection`.
+    many parents, so that time and memory grow with the population and no faster.
+
+    Args:
+        order: (P,) long, individuals from best to worst; it does not matter here.
+        scores: (P, B) of each on every scenario.
+        count: how many parents to choose.
+        generator: of all random choices.
+
+    Returns:
+        (count,) long, the parents.
     """
     pools = -(-len(order) // POOL)
     if pools == 1:
@@ -36,14 +46,30 @@ def deviation(scores: Tensor) -> Tensor:
 
 
 def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
-    """(count,) parents from all P individuals of `scores` (P, B).
+    """(count,) parents from all P individuals of `scores` (P, B)."""
+    scores = scores + 0.0  # there is one zero only
+    turns = torch.rand(count, scores.shape[1], generator=generator)
+    last = torch.rand(count, generator=generator, dtype=torch.float64)
+    if compiled.takes_scores(scores):
+        return compiled.lexicase(scores, compiled.deviation(scores), turns, last)
+    return parents(scores, deviation(scores), turns, last)
+
+
+def parents(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Tensor:
+    """(count,) parents as draws say, in torch; `native/lexicase.c` chooses one after the other.
 
     Individuals of equal scores stand or fall together, so they are one row here. Who still stands
     for which parent is a list of pairs, sorted by parent: after the first scenarios few are left.
+
+    Args:
+        scores: (P, B).
+        epsilon: (B,) how much worse than the best is good enough.
+        turns: (count, B) each parent's scenarios follow in the order of these draws.
+        last: (count,) draws in [0, 1) that choose from who still stands at the end.
     """
-    rows, row_of, size = torch.unique(scores, dim=0, return_inverse=True, return_counts=True)
-    epsilon, cases = deviation(scores), rows.T.contiguous()
-    turns = torch.rand(count, len(cases), generator=generator).argsort(1).T.contiguous()
+    count = len(turns)
+    rows, row_of, size = _distinct(scores)
+    cases, turns = rows.T.contiguous(), turns.argsort(dim=1, stable=True).T.contiguous()
     parent, row = _good_at_first(cases, epsilon, turns[0])
     for case in turns[1:]:
         if len(row) == count:  # one for each parent
@@ -57,11 +83,19 @@ def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
     number = size[row]
     ends = number.cumsum(0)
     total = torch.zeros(count, dtype=torch.long).scatter_add_(0, parent, number)
-    draw = torch.rand(count, generator=generator, dtype=torch.float64)
-    place = (draw * total).long() + total.cumsum(0) - total
+    place = (last * total).long() + total.cumsum(0) - total
     pair = torch.searchsorted(ends, place, right=True)
     first = size.cumsum(0) - size
     return row_of.argsort(stable=True)[first[row[pair]] + place - (ends - number)[pair]]
+
+
+def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Different rows (R, B) in the order in which they appear, each one's (P,), and how often."""
+    rows, row_of, size = torch.unique(scores, dim=0, return_inverse=True, return_counts=True)
+    where = torch.full_like(size, len(scores))
+    where.scatter_reduce_(0, row_of, torch.arange(len(scores)), "amin")
+    order = where.argsort()
+    return rows[order], order.argsort()[row_of], size[order]
 
 
 def _good_at_first(cases: Tensor, epsilon: Tensor, case: Tensor) -> tuple[Tensor, Tensor]:

@@ -105,7 +105,8 @@ def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Populatio
     """A population from tensors that may be anything, as they come from a file.
 
     Args:
-        tensors: action, edges, parameters and start of the graphs, and strategy.
+        tensors: action (P, N), edges (P, N, O), parameters (P, N, K) and start (P,) of the graphs,
+            and strategy (P, S); see `Graphs` and `Population`.
         actions: what the graphs' nodes can be.
 
     Raises:

@@ -1,27 +1,45 @@
-"""Random choices for a whole population at once."""
+"""Choices for a whole population at once, as functions of uniform numbers drawn before.
+
+Most numbers only say whether something rare happens, so three are drawn at the cost of one: a word
+of 63 random bits is three numbers of 21 bits.
+"""
 
 import torch
 from torch import Generator, Tensor
 
-
-def choose(mask: Tensor, generator: Generator) -> Tensor:
-    """(P,) long, for each row of `mask` (P, N) the index of a random True; 0 if there is none."""
-    keys = torch.rand(mask.shape, generator=generator)
-    return keys.masked_fill_(~mask, -1.0).argmax(1)
+IN_A_WORD, BITS = 3, 21
 
 
-def choose_many(mask: Tensor, shape: tuple[int, ...], generator: Generator) -> Tensor:
-    """(P, *shape) long, independent random True indices of each row of `mask` (P, N)."""
-    draw = torch.rand(len(mask), *shape, generator=generator)
+def words(shape: tuple[int, ...], generator: Generator) -> Tensor:
+    """(*shape) long, 63 random bits each."""
+    return torch.empty(shape, dtype=torch.long).random_(generator=generator)
+
+
+def words_for(numbers: int) -> int:
+    """How many words hold so many numbers."""
+    return -(-numbers // IN_A_WORD)
+
+
+def uniform(words: Tensor, columns: int) -> Tensor:
+    """(P, columns) float32 in [0, 1), the numbers that each row of words (P, W) begins with."""
+    fields = words[..., None] >> torch.arange(IN_A_WORD) * BITS & 2**BITS - 1
+    return fields.flatten(1)[:, :columns].float() * 2.0**-BITS
+
+
+def pick(draw: Tensor, count: Tensor | int) -> Tensor:
+    """⌊draw · count⌋ (long) of draws in [0, 1), one of 0 … count - 1; 0 where the count is 0.
+
+    In float32 a draw close to 1 can round up to the count itself, which is taken as the last.
+    """
+    last = torch.as_tensor(count) - 1
+    return (draw * count).long().minimum(last).clamp_min(0)
+
+
+def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
+    """(P, *shape) long, for each draw (P, *shape) an index of a True of its row of `mask` (P, N).
+
+    All are equally likely; 0 where there is none.
+    """
     order = torch.argsort((~mask).long(), dim=1, stable=True)
-    count = mask.sum(1).clamp_min(1)
-    pick = (draw.flatten(1) * count[:, None]).long()
-    # In float32 a draw close to 1 can round up to the count itself.
-    pick = torch.minimum(pick, count[:, None] - 1)
-    return order.gather(1, pick).view(draw.shape)
-
-
-def bernoulli(probability: Tensor, shape: tuple[int, ...], generator: Generator) -> Tensor:
-    """(P, *shape) bool, each True with its row's probability (P,)."""
-    draw = torch.rand(len(probability), *shape, generator=generator)
-    return draw < probability.view(-1, *[1] * len(shape))
+    at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
+    return order.gather(1, at).view(draw.shape)

@@ -20,6 +20,7 @@ from cgtorch.evolution.islands import (
     migrated,
     told_islands,
 )
+from cgtorch.evolution.parts import check_parts
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import SubSkill
@@ -87,6 +88,7 @@ def evolve(
     Raises:
         WorldError: the environment, tried on two scenarios, breaks its interface.
         ActionError: an action does.
+        SettingsError: a selection, crossover, mutation or fitness of the settings does.
     """
     if keep is None:
         keep = torch.zeros(environment.num_scenarios, dtype=torch.bool)
@@ -94,6 +96,7 @@ def evolve(
     for name, action in zip(actions.names, actions.actions, strict=True):
         if not isinstance(action, SubSkill):
             check_action(name, action, environment, keep.device)
+    check_parts(settings, actions, environment, keep.device)
     count, crew = settings.islands, ranks.crew(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
@@ -106,6 +109,7 @@ def evolve(
                 keep,
                 max_transitions,
                 crew=crew,
+                fitness=settings.fitness,
             )
             for island in islands
         ]

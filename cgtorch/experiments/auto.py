@@ -38,7 +38,7 @@ from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, Watch
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import concatenate_scenarios, draw_of
+from cgtorch.world import Scenarios, concatenate_scenarios, draw_of
 
 BATCH = 400  # placements tried before the next look at how many were missed
 ENOUGH = 12  # missed placements to learn from; a specialist's group has as many
@@ -116,12 +116,12 @@ def _round(
     goal: Goal,
     number: int,
     decisions: int,
-    progress: Progress,
+    progress: Progress[Scenarios],
     watch: Watch,
     working: Working,
     device: torch.device | str,
     checkpoint_seconds: float,
-) -> tuple[Progress, dict[str, Any]]:
+) -> tuple[Progress[Scenarios], dict[str, Any]]:
     """Make one round and keep it in the run; `decisions` were made before."""
     name = round_name(number)
     generator = stage_generator(run.settings.seed, name)
@@ -166,10 +166,10 @@ def _tested(
     goal: Goal,
     name: str,
     decisions: int,
-    progress: Progress,
+    progress: Progress[Scenarios],
     generator: Generator,
     watch: Watch,
-) -> tuple[Progress, Tests]:
+) -> tuple[Progress[Scenarios], Tests]:
     """Try a round's skill on fresh placements, all of which join W or M."""
     screening = act(run, progress.skill, goal.screening, generator)
     counted = screening.successes, screening.tried
@@ -214,7 +214,7 @@ def act(
     )
 
 
-def _joined(progress: Progress, score: Score) -> Progress:
+def _joined(progress: Progress[Scenarios], score: Score) -> Progress[Scenarios]:
     """W and M with what succeeded and what failed."""
     solved, missed = (
         score.scenarios[rows.nonzero()[:, 0]] for rows in (score.succeeded, ~score.succeeded)

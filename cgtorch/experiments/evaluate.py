@@ -12,10 +12,10 @@ from cgtorch.experiments.interval import wilson
 from cgtorch.graphs import Skill
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.improvement.promise import promised
-from cgtorch.improvement.team import with_noise
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, TabletopWorld, draw_of
 
+PART = 250  # scenarios that are tried at once, between two signs of progress
 OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
 FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the members
 
@@ -67,6 +67,7 @@ def evaluate_skill(
     placement: str,
     count: int,
     seed: int,
+    done: Callable[[int], object] = lambda count: None,
 ) -> Score:
     """Try a skill on `count` fresh scenarios of a placement.
 
@@ -76,15 +77,22 @@ def evaluate_skill(
         placement: near, left, right, far, perimeter, general or general-clutter.
         count: how many scenarios.
         seed: of the scenarios and their noise.
+        done: is told of how many more scenarios it has been tried.
 
     Raises:
         SettingsError: unknown placement, negative count, or a skill for other percepts.
     """
     scenarios = draw_of(placement)(count, Generator().manual_seed(seed))
-    world = world_of(scenarios)
-    check_percepts(skill, world.percept_size, placement)
-    trial = try_skill(skill, world)
-    return Score(scenarios, trial.succeeded, trial.transitions)
+    check_percepts(skill, world_of(scenarios[:1]).percept_size, placement)
+    trials = []
+    for begin in range(0, max(1, count), PART):
+        part = scenarios[begin : begin + PART]
+        trials.append(try_skill(skill, world_of(part)))
+        done(len(part))
+    succeeded, transitions = (
+        torch.cat([getattr(t, name) for t in trials]) for name in ("succeeded", "transitions")
+    )
+    return Score(scenarios, succeeded, transitions)
 
 
 def kept_promises(
@@ -127,7 +135,7 @@ def under_other_noise(
         most: scenarios at most, a random choice of W.
     """
     pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
-    scenarios = with_noise(solved[pick], FRESH_COPY)
+    scenarios = solved[pick].with_noise(FRESH_COPY)
     trial = try_skill(skill, world_of(scenarios))
     return Score(scenarios, trial.succeeded, trial.transitions)
 

@@ -78,9 +78,9 @@ class Entry:
 
 
 def entry_of(
-    accepted: SkillAccepted,
+    accepted: SkillAccepted[Scenarios],
     parent: Skill | None,
-    after: Progress,
+    after: Progress[Scenarios],
     other_noise: tuple[int, int] | None = None,
 ) -> Entry:
     """The entry of a skill that was just accepted.

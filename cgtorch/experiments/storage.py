@@ -1,6 +1,6 @@
 """Datasets, scenarios, populations and results as files: safetensors and JSON, never code."""
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,6 +87,16 @@ def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) ->
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
 
+@dataclass(frozen=True)
+class Models:
+    """Γ and C with what their fits found."""
+
+    gamma: TransitionModel
+    classifier: SuccessClassifier
+    gamma_report: TransitionReport
+    classifier_report: SuccessReport
+
+
 def load_knowledge(folder: Path) -> Knowledge:
     """Read what `save_knowledge` wrote.
 
@@ -94,6 +104,18 @@ def load_knowledge(folder: Path) -> Knowledge:
         RunError: a file holds another kind of model, or a report that is none.
         ModelError: a model file is damaged.
     """
+    models = load_models(folder)
+    data = load_dataset(folder / "data.safetensors")
+    aside = load_dataset(folder / "aside.safetensors")
+    swift = swift_gamma(models.gamma, data)
+    return Knowledge(
+        data, models.gamma, swift, models.classifier, models.gamma_report,
+        models.classifier_report, aside,
+    )  # fmt: skip
+
+
+def load_models(folder: Path) -> Models:
+    """Γ and C of what `save_knowledge` wrote, without the data; errors are those."""
     gamma, first_report = load_model_and_report(folder / GAMMA)
     classifier, second_report = load_model_and_report(folder / CLASSIFIER)
     if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
@@ -105,10 +127,7 @@ def load_knowledge(folder: Path) -> Knowledge:
         report = SuccessReport(**{**_fields(second_report), "choice": choice})
     except (TypeError, KeyError, RecursionError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
-    data = load_dataset(folder / "data.safetensors")
-    aside = load_dataset(folder / "aside.safetensors")
-    swift = swift_gamma(gamma, data)
-    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside)
+    return Models(gamma, classifier, gamma_report, report)
 
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:
@@ -186,6 +205,7 @@ def _is_score(value: Any) -> bool:
         and isinstance(value.get("placement"), str)
         and _is_count(value.get("tried"))
         and _is_count(value.get("succeeded"))
+        and value["succeeded"] <= value["tried"]
     )
 
 

@@ -52,7 +52,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.knowledge import fit_models
+from cgtorch.improvement.knowledge import fit_models, learn, with_footprint
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.standing import Budget
 from cgtorch.models import success_quality, transition_quality
@@ -78,7 +78,7 @@ class Tally:
     generations: int = 0
     transitions: int = 0
     searching: float = 0.0  # s
-    accepted: SkillAccepted | None = None
+    accepted: SkillAccepted[Scenarios] | None = None
 
     def count(self, event: Event) -> None:
         """Take note of what an event says."""
@@ -142,7 +142,7 @@ def train(
     return results
 
 
-def beginning(run: Run, watch: Watch, working: Working) -> Progress:
+def beginning(run: Run, watch: Watch, working: Working) -> Progress[Scenarios]:
     """Data, labels and models before the first stage, made once and kept in the run."""
     start = run.folder / "start"
     if start.is_dir():
@@ -175,12 +175,12 @@ def _stage(
     run: Run,
     name: str,
     names: tuple[str, ...],
-    progress: Progress,
+    progress: Progress[Scenarios],
     watch: Watch,
     working: Working,
     device: torch.device | str,
     checkpoint_seconds: float,
-) -> Progress:
+) -> Progress[Scenarios]:
     """Make one stage and keep it in the run."""
     generator = stage_generator(run.settings.seed, name)
     # The published protocol knows the five placements only.
@@ -217,7 +217,7 @@ def _stage(
 
 
 def keep_stage(
-    run: Run, name: str, progress: Progress, result: dict[str, Any], entry: Entry | None
+    run: Run, name: str, progress: Progress[Scenarios], result: dict[str, Any], entry: Entry | None
 ) -> None:
     """Write what a stage or round has come to, the first rank only."""
     if not ranks.first():
@@ -229,7 +229,9 @@ def keep_stage(
         write_json(folder / "result.json", result)
 
 
-def evidence(run: Run, accepted: SkillAccepted, parent: Skill | None, after: Progress) -> Entry:
+def evidence(
+    run: Run, accepted: SkillAccepted[Scenarios], parent: Skill | None, after: Progress[Scenarios]
+) -> Entry:
     """The ledger's entry of a skill that was just accepted; see `entry_of`."""
     again = under_other_noise(accepted.skill, run.world_of, after.solved, run.settings.seed)
     return entry_of(accepted, parent, after, (again.tried, again.successes))
@@ -256,13 +258,14 @@ def evolution_of(settings: RunSettings) -> EvolutionSettings:
 
 def make_setup(
     run: Run, device: torch.device | str = "cpu", journal: Journal | None = None
-) -> Setup:
+) -> Setup[Scenarios]:
     """The run's settings in the terms of improvement."""
     s, networks = run.settings, networks_of(run.settings)
     return Setup(
         actions=run.actions,
         world_of=run.world_of,
-        footprint=torch.tensor(run.robot.description.footprint),
+        imagine=with_footprint(torch.tensor(run.robot.description.footprint)),
+        learn=learn,
         evolution=evolution_of(s),
         budget=Budget(generations=s.generations, stall=networks.stall),
         group_of=networks.group_of,
@@ -276,7 +279,7 @@ def make_setup(
 
 
 def _result(
-    run: Run, name: str, accepted: SkillAccepted, earlier: int, tally: Tally
+    run: Run, name: str, accepted: SkillAccepted[Scenarios], earlier: int, tally: Tally
 ) -> dict[str, Any]:
     """A stage's line of the final table; it began with W of `earlier`."""
     skill, succeeded = accepted.skill, accepted.succeeded
@@ -315,7 +318,7 @@ def counts(placement: str, score: Score) -> dict[str, Any]:
     return {"placement": placement, "tried": score.tried, "succeeded": score.successes}
 
 
-def save_progress(folder: Path, progress: Progress, seed: int) -> None:
+def save_progress(folder: Path, progress: Progress[Scenarios], seed: int) -> None:
     """Write all that the next stage needs into a folder."""
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
@@ -325,7 +328,7 @@ def save_progress(folder: Path, progress: Progress, seed: int) -> None:
         save_population(folder / "specialists.safetensors", progress.specialists)
 
 
-def load_progress(run: Run, folder: Path) -> Progress:
+def load_progress(run: Run, folder: Path) -> Progress[Scenarios]:
     """Read what `save_progress` wrote."""
     solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
     progress = Progress(None, solved, missed, load_knowledge(folder))

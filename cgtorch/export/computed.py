@@ -31,7 +31,7 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
 
 @dataclass(frozen=True)
 class Sizes:
-    """Lengths of what an action reads and writes: percept, control, message and memory."""
+    """Lengths of what an action reads and writes: percept, control, message, its own memory."""
 
     percept: int
     control: int

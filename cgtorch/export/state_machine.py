@@ -22,6 +22,7 @@ from cgtorch.actions import (
     Grasp,
     MoveBase,
 )
+from cgtorch.actions.memory import memory_parts
 from cgtorch.export.clusters import numbered
 from cgtorch.export.computed import named_primitives
 from cgtorch.graphs import Skill, SubSkill, to_networkx
@@ -66,15 +67,15 @@ def to_state_machine(skill: Skill) -> bytes:
     Whatever the names in it are, they stand in quotes: nothing of a skill becomes code.
     """
     classes = _classes(skill)
+    primitives = list(named_primitives(skill))
+    memory, memory_size = memory_parts([action for _, action in primitives])
     own = {
-        classes[id(action)]: _to_fill_in(classes[id(action)], name, action)
-        for name, action in named_primitives(skill)
+        classes[id(action)]: _to_fill_in(classes[id(action)], name, action, part)
+        for (name, action), part in zip(primitives, memory, strict=True)
         if type(action) not in (*ROUTINES, *NETWORKS)
     }
     fill_in = [*(routine.__name__ for routine in ROUTINES), *own]
-    every = [one.actions for _, one in numbered(skill)]
-    sizes = {"message": max(s.message_size for s in every),
-             "memory": max(s.memory_size for s in every)}  # fmt: skip
+    message_size = max(one.actions.message_size for _, one in numbered(skill))
     parts = [
         HEADER,
         _body("machine.py"),
@@ -86,7 +87,7 @@ def to_state_machine(skill: Skill) -> bytes:
         _body("edge_networks.py"),
         _title("The skill"),
         _build(skill, classes, fill_in),
-        RUN.format(**sizes),
+        RUN.format(message=message_size, memory=memory_size),
     ]
     return ("\n\n\n".join(part.strip("\n") for part in parts) + "\n").encode()
 
@@ -123,13 +124,14 @@ def _classes(skill: Skill) -> dict[int, str]:
     return classes
 
 
-def _to_fill_in(class_name: str, name: str, action: Action) -> str:
+def _to_fill_in(class_name: str, name: str, action: Action, part: slice) -> str:
     """The class of an action that the library does not know."""
     return f"""class {class_name}(State):
     \"\"\"An action with {action.num_parameters} parameters, in `self.parameters`.\"\"\"
 
     name = {name!a}
     outcomes = {tuple(action.outcomes)!a}
+    memory = {range(part.start, part.stop)!r}  # its own places in `userdata.memory`
 
     def execute(self, userdata: Userdata) -> str:
         \"\"\"Do it, and return one of `outcomes`.\"\"\"

@@ -80,7 +80,6 @@ class SkillStep(nn.Module):
         self.place_size = STACK + 2 * self.depth
         self.mind_size = self.message_size + 1 + self.memory_size
         self.num_primitives = len(program.primitives)
-        sizes = Sizes(self.percept_size, control_size, self.message_size, self.memory_size)
         request = torch.full((self.num_primitives + len(program.limit),), -1)
         self.kinds: list[int] = []
         self.computed = nn.ModuleList()
@@ -90,8 +89,11 @@ class SkillStep(nn.Module):
                 request[i] = REQUESTS.index(ROUTINES[type(action)])
             else:
                 self.kinds.append(i)
-                self.computed.append(Computed(name, action, sizes))
+                part = program.memory[i]
+                lengths = self.percept_size, control_size, self.message_size, part.stop - part.start
+                self.computed.append(Computed(name, action, Sizes(*lengths)))
         self.widths = [program.primitives[i].num_parameters for i in self.kinds]
+        self.parts = [program.memory[i] for i in self.kinds]
         self.register_buffer("kind", program.kind)
         self.register_buffer("heads", program.heads)
         self.register_buffer("values", program.parameters.detach().float())
@@ -208,17 +210,22 @@ class SkillStep(nn.Module):
         thinks, kind = self._thinks(place, mind), self.kind[node]
         outcome = torch.ones_like(node)  # a MoveBase that is not possible fails
         message, has, memory = mind.split([self.message_size, 1, self.memory_size], 1)
-        lanes = (percept, message, has[:, 0] > 0, memory, place[:, STEP])
-        for i, width, action in zip(self.kinds, self.widths, self.computed, strict=True):
-            here = thinks & (kind == i)
-            message, has_message, memory, out = action(*lanes, self.values[node][:, :width])
-            after = torch.cat([message, has_message[:, None].to(mind.dtype), memory], 1)
+        lanes = (percept, message, has[:, 0] > 0)
+        every = zip(self.kinds, self.widths, self.parts, self.computed, strict=True)
+        for i, width, part, action in every:
+            here, values = thinks & (kind == i), self.values[node][:, :width]
+            said, has_said, own, out = action(*lanes, memory[:, part], place[:, STEP], values)
+            around = memory[:, : part.start], own, memory[:, part.stop :]
+            after = torch.cat([said, has_said[:, None].to(mind.dtype), *around], 1)
             mind = torch.where(here[:, None], after, mind)
             outcome = torch.where(here, out, outcome)
         return torch.where(thinks[:, None], self._follow(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Arguments of a first step where all that is perceived is zero."""
+        """Arguments of a first step where all that is perceived is zero.
+
+        They are a percept (D,), an outcome (), and `place` (place_size,) and `mind` (mind_size,).
+        """
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),

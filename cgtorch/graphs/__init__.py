@@ -9,6 +9,9 @@ from cgtorch.graphs.graphs import NO_NODE as NO_NODE
 from cgtorch.graphs.graphs import Graphs as Graphs
 from cgtorch.graphs.graphs import compacted as compacted
 from cgtorch.graphs.graphs import concatenate as concatenate
+from cgtorch.graphs.graphs import narrowed as narrowed
+from cgtorch.graphs.graphs import nodes_first as nodes_first
+from cgtorch.graphs.graphs import rearranged as rearranged
 from cgtorch.graphs.graphs import resized as resized
 from cgtorch.graphs.graphs import widened as widened
 from cgtorch.graphs.merge import merged as merged

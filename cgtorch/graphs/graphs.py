@@ -93,18 +93,25 @@ def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graph
     )
 
 
-def compacted(graphs: Graphs, spare: int | None = None) -> Graphs:
-    """The same graphs with their nodes moved to the first slots, in order.
+def compacted(graphs: Graphs) -> Graphs:
+    """The same graphs with their nodes moved to the first slots, in order."""
+    order = nodes_first(graphs)
+    return rearranged(graphs, order, torch.argsort(order, dim=1))
+
+
+def nodes_first(graphs: Graphs) -> Tensor:
+    """(P, N) long, the slots that hold nodes in their order, then the unused ones."""
+    return torch.argsort((~graphs.used).long(), dim=1, stable=True)
+
+
+def rearranged(graphs: Graphs, order: Tensor, place: Tensor) -> Graphs:
+    """The same graphs with their nodes elsewhere.
 
     Args:
         graphs: P of them.
-        spare: slots to leave after the nodes of the largest graph, where the capacity allows; all
-            that there are if not given.
+        order: (P, n) which slot's node is to lie at each of n slots.
+        place: (P, N) where each slot's node is to lie.
     """
-    order = torch.argsort((~graphs.used).long(), dim=1, stable=True)
-    slot = torch.argsort(order, dim=1)
-    if spare is not None:
-        order = order[:, : int(graphs.num_nodes.max()) + spare]
 
     def taken(x: Tensor) -> Tensor:
         """Rows (P, n, ...) of x (P, N, ...) in the new order."""
@@ -112,12 +119,22 @@ def compacted(graphs: Graphs, spare: int | None = None) -> Graphs:
         return x.gather(1, index.expand(*order.shape, *x.shape[2:]))
 
     tails = taken(graphs.edges)
-    heads = slot.gather(1, tails.clamp_min(0).flatten(1)).view_as(tails)
+    heads = place.gather(1, tails.clamp_min(0).flatten(1)).view_as(tails)
     return Graphs(
         taken(graphs.action),
         torch.where(tails == NO_NODE, NO_NODE, heads),
         taken(graphs.parameters),
-        slot.gather(1, graphs.start[:, None])[:, 0],
+        place.gather(1, graphs.start[:, None])[:, 0],
+    )
+
+
+def narrowed(graphs: Graphs, nodes: int) -> Graphs:
+    """The same graphs with their first `nodes` slots alone, in which all nodes must lie."""
+    return Graphs(
+        graphs.action[:, :nodes],
+        graphs.edges[:, :nodes],
+        graphs.parameters[:, :nodes],
+        graphs.start,
     )
 
 

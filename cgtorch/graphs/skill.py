@@ -74,12 +74,15 @@ class SubSkill(Action):
         super().__init__()
         self.skill = skill
         self.message_size = skill.actions.message_size
-        self.memory_size = skill.actions.memory_size
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
-        """Not for direct use: `cgtorch.simulation.rollout` enters the sub-skill's own nodes."""
+        """See `Action.forward`; it is not for use, as `rollout` enters the sub-skill's own nodes.
+
+        Raises:
+            ActionError: always.
+        """
         raise ActionError(
             f"sub-skill {self.skill.name!r} cannot run as one step; run it with rollout()"
         )

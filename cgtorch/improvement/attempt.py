@@ -8,12 +8,12 @@ from torch import Tensor
 from cgtorch.data import Dataset
 from cgtorch.errors import RunError
 from cgtorch.graphs import Skill
+from cgtorch.improvement.domain import S
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.trial import Trial, try_skill
-from cgtorch.world import Scenarios
 
 
-def attempt(setup: Setup, skill: Skill, scenarios: Scenarios) -> Trial:
+def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
     """What `try_skill` gives in the world of these scenarios, from the setup's journal if it can.
 
     Raises:

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, Generic, TypeAlias
 
 from torch import Tensor
 
 from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
-from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.improvement.domain import Models, S
 from cgtorch.models import SuccessQuality, TransitionQuality
-from cgtorch.world import Scenarios
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class ModelsFitted:
     """
 
     stage: str
-    knowledge: Knowledge
+    knowledge: Models
     seconds: float
     gamma_quality: TransitionQuality | None = None
     classifier_quality: SuccessQuality | None = None
@@ -108,7 +107,7 @@ class WorldTested:
 
 
 @dataclass(frozen=True)
-class SkillAccepted:
+class SkillAccepted(Generic[S]):
     """Eq. 1 holds in the world for a new skill.
 
     `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those that are W,
@@ -117,7 +116,7 @@ class SkillAccepted:
 
     stage: str
     skill: Skill
-    scenarios: Scenarios
+    scenarios: S
     succeeded: Tensor
     keep: Tensor
     targets: Tensor
@@ -147,7 +146,7 @@ Event: TypeAlias = (
     | AboutToKeep
     | JournalDamaged
     | WorldTested
-    | SkillAccepted
+    | SkillAccepted[Any]
     | FreshTested
 )
 Watch: TypeAlias = Callable[[Event], None]

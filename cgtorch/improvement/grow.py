@@ -9,25 +9,24 @@ from torch import Generator, Tensor
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
 from cgtorch.improvement.attempt import attempt
+from cgtorch.improvement.domain import S
 from cgtorch.improvement.events import ModelsFitted, SkillAccepted, Watch
 from cgtorch.improvement.improve import Draw
-from cgtorch.improvement.knowledge import imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.team import make_task, world_tested
-from cgtorch.world import Scenarios
 
 
 def grow(
-    setup: Setup,
-    progress: Progress,
+    setup: Setup[S],
+    progress: Progress[S],
     stage: str,
-    scenarios: Scenarios,
+    scenarios: S,
     targets: Tensor,
-    draw: Draw,
+    draw: Draw[S],
     generator: Generator,
     watch: Watch,
-) -> Progress:
+) -> Progress[S]:
     """Evolve the last skill's own graph until it keeps W and solves all of M.
 
     Half of each first population is the last graph; fitness is 0 where a scenario of W fails.
@@ -43,7 +42,7 @@ def grow(
         solved = attempt(setup, skill, task.scenarios).succeeded
     accepted = None
     for number in range(setup.attempts):
-        environment = imagine(knowledge, task.percepts, setup.footprint, 1, generator, setup.device)
+        environment = setup.imagine(knowledge, task.percepts, 1, generator, setup.device)
         champion, _ = evolve_candidate(
             environment,
             setup.actions,
@@ -69,7 +68,7 @@ def grow(
         if solved.all():
             break
         now = time.perf_counter()
-        knowledge = learn(knowledge, trial.experience, generator)
+        knowledge = setup.learn(knowledge, trial.experience, generator)
         watch(ModelsFitted(stage, knowledge, time.perf_counter() - now))
     if accepted is None:
         return replace(progress, knowledge=knowledge)

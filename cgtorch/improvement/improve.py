@@ -18,6 +18,7 @@ from torch import Generator, Tensor
 from cgtorch.graphs import Skill
 from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.coreset import cover
+from cgtorch.improvement.domain import S
 from cgtorch.improvement.events import SkillAccepted, Watch
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import (
@@ -30,24 +31,23 @@ from cgtorch.improvement.team import (
     with_fresh,
 )
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.world import Scenarios, concatenate_scenarios
 
-Draw: TypeAlias = Callable[[Generator], Scenarios]
+Draw: TypeAlias = Callable[[Generator], S]
 """Draws fresh scenarios of the kind a stage is about."""
 
 CHECKS = 8  # on all of W, before a team is given up
 
 
 def improve(
-    setup: Setup,
-    progress: Progress,
+    setup: Setup[S],
+    progress: Progress[S],
     stage: str,
-    scenarios: Scenarios,
+    scenarios: S,
     targets: Tensor,
-    draw: Draw,
+    draw: Draw[S],
     generator: Generator,
     watch: Watch,
-) -> Progress:
+) -> Progress[S]:
     """Divide, evolve and compose, and again with what fails on fresh scenarios.
 
     Args:
@@ -94,16 +94,16 @@ def improve(
     return replace(
         progress,
         skill=skill,
-        solved=concatenate_scenarios([everything[solved.nonzero()[:, 0]], rest]),
+        solved=everything[solved.nonzero()[:, 0]].joined(rest),
         missed=everything[(~solved).nonzero()[:, 0]],
     )
 
 
-Work: TypeAlias = tuple[Task, Team, Scenarios]
+Work: TypeAlias = tuple[Task[S], Team, S]
 """A task with its team, and what of W is in neither."""
 
 
-def _without_rest(setup: Setup, progress: Progress) -> tuple[Progress, Scenarios]:
+def _without_rest(setup: Setup[S], progress: Progress[S]) -> tuple[Progress[S], S]:
     """The progress with a coreset of W only, and the rest of W."""
     rows, _ = cover(first_percepts(setup.world_of(progress.solved)), setup.core)
     kept = torch.zeros(len(progress.solved), dtype=torch.bool)
@@ -113,8 +113,8 @@ def _without_rest(setup: Setup, progress: Progress) -> tuple[Progress, Scenarios
 
 
 def _compose(
-    setup: Setup, work: Work, progress: Progress, generator: Generator, watch: Watch
-) -> tuple[Work, tuple[Skill, Tensor] | None]:
+    setup: Setup[S], work: Work[S], progress: Progress[S], generator: Generator, watch: Watch
+) -> tuple[Work[S], tuple[Skill, Tensor] | None]:
     """What `compose_team` gives, once it loses nothing of the rest of W either; None if it does.
 
     What was lost of the rest joins the task, and another team is composed.
@@ -134,8 +134,8 @@ def _compose(
 
 
 def _with_one_more(
-    setup: Setup, work: Work, number: int, generator: Generator, watch: Watch
-) -> Work:
+    setup: Setup[S], work: Work[S], number: int, generator: Generator, watch: Watch
+) -> Work[S]:
     """The work with a specialist for all that the earlier skill misses, whoever else solves it.
 
     Where no branches could tell the members apart, it makes that easier.
@@ -146,14 +146,14 @@ def _with_one_more(
 
 
 def _accepted(
-    task: Task, rest: Scenarios, skill: Skill, succeeded: Tensor, seconds: float
-) -> SkillAccepted:
+    task: Task[S], rest: S, skill: Skill, succeeded: Tensor, seconds: float
+) -> SkillAccepted[S]:
     """The event of a new skill, which succeeds on all of the rest, too."""
     yes = torch.ones(len(rest), dtype=torch.bool)
     return SkillAccepted(
         task.stage,
         skill,
-        concatenate_scenarios([task.scenarios, rest]),
+        task.scenarios.joined(rest),
         torch.cat([succeeded, yes]),
         torch.cat([task.keep, yes]),
         torch.cat([task.targets, ~yes]),
@@ -162,7 +162,7 @@ def _accepted(
 
 
 def _recruit_all(
-    setup: Setup, team: Team, task: Task, tried: int, generator: Generator, watch: Watch
+    setup: Setup[S], team: Team, task: Task[S], tried: int, generator: Generator, watch: Watch
 ) -> tuple[Team, int]:
     """Recruit until every scenario has a member that always solves it, or it does not get better.
 

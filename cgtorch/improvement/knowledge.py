@@ -1,4 +1,4 @@
-"""What the robot knows: its experience, and the Γ and C it has learned from it."""
+"""What the robot before a table knows: its experience, and the Γ and C learned from it."""
 
 import copy
 from dataclasses import dataclass, replace
@@ -7,6 +7,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.data import Dataset
+from cgtorch.evolution.islands import generator_of
+from cgtorch.improvement.domain import Imagine
 from cgtorch.models import (
     SuccessClassifier,
     SuccessReport,
@@ -30,6 +32,7 @@ from cgtorch.world.percepts import parted as parts_of
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
 LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
+CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
@@ -101,7 +104,8 @@ def imagine(
     """The models as an environment, each scenario `replicas` times with other errors of Γ.
 
     Scenario i has the indices i · replicas … i · replicas + replicas - 1. The errors are drawn
-    from those that Γ makes on its training data, so that a skill must not rely on being exact. A
+    from those that Γ makes on its training data, so that a skill must not rely on being exact; for
+    the same reason stochastic actions draw other numbers than they will in the world. A
     rollout fails where a motion is more novel to Γ than `FAMILIAR` of its training data.
 
     Args:
@@ -109,7 +113,7 @@ def imagine(
         percepts: (B, D) first percepts.
         footprint: (4,) of the base (m).
         replicas: at least 1.
-        generator: of the errors.
+        generator: of the errors, and of the seeds of what actions draw.
         device: where the environment runs.
     """
     gamma, data = copy.deepcopy(knowledge.swift), knowledge.dataset
@@ -124,6 +128,8 @@ def imagine(
     rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)
     percepts = percepts.repeat_interleave(replicas, 0)
     errors = residual[rows] * can_err(percepts)[:, None]
+    own = generator_of(generator, CHANCE)
+    seeds = torch.randint(2**31, (len(percepts),), generator=own)
     return ModelEnvironment(
         percepts.to(device),
         gamma.to(device).predict_with_novelty,
@@ -131,7 +137,23 @@ def imagine(
         possible_with(footprint.to(device)),
         errors=errors.to(device),
         most_novel=max(LEAST_NOVEL, float(novelty.quantile(FAMILIAR))),
+        seeds=seeds,
     )
+
+
+def with_footprint(footprint: Tensor) -> Imagine:
+    """`imagine` for a base of that footprint (4,), in m."""
+
+    def imagined(
+        knowledge: Knowledge,
+        percepts: Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str,
+    ) -> ModelEnvironment:
+        return imagine(knowledge, percepts, footprint, replicas, generator, device)
+
+    return imagined
 
 
 def can_err(percept: Tensor) -> Tensor:

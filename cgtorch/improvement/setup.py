@@ -2,28 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic
 
 import torch
-from torch import Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
+from cgtorch.improvement.domain import Imagine, Learn, Models, S
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.improvement.specialists import Grouping, local_group
 from cgtorch.improvement.standing import Budget
-from cgtorch.world import Scenarios, TabletopWorld
 
 
 @dataclass(frozen=True)
-class Setup:
+class Setup(Generic[S]):
     """What improvement works with and never changes.
 
     Attributes:
         actions: the primitive actions.
         world_of: makes the world of given scenarios.
-        footprint: (4,) of the base (m).
+        imagine: makes of the models the environment that skills are evolved in.
+        learn: teaches the models what was experienced in the world.
         evolution: settings of each evolution.
         budget: when each evolution ends.
         attempts: the most evolutions in one stage.
@@ -42,8 +43,9 @@ class Setup:
     """
 
     actions: ActionSet
-    world_of: Callable[[Scenarios], TabletopWorld]
-    footprint: Tensor
+    world_of: Callable[[S], Environment]
+    imagine: Imagine
+    learn: Learn
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
     budget: Budget = field(default_factory=Budget)
     attempts: int = 24
@@ -60,7 +62,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Progress:
+class Progress(Generic[S]):
     """What one stage hands on to the next.
 
     Attributes:
@@ -73,8 +75,8 @@ class Progress:
     """
 
     skill: Skill | None
-    solved: Scenarios
-    missed: Scenarios
-    knowledge: Knowledge
+    solved: S
+    missed: S
+    knowledge: Models
     specialists: Population | None = None
     members: tuple[Skill, ...] = ()

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.evolution import Population, evaluate
+from cgtorch.evolution import Fitness, Population, chance_of_success, evaluate
 from cgtorch.graphs import NO_NODE, Graphs, pruned
 
 READABLE = 10  # nodes that a picture shows at a glance
@@ -15,7 +15,11 @@ SLACK = 1e-3  # of the fitness that a smaller graph may cost
 
 
 def shrunk(
-    champion: Population, actions: ActionSet, environment: Environment, max_transitions: int
+    champion: Population,
+    actions: ActionSet,
+    environment: Environment,
+    max_transitions: int,
+    fitness: Fitness = chance_of_success,
 ) -> Population:
     """The individual with nodes taken away until it is readable, as long as it does as well.
 
@@ -27,18 +31,19 @@ def shrunk(
         actions: what its nodes can be.
         environment: the models, on the scenarios that it is for.
         max_transitions: see `cgtorch.simulation.rollout`.
+        fitness: what a run is worth.
     """
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool)
 
     def tried(graphs: Graphs) -> tuple[Tensor, Tensor]:
-        result = evaluate(graphs, actions, environment, nothing, max_transitions)
+        result = evaluate(graphs, actions, environment, nothing, max_transitions, fitness=fitness)
         return result.fitness, result.succeeded
 
-    fitness, solved = tried(champion.graphs)
+    before, solved = tried(champion.graphs)
     while int(champion.graphs.num_nodes) > READABLE:
         smaller = _without_each(champion.graphs)
         fitnesses, succeeded = tried(smaller)
-        well = (fitnesses >= fitness - SLACK) & (succeeded | ~solved).all(1)
+        well = (fitnesses >= before - SLACK) & (succeeded | ~solved).all(1)
         if not well.any():
             break
         nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)

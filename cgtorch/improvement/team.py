@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any, Generic
 
 import torch
 from torch import Generator, Tensor
@@ -12,14 +13,13 @@ from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
+from cgtorch.improvement.domain import Models, S
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
 from cgtorch.improvement.gate import train_branches
-from cgtorch.improvement.knowledge import Knowledge, imagine, learn
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.world import Scenarios, concatenate_scenarios
 
 FEW = 8  # members of a team: 15 nodes with the branches to them
 
@@ -39,12 +39,12 @@ class Team:
     members: tuple[Skill, ...]
     rates: Tensor
     population: Population | None
-    knowledge: Knowledge
+    knowledge: Models
     hints: Population | None = None
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Generic[S]):
     """What a stage is about.
 
     Attributes:
@@ -56,21 +56,21 @@ class Task:
     """
 
     stage: str
-    scenarios: Scenarios
+    scenarios: S
     keep: Tensor
     targets: Tensor
     percepts: Tensor
 
 
 def make_task(
-    setup: Setup, progress: Progress, stage: str, scenarios: Scenarios, targets: Tensor
-) -> Task:
+    setup: Setup[S], progress: Progress[S], stage: str, scenarios: S, targets: Tensor
+) -> Task[S]:
     """W and the scenarios of a stage, with what the robot first sees in each.
 
     Raises:
         WorldError: the world, tried on two of them, breaks its interface.
     """
-    everything = concatenate_scenarios([progress.solved, scenarios])
+    everything = progress.solved.joined(scenarios)
     keep = torch.arange(len(everything)) < len(progress.solved)
     mask = torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets])
     world = setup.world_of(everything)
@@ -79,10 +79,10 @@ def make_task(
 
 
 def with_fresh(
-    setup: Setup, task: Task, team: Team, solved: Tensor, fresh: Scenarios
-) -> tuple[Task, Team]:
+    setup: Setup[S], task: Task[S], team: Team, solved: Tensor, fresh: S
+) -> tuple[Task[S], Team]:
     """The task and team after more scenarios; what is `solved` (B + fresh,) becomes W."""
-    everything = concatenate_scenarios([task.scenarios, fresh])
+    everything = task.scenarios.joined(fresh)
     targets = torch.cat([task.targets, torch.zeros(len(fresh), dtype=torch.bool)])
     percepts = torch.cat([task.percepts, first_percepts(setup.world_of(fresh))])
     rates = [try_all(setup, member, fresh)[0] for member in team.members]
@@ -92,7 +92,7 @@ def with_fresh(
     )
 
 
-def first_team(setup: Setup, progress: Progress, task: Task) -> Team:
+def first_team(setup: Setup[S], progress: Progress[S], task: Task[S]) -> Team:
     """The earlier skill and those within it that may be used, or nobody."""
     if progress.skill is None:
         rates = torch.zeros(len(task.scenarios), 0)
@@ -105,12 +105,7 @@ def first_team(setup: Setup, progress: Progress, task: Task) -> Team:
     return Team(members, rates, progress.specialists, progress.knowledge)
 
 
-def with_noise(scenarios: Scenarios, copy: int) -> Scenarios:
-    """The same placements met by other noise; copy 0 is the scenarios themselves."""
-    return replace(scenarios, seed=(scenarios.seed + copy * 0x9E3779B1) % 2**31)
-
-
-def try_all(setup: Setup, skill: Skill, scenarios: Scenarios) -> tuple[Tensor, Dataset]:
+def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Dataset]:
     """How surely a skill solves each scenario, and what was experienced.
 
     Where it succeeds it is tried again under other noise, `setup.trials` times in all.
@@ -122,7 +117,7 @@ def try_all(setup: Setup, skill: Skill, scenarios: Scenarios) -> tuple[Tensor, D
     rate, experience = trial.succeeded.float(), trial.experience
     rows = trial.succeeded.nonzero()[:, 0]
     for copy in range(1, setup.trials):
-        trial = attempt(setup, skill, with_noise(scenarios[rows], copy))
+        trial = attempt(setup, skill, scenarios[rows].with_noise(copy))
         rate[rows] += trial.succeeded.float()
         experience = experience.extended(trial.experience)
     rate[rows] /= setup.trials
@@ -130,9 +125,9 @@ def try_all(setup: Setup, skill: Skill, scenarios: Scenarios) -> tuple[Tensor, D
 
 
 def recruit(
-    setup: Setup,
+    setup: Setup[S],
     team: Team,
-    task: Task,
+    task: Task[S],
     name: str,
     missed: Tensor,
     generator: Generator,
@@ -146,9 +141,7 @@ def recruit(
     group = setup.group_of(task.percepts, missed, setup.group, generator)
     percepts = task.percepts[group]
     replicas = max(2, setup.lanes // len(group))
-    environment = imagine(
-        team.knowledge, percepts, setup.footprint, replicas, generator, setup.device
-    )
+    environment = setup.imagine(team.knowledge, percepts, replicas, generator, setup.device)
     champion, solved = evolve_candidate(
         environment,
         setup.actions,
@@ -163,7 +156,9 @@ def recruit(
         device=setup.device,
         journal=setup.journal,
     )
-    champion = shrunk(champion, setup.actions, environment, setup.max_transitions)
+    champion = shrunk(
+        champion, setup.actions, environment, setup.max_transitions, setup.evolution.fitness
+    )
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, task.scenarios)
     promised = solved.view(len(group), -1).all(1)
@@ -181,7 +176,7 @@ def recruit(
     team = replace(team, hints=None)
     if (rate[group] < 1).any():
         began = time.perf_counter()
-        knowledge = learn(team.knowledge, experience, generator)
+        knowledge = setup.learn(team.knowledge, experience, generator)
         watch(ModelsFitted(task.stage, knowledge, time.perf_counter() - began))
         hints = join(champion, team.population) if team.population else champion
         team = replace(team, knowledge=knowledge, hints=hints)
@@ -189,10 +184,10 @@ def recruit(
 
 
 def compose_team(
-    setup: Setup,
+    setup: Setup[S],
     team: Team,
-    task: Task,
-    progress: Progress,
+    task: Task[S],
+    progress: Progress[S],
     generator: Generator,
     watch: Watch,
 ) -> tuple[Skill, Tensor] | None:
@@ -223,9 +218,9 @@ def compose_team(
 
 
 def composed(
-    setup: Setup,
+    setup: Setup[S],
     team: Team,
-    task: Task,
+    task: Task[S],
     chosen: list[int],
     generator: Generator,
     watch: Watch,
@@ -246,7 +241,7 @@ def composed(
     return None
 
 
-def world_tested(task: Task, name: str, succeeded: Tensor) -> WorldTested:
+def world_tested(task: Task[Any], name: str, succeeded: Tensor) -> WorldTested:
     """The event for what a candidate `succeeded` (B,) on in the world."""
     w, m = succeeded[task.keep], succeeded[~task.keep]
     return WorldTested(task.stage, name, int(w.sum()), len(w), int(m.sum()), len(m))

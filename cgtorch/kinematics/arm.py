@@ -55,7 +55,7 @@ class ArmModel:
     _chains: dict[tuple[torch.dtype, torch.device], Any] = field(default_factory=dict, repr=False)
 
     def chain(self, like: Tensor) -> Any:
-        """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor."""
+        """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor (...)."""
         key = (like.dtype, like.device)
         if key not in self._chains:
             base, tip = self._links

@@ -4,11 +4,14 @@ One kernel matrix serves every fold, every C, every epsilon and every output: a 
 held-out coefficients to 0, and their decision values come free as K beta + b.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import torch
 from torch import Tensor
 
+from cgtorch.models.chains import solve_chains
+from cgtorch.models.compiled_smo import Stand, at_zero, compiled_gram
 from cgtorch.models.gram import Gram, gram
 from cgtorch.models.kernels import Kernel
 from cgtorch.models.problems import Problems, classification, regression
@@ -26,9 +29,6 @@ GRID_RIDGE = 1e-3
 TOLERANCE = 1e-3  # violation of the optimality conditions, as libsvm's default
 _BATCH = 64
 """Problems that Newton's method solves together, few enough to stay in the processor's cache."""
-
-Found = tuple[Tensor, Tensor, Tensor]
-"""Coefficients (P, n), biases (P,) and whether the answer came without SMO (P,)."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,13 @@ class Task:
     tubes: Tensor
     classifier: bool
 
+    def index(self) -> Tensor:
+        """Numbers (P, 3) of cost, output and block of `weight` of all problems of a fold."""
+        axes = len(self.costs), len(self.targets), len(self.weight) - 1
+        index = torch.cartesian_prod(*(torch.arange(size) for size in axes)).to(self.folds.device)
+        index[:, 2] += 1
+        return index
+
     def problems(self, index: Tensor, tube: Tensor) -> Problems:
         """The problems of `index` (P, 3): numbers of cost, output and block of `weight`."""
         cap, weight = self.costs[index[:, 0]], self.weight[index[:, 2]]
@@ -76,7 +83,7 @@ class Cells:
         held_out: Decision value of each row from the fold that held it out (E, N, K, n), in the
             task's units.
         gap: Largest relative duality gap of a cell's folds (E, N, K).
-        direct: False where a fold of the cell had to be finished by SMO (E, N, K).
+        direct: False where a fold of the cell had to be finished by plain SMO (E, N, K).
     """
 
     held_out: Tensor
@@ -84,29 +91,51 @@ class Cells:
     direct: Tensor
 
 
-def solve_width(task: Task, width: float, generator: torch.Generator) -> Cells:
-    """All cells at one gamma."""
-    kernel = gram(task.kernel, task.rows, width, task.degree, task.coef0)
-    tubes = [_solve_tube(task, kernel, tube, generator) for tube in task.tubes]
-    columns = zip(*(vars(cells).values() for cells in tubes), strict=True)
+def solve_width(task: Task, width: float, generator: torch.Generator, threads: int = 1) -> Cells:
+    """All cells at one gamma; how many threads compiled code has changes no result."""
+    kernel = task.kernel, task.rows, width, task.degree, task.coef0
+    matrix = compiled_gram(*kernel, threads)
+    exact = cache(partial(gram, *kernel))  # not needed where compiled code solves everything
+
+    def solved(tube: Tensor) -> Cells:
+        index = task.index()
+        problems = task.problems(index, tube)
+        found = at_zero(problems)
+        if matrix is not None:
+            found = solve_chains(matrix, exact, problems, len(task.costs), TOLERANCE, threads)
+        direct = torch.ones_like(found.bias, dtype=torch.bool)
+        rest = (found.violation > TOLERANCE).nonzero().flatten()
+        if len(rest):
+            direct[rest] = _finish(task, exact(), tube, index, found, rest, generator)
+        bias = middle_bias(problems, found.beta, found.bias, found.product)
+        return _cells(task, problems, replace(found, bias=bias), direct)
+
+    columns = zip(*(vars(solved(tube)).values() for tube in task.tubes), strict=True)
     return Cells(*(torch.stack(column) for column in columns))
 
 
-def _solve_tube(task: Task, kernel: Gram, tube: Tensor, generator: torch.Generator) -> Cells:
-    """All cells at one gamma and epsilon: by splitting, and by Newton's method what that leaves."""
-    axes = len(task.costs), len(task.targets), len(task.weight) - 1
-    index = torch.cartesian_prod(*(torch.arange(size) for size in axes)).to(task.folds.device)
-    index[:, 2] += 1
-    problems = task.problems(index, tube)
-    found = split(kernel, problems, TOLERANCE)
-    beta, bias = found.beta, found.bias
+def _finish(
+    task: Task,
+    kernel: Gram,
+    tube: Tensor,
+    index: Tensor,
+    found: Stand,
+    rows: Tensor,
+    generator: torch.Generator,
+) -> Tensor:
+    """Solve the problems `rows` (R,) of `index` (P, 3), and say which needed no plain SMO (R,).
+
+    By splitting, and by Newton's method what that leaves.
+    """
+    other = split(kernel, task.problems(index[rows], tube), TOLERANCE)
+    beta, bias = other.beta, other.bias
     direct = torch.ones_like(bias, dtype=torch.bool)
-    rest = (found.violation > TOLERANCE).nonzero().flatten()
+    rest = (other.violation > TOLERANCE).nonzero().flatten()
     if len(rest):
-        beta[rest], bias[rest], direct[rest] = _newton(task, kernel, tube, index[rest], generator)
-    product = kernel.times(beta)
-    bias = middle_bias(problems, beta, bias, product)
-    return _cells(task, index, problems, (beta, bias, direct), product)
+        left = _newton(task, kernel, tube, index[rows[rest]], generator)
+        beta[rest], bias[rest], direct[rest] = left
+    found.beta[rows], found.bias[rows], found.product[rows] = beta, bias, kernel.times(beta)
+    return direct
 
 
 def _newton(
@@ -130,13 +159,12 @@ def _newton(
     return beta, bias, direct
 
 
-def _cells(task: Task, index: Tensor, problems: Problems, found: Found, product: Tensor) -> Cells:
-    """Solutions of `index` (P, 3), in its order, as cells."""
-    beta, bias, direct = found
+def _cells(task: Task, problems: Problems, found: Stand, direct: Tensor) -> Cells:
+    """Solutions (P,) in the order of the task's index as cells."""
     shape = len(task.costs), len(task.targets), -1
-    value = (product + bias[:, None]).reshape(*shape, len(task.rows))
-    gap = duality_gap(problems, beta, bias, product)
-    gap = gap / dual_objective(problems, beta, product).abs().clamp_min(1e-12)
+    value = (found.product + found.bias[:, None]).reshape(*shape, len(task.rows))
+    gap = duality_gap(problems, found.beta, found.bias, found.product)
+    gap = gap / dual_objective(problems, found.beta, found.product).abs().clamp_min(1e-12)
     place = task.folds.to(value.device).expand(*shape[:2], 1, -1)
     return Cells(
         value.gather(2, place).squeeze(2),

@@ -2,7 +2,8 @@
 
 One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
 only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
-All problems of a gamma are split on one inverse and ended by exact steps; what that leaves is
+Compiled code solves the problems of a gamma from cost to cost (`cgtorch.models.chains`). Without a
+compiler they are split on one inverse and ended by exact steps, and what any of this leaves is
 solved by Newton's method with a line search, folds from the solution on all rows
 (`cgtorch.models.cells`).
 """
@@ -55,7 +56,7 @@ class GridResult:
         scores: Score on the held-out rows of each fold (G, E, N, K, F), more is better.
         held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
         gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
-        direct: False where a fold of the cell had to be finished by SMO (G, E, N, K).
+        direct: False where a fold of the cell had to be finished by plain SMO (G, E, N, K).
         folds: Fold number of each row (n,).
         best: Best cell of each output.
         common: Best cells of the outputs at the one gamma with the best mean over the outputs.
@@ -165,7 +166,8 @@ def _all_widths(
 
     def work(number: int) -> tuple[Array, Array, Array]:
         place = int(order[number])
-        cells = solve_width(task, float(widths[place]), Generator().manual_seed(seeds[place]))
+        drawn = Generator().manual_seed(seeds[place])
+        cells = solve_width(task, float(widths[place]), drawn, threads // processes)
         return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy(), cells.direct.cpu().numpy()
 
     def done(_: object) -> None:
@@ -174,7 +176,7 @@ def _all_widths(
 
     # The operations are short: torch's own threads would double the time.
     with one_thread_each() as threads:
-        processes = min(threads, memory // inputs.memory(len(task.rows)))
+        processes = min(threads, len(widths), memory // inputs.memory(len(task.rows)))
         if task.rows.device.type != "cpu":
             processes = 1
         found = in_processes(work, len(widths), processes, done)

@@ -103,11 +103,11 @@ class SuccessClassifier(nn.Module):
         return self.predict_in_torch(percept)
 
     def predict_in_torch(self, percept: Tensor) -> Tensor:
-        """What `forward` says, on any device and with gradients."""
+        """What `forward` says (n,) of percepts (n, D), on any device and with gradients."""
         return self.machine(self.features(percept)).to(percept.dtype)
 
     def compiled(self, percept: Tensor) -> Compiled | None:
-        """C as compiled code knows it, where that can be asked about these percepts."""
+        """C as compiled code knows it, where that can be asked about percepts (n, D)."""
         machine, platt = self.machine._machine, self.machine.platt
         suited = suits(percept, *machine, platt, self.mean, self.scale)
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:

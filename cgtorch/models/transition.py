@@ -80,7 +80,10 @@ class TransitionModel(nn.Module):
         return self.predict_in_torch(percept, motion)
 
     def predict_in_torch(self, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
-        """What `predict_with_novelty` says, on any device and with gradients."""
+        """What `predict_with_novelty` says, on any device and with gradients.
+
+        Of percepts (n, D) and motions (n, 3) it gives the next percepts (n, D) and novelties (n,).
+        """
         scene = self._scene(percept, motion)
         value, distance = self.machine.values_and_distance(self._features(scene))
         following = _following(scene, motion, value[..., 0].to(percept), self.trust)
@@ -90,7 +93,7 @@ class TransitionModel(nn.Module):
         return following, (1 - torch.exp(-LN2 * exponent)).to(percept.dtype)
 
     def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
-        """Γ as compiled code knows it, where that can be asked about these rows.
+        """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
 
         Raises:
             DataError: Wrong shapes.

@@ -4,6 +4,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cgtorch.errors import printable
 from cgtorch.graphs import Skill, SubSkill, to_networkx
 from cgtorch.report.layers import Link
 from cgtorch.report.placing import Box, Placement, Point, Route, pieces, place
@@ -64,9 +65,22 @@ def draw_skill(skill: Skill) -> "Figure":
     brown. Every artist that stands for something has a gid: "node:", "edge:" or "end:" and
     the skill's name, then the node, edge or end.
     """
+    return _drawn([_panel(s, path) for s, path in skills_of(skill)])
+
+
+def draw_level(skill: Skill, path: str) -> "Figure":
+    """One panel of that picture, of a skill without those in it.
+
+    Args:
+        skill: the skill.
+        path: the names on the way to it, as `skills_of` tells them.
+    """
+    return _drawn([_panel(skill, path)])
+
+
+def _drawn(panels: list[Panel]) -> "Figure":
     from matplotlib.figure import Figure
 
-    panels = [_panel(s, path) for s, path in skills_of(skill)]
     corners, width, height = _packed(panels)
     figure = Figure(figsize=(width, height), dpi=100, facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1))
@@ -80,19 +94,19 @@ def draw_skill(skill: Skill) -> "Figure":
 
 def skills_of(skill: Skill) -> list[tuple[Skill, str]]:
     """The skill and all skills in it, each once, by level; with the names on the way to it."""
-    found = [(skill, skill.name)]
+    found = [(skill, printable(skill.name))]
     seen = {id(skill)}
     for outer, path in found:  # grows on the way
         for name, inner in outer.sub_skills.items():
             if id(inner) not in seen:
                 seen.add(id(inner))
-                found.append((inner, f"{path} › {name}"))
+                found.append((inner, f"{path} › {printable(name)}"))
     return found
 
 
 def _panel(skill: Skill, path: str) -> Panel:
     view = to_networkx(skill.graph, skill.actions)
-    labels: dict[Hashable, str] = {n: d["label"] for n, d in view.nodes(data=True)}
+    labels: dict[Hashable, str] = {n: printable(d["label"]) for n, d in view.nodes(data=True)}
     kinds: dict[Hashable, str] = {n: d["action"] for n, d in view.nodes(data=True)}
     links = [Link(a, b, d["outcome"]) for a, b, d in view.edges(data=True)]
     for node, kind in kinds.items():
@@ -155,7 +169,7 @@ def _draw(axes: "Axes", panel: Panel, corner: Point) -> None:
     axes.add_patch(frame)
     axes.text(
         x + PADDING, y + 0.12, panel.title, fontsize=TITLE_TEXT, weight="bold", color=INK,
-        va="top", ha="left",
+        va="top", ha="left", parse_math=False,
     )  # fmt: skip
     origin = (x + (panel.width - panel.placement.width) / 2, y + TITLE + PADDING)
     for link, route in zip(panel.links, panel.placement.routes, strict=True):
@@ -187,7 +201,7 @@ def _draw_node(axes: "Axes", panel: Panel, node: Hashable, box: Box, origin: Poi
     axes.text(
         origin[0] + box.x, origin[1] + box.y, panel.labels[node], fontsize=NODE_TEXT,
         color="white" if is_start else INK, ha="center", va="center_baseline", zorder=5,
-        gid=f"text:{gid}",
+        gid=f"text:{gid}", parse_math=False,
     )  # fmt: skip
 
 
@@ -230,11 +244,11 @@ def _draw_link(axes: "Axes", panel: Panel, link: Link, route: Route, origin: Poi
     if head is None:
         axes.text(
             *label, link.outcome, fontsize=LABEL_TEXT, color="white", ha="center", va="center",
-            zorder=4, gid=f"text:{gid}",
+            zorder=4, gid=f"text:{gid}", parse_math=False,
             bbox={"boxstyle": "round,pad=0.25,rounding_size=0.6", "fc": colour, "ec": "none"},
         )  # fmt: skip
     else:
         axes.text(
             *label, link.outcome, fontsize=LABEL_TEXT, color=colour, ha="left", va="center",
-            zorder=4, gid=f"text:{gid}",
+            zorder=4, gid=f"text:{gid}", parse_math=False,
         )  # fmt: skip

@@ -14,7 +14,11 @@ SPREAD = 2.0  # standard errors of a frequency that its bar spans
 
 
 def draw_reliability(
-    curve: Reliability, bins: int = 10, *, title: str = "the success classifier C"
+    curve: Reliability,
+    bins: int = 10,
+    *,
+    title: str = "the success classifier C",
+    of: str = "fresh labels",
 ) -> "Figure":
     """Reliability diagram above a histogram of the probabilities (DeGroot & Fienberg 1983).
 
@@ -25,6 +29,7 @@ def draw_reliability(
         curve: mean probability, frequency and rows of each bin that is not empty.
         bins: equal bins that the probabilities were put into.
         title: whose probabilities they are.
+        of: what the rows are.
 
     Raises:
         DataError: the curve holds no rows.
@@ -40,7 +45,7 @@ def draw_reliability(
     _draw_counts(lower, curve, bins)
     error = sum(abs(mean - frequency) * count for mean, frequency, count in curve) / rows
     upper.set_title(
-        f"{title} on {rows} fresh labels\nexpected calibration error {error:.3f}",
+        f"{title} on {rows} {of}\nexpected calibration error {error:.3f}",
         fontsize=11, color=TEXT,
     )  # fmt: skip
     for axes in (upper, lower):

@@ -16,6 +16,10 @@ speed/transitions_per_second        scalar      actions executed by all, per sec
 strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
 gamma/error_<coordinate>            scalar      cross-validated mean absolute error of Γ (m)
 gamma/object_error                  scalar      mean of those of object x and y (m)
+gamma/fresh_object_error            scalar      of Γ on fresh transitions, object x and y (m)
+gamma/fresh_object_floor            scalar      the least that any model could have there (m)
+gamma/fresh_table_error             scalar      of Γ on fresh transitions, the table's sides (m)
+gamma/fresh_table_floor             scalar      the least that any model could have there (m)
 classifier/balanced_accuracy        scalar      of C, cross-validated
 classifier/calibration_error        scalar      gap between C's probability and frequency
 classifier/<draw>_accuracy          scalar      of C on fresh labels: near, overall, beside
@@ -63,10 +67,12 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
+from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import LearningCurve
 from cgtorch.report.graph_picture import draw_skill
 from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
+from cgtorch.world import Scenarios
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -216,8 +222,10 @@ class TensorBoardWatch:
         self._last_picture = time.monotonic()
 
     def _models(self, event: ModelsFitted) -> None:
-        rows = len(event.knowledge.dataset.percept)
-        self._scalars({"models/fit_seconds": event.seconds, "models/rows": rows})
+        self._scalars({"models/fit_seconds": event.seconds})
+        if not isinstance(event.knowledge, Knowledge):  # of another domain
+            return
+        self._scalars({"models/rows": len(event.knowledge.dataset.percept)})
         if event.knowledge.verdicts is None:  # learning on changes nothing of what follows
             self._first_models(event)
 
@@ -230,6 +238,11 @@ class TensorBoardWatch:
             "classifier/balanced_accuracy": classifier.balanced_accuracy,
             "classifier/calibration_error": classifier.calibration_error,
         }
+        fresh = event.gamma_quality
+        if fresh is not None:
+            for part in ("object", "table"):
+                for kind in ("error", "floor"):
+                    values[f"gamma/fresh_{part}_{kind}"] = getattr(fresh, f"{part}_{kind}")
         quality = event.classifier_quality
         if quality is not None:
             for name in ("near", "overall", "beside"):
@@ -268,19 +281,18 @@ class TensorBoardWatch:
             values["world/promised"] = event.promised
         self._scalars(values)
 
-    def _accepted(self, event: SkillAccepted) -> None:
+    def _accepted(self, event: SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
         self._picture("graph/best", draw_skill(event.skill))
-        self._picture(
-            "table/successes",
-            draw_table_top(
+        if isinstance(event.scenarios, Scenarios):
+            table = draw_table_top(
                 event.scenarios,
                 event.succeeded,
                 event.targets,
                 footprint=self._footprint,
                 title=event.stage,
-            ),
-        )
+            )
+            self._picture("table/successes", table)
         self._writer.flush()
 
     def _scalars(self, values: Mapping[str, float]) -> None:

@@ -1,5 +1,7 @@
 """What events are called on the screen: one line each, without colour."""
 
+from typing import Any
+
 from cgtorch.improvement.events import (
     EvolutionRecalled,
     FreshTested,
@@ -9,6 +11,7 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
+from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import TransitionQuality, TransitionReport, Verdict
 from cgtorch.report.estimate import as_time, stage_number
 
@@ -33,6 +36,8 @@ def journal_read(event: EvolutionRecalled | JournalDamaged) -> str:
 def models_fitted(event: ModelsFitted) -> str:
     """The line for models that were trained."""
     knowledge = event.knowledge
+    if not isinstance(knowledge, Knowledge):  # of another domain, about which nothing is known here
+        return f"{event.stage}: the models have learned, {event.seconds:.1f} s"
     data = knowledge.dataset
     rows = f"{len(data.percept)} transitions and {len(data.graspable)} labels"
     if knowledge.verdicts is not None:
@@ -98,7 +103,7 @@ def world_tested(event: WorldTested) -> str:
     return text
 
 
-def skill_accepted(event: SkillAccepted) -> str:
+def skill_accepted(event: SkillAccepted[Any]) -> str:
     """The line for a skill that was accepted."""
     w, targets = event.succeeded[event.keep], event.targets
     others = event.succeeded[~event.keep]

@@ -23,6 +23,11 @@ Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 UNKNOWN = -1.0
 
 
+def anything(percept: Tensor, control: Tensor) -> Tensor:
+    """`Possible` where nothing is ever in the way."""
+    return torch.ones(len(percept), dtype=torch.bool, device=percept.device)
+
+
 class ModelEnvironment:
     """An `Environment` that consists of percepts only; nothing in it touches the world.
 
@@ -37,10 +42,11 @@ class ModelEnvironment:
         percepts: Tensor,
         gamma: Gamma,
         classifier: Classifier,
-        possible: Possible,
+        possible: Possible = anything,
         control_size: int = 3,
         errors: Tensor | None = None,
         most_novel: float = 1.0,
+        seeds: Tensor | None = None,
     ):
         """Set up the models on the first percepts of B scenarios.
 
@@ -53,14 +59,17 @@ class ModelEnvironment:
             errors: (B, T, D) what to add to Γ's prediction at each motion of each scenario, so
                 that a skill is judged under what Γ may have got wrong; used in turn.
             most_novel: where a motion is more novel, the lane is lost.
+            seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
 
         Raises:
             ModelError: one of these, tried on two percepts, gives something else than it should.
         """
-        _check(percepts, gamma, classifier, possible, control_size, errors)
+        _check(percepts, gamma, classifier, possible, control_size, errors, seeds)
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
         self.most_novel = most_novel
+        self.seeds = torch.arange(len(percepts)) if seeds is None else seeds
+        self.seeds = self.seeds.to(percepts.device)
         self.first_state = percepts.new_zeros(len(percepts), 3)
         self.first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
 
@@ -79,7 +88,7 @@ class ModelEnvironment:
         return self.first_state[scenario], self.percepts[scenario]
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """The percepts that Γ predicts; where the control is not possible they stay.
+        """The percepts that Γ predicts for controls (n, U); as they were where one is not possible.
 
         A control that is not finite, such as that of a lane without a message, never is.
         """
@@ -123,6 +132,7 @@ def _check(
     possible: Possible,
     control_size: int,
     errors: Tensor | None,
+    seeds: Tensor | None,
 ) -> None:
     """Try the models on two percepts; ModelError says what is wrong with what they return."""
     if percepts.dim() != 2 or not percepts.is_floating_point() or not percepts.numel():
@@ -136,6 +146,8 @@ def _check(
         raise ModelError(
             f"errors of Γ are {kind(errors)}; give (B, T, D) for percepts that are {kind(percepts)}"
         )
+    if seeds is not None and (seeds.shape != percepts.shape[:1] or seeds.dtype != torch.long):
+        raise ModelError(f"seeds are {kind(seeds)}; give (B,) long, B as for {kind(percepts)}")
     rows = percepts[two_rows(len(percepts), percepts.device)]
     control = rows.new_zeros(ROWS, control_size)
     found = returned(ModelError, "Γ", gamma, rows, control)

@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from cgtorch.actions import Action, ActionSet
+from cgtorch.actions.memory import memory_parts
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
 
 SUCCESS, FAILURE = -1, -2
@@ -30,7 +31,8 @@ class Program:
         limit: (number of sub-skills,) long, the most transitions of each.
         depth: levels of skills within skills, 1 if there are none.
         message_size: length of the longest message.
-        memory_size: length of the common memory.
+        memory: where each primitive's part of the common memory lies.
+        memory_size: length of all of it.
     """
 
     primitives: tuple[Action, ...]
@@ -43,6 +45,7 @@ class Program:
     limit: Tensor
     depth: int
     message_size: int
+    memory: tuple[slice, ...]
     memory_size: int
 
 
@@ -55,6 +58,7 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
     )
     order = {id(a): i for i, a in enumerate(primitives)}
     index = {id(s): len(primitives) + i for i, s in enumerate(skills.values())}
+    memory, memory_size = memory_parts(primitives)
     outcomes = max(2, *(s.outcome_capacity for s in sets))
     width = max(s.parameter_capacity for s in sets)
 
@@ -81,7 +85,8 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
         ),
         depth=1 + max((s.depth for s in skills.values()), default=0),
         message_size=max(s.message_size for s in sets),
-        memory_size=max(s.memory_size for s in sets),
+        memory=memory,
+        memory_size=memory_size,
     )
 
 

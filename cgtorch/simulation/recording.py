@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes
+from cgtorch.environment import Environment, Lanes, seeds_of
 
 
 class Recording:
@@ -31,6 +31,11 @@ class Recording:
     def control_size(self) -> int:
         """See `Environment.control_size`."""
         return self.environment.control_size
+
+    @property
+    def seeds(self) -> Tensor:
+        """See `Seeded.seeds`."""
+        return seeds_of(self.environment, torch.arange(self.num_scenarios))
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""

@@ -120,11 +120,12 @@ def _act(
     for i, action in enumerate(program.primitives):
         here = (kind == i).nonzero()[:, 0]
         if len(here):
-            nodes, before = node.index_select(0, here), lanes.rows(here)
+            seen = lanes.with_memory(program.memory[i]) if program.memory_size else lanes
+            nodes, before = node.index_select(0, here), seen.rows(here)
             parameters = program.parameters.index_select(0, nodes)[:, : action.num_parameters]
             after, out = action(before, parameters, environment)
             outcome.index_copy_(0, here, out)
-            lanes.write(here, before, after)
+            seen.write(here, before, after)
             if action.deterministic:
                 changed.index_copy_(0, here, after.differs(before))
     return lanes, outcome, changed

@@ -1,10 +1,11 @@
 """Scenarios, and those of section VI: a robot before a table with an object near an edge."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.environment import ScenarioBatch
 from cgtorch.errors import SettingsError
 
 TABLE_DEPTH, TABLE_WIDTH, TABLE_HEIGHT = 0.8, 1.2, 0.74
@@ -16,7 +17,7 @@ PLACEMENTS = (*EDGES, "perimeter")
 
 
 @dataclass(frozen=True)
-class Scenarios:
+class Scenarios(ScenarioBatch):
     """B states of the world that a skill starts from.
 
     The world's origin is the table's centre in the paper's experiments, x pointing away from the
@@ -43,20 +44,20 @@ class Scenarios:
         if self.obstacles.shape[1] == 0:
             object.__setattr__(self, "obstacles", self.pose.new_zeros(len(self.pose), 0, 5))
 
-    def __len__(self) -> int:
-        """The number of scenarios."""
-        return len(self.pose)
+    def joined(self, *more: "Scenarios") -> "Scenarios":
+        """These and more; those with fewer obstacles get some of size 0."""
+        most = max(s.obstacles.shape[1] for s in (self, *more))
+        padded = [replace(s, obstacles=_padded(s.obstacles, most)) for s in (self, *more)]
+        return ScenarioBatch.joined(*padded)
 
-    def __getitem__(self, index: Tensor | slice) -> "Scenarios":
-        """The scenarios at `index`."""
-        return Scenarios(*(getattr(self, f.name)[index] for f in fields(self)))
+    def with_noise(self, copy: int) -> "Scenarios":
+        """The same placements met by other noise; copy 0 is the scenarios themselves."""
+        return replace(self, seed=(self.seed + copy * 0x9E3779B1) % 2**31)
 
 
 def concatenate_scenarios(parts: list[Scenarios]) -> Scenarios:
-    """All scenarios of several batches; those with fewer obstacles get some of size 0."""
-    most = max((s.obstacles.shape[1] for s in parts), default=0)
-    parts = [replace(s, obstacles=_padded(s.obstacles, most)) for s in parts]
-    return Scenarios(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(Scenarios)))
+    """All scenarios of several batches, at least one."""
+    return parts[0].joined(*parts[1:])
 
 
 def _padded(obstacles: Tensor, count: int) -> Tensor:

@@ -108,6 +108,11 @@ class TabletopWorld:
         return len(self.scenarios)
 
     @property
+    def seeds(self) -> Tensor:
+        """See `cgtorch.environment.Seeded.seeds`; those of the noise."""
+        return self.scenarios.seed
+
+    @property
     def percept_size(self) -> int:
         """7 or 9, and 4 for each obstacle that a scenario of this batch may have."""
         return self.tabletop + BOX * self.num_obstacles
@@ -120,7 +125,15 @@ class TabletopWorld:
         return self._perceive(state, scenario)
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """Drive straight by dx, dy and turn by dθ, or stay where the way is blocked."""
+        """Drive straight by dx, dy (m) and turn by dθ (rad), or stay where the way is blocked.
+
+        Args:
+            lanes: the n lanes.
+            control: (n, 3) dx, dy, dθ in the robot's frame.
+
+        Returns:
+            The lanes, and (n,) bool whether they have moved.
+        """
         pose, table = lanes.state[:, :3], lanes.state[:, 3:9]
         things = torch.cat([table[:, None, :5], self._obstacles(lanes.state)], 1)
         here = rectangle_in_frame(pose[:, None], things)

@@ -11,12 +11,16 @@ import pytest
 
 from cgtorch.commands import evaluate as evaluate_command
 from cgtorch.commands import export as export_command
+from cgtorch.commands import report as report_command
 from cgtorch.commands import train as train_command
+from cgtorch.commands import view as view_command
 
 MAIN: dict[str, Callable[[], None]] = {
     "cgtorch-train": train_command.main,
     "cgtorch-evaluate": evaluate_command.main,
     "cgtorch-export": export_command.main,
+    "cgtorch-report": report_command.main,
+    "cgtorch-view": view_command.main,
 }
 
 

@@ -6,11 +6,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support import nested_actions, random_graphs, same, seeded
+from torch import Generator, Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.evolution import Population
+from cgtorch.evolution import Population, compiled
 from cgtorch.evolution import crossover as module
-from cgtorch.evolution.crossover import _graft, _group, crossover, undirected_distance
+from cgtorch.evolution.crossover import crossover, graft, group, undirected_distance
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, to_networkx
 
@@ -20,6 +21,18 @@ seeds = st.integers(0, 2**31)
 
 def undirected(graphs: Graphs, index: int) -> "nx.MultiGraph[int | str]":
     return to_networkx(graphs, ACTIONS, index).to_undirected()
+
+
+def group_of(graphs: Graphs, generator: Generator) -> Tensor:
+    begin = torch.rand(len(graphs), 1, generator=generator)
+    return group(graphs, begin, torch.rand(graphs.action.shape, generator=generator))
+
+
+def grafted(
+    host: Graphs, into: Tensor, donor: Graphs, taken: Tensor, k: Tensor, generator: Generator
+) -> Graphs:
+    heads = torch.rand(host.edges.shape, generator=generator)
+    return graft(host, into, donor, taken, k, heads)
 
 
 def crossing(graphs: Graphs, probability: float = 1.0) -> Population:
@@ -39,9 +52,9 @@ def test_distance_is_that_of_an_undirected_breadth_first_search(seed: int) -> No
 @given(seeds)
 def test_the_first_of_a_group_are_connected_and_nearest(seed: int) -> None:
     graphs = random_graphs(seed, 6, ACTIONS, capacity=14, nodes=(1, 14))
-    group = _group(graphs, seeded(seed))
+    found = group_of(graphs, seeded(seed))
     for i in range(6):
-        view, order = undirected(graphs, i), group[i].tolist()
+        view, order = undirected(graphs, i), found[i].tolist()
         assert sorted(order) == list(range(14))
         far = nx.single_source_shortest_path_length(view, order[0])
         nodes = order[: len(view)]
@@ -54,7 +67,7 @@ def test_the_first_of_a_group_are_connected_and_nearest(seed: int) -> None:
 def test_a_group_may_begin_anywhere() -> None:
     graphs = random_graphs(0, 1, ACTIONS, nodes=(8, 8))
     many = graphs[torch.zeros(2000, dtype=torch.long)]
-    first = Counter(_group(many, seeded(0))[:, 0].tolist())
+    first = Counter(group_of(many, seeded(0))[:, 0].tolist())
     n = int(graphs.num_nodes[0])
     assert len(first) == n
     assert all(abs(count - 2000 / n) < 5 * (2000 / n) ** 0.5 for count in first.values())
@@ -66,8 +79,8 @@ def test_a_graft_is_what_the_groups_say(seed: int, k: int) -> None:
     host = random_graphs(seed, 4, ACTIONS, nodes=(8, 12))
     donor = random_graphs(seed + 1, 4, ACTIONS, nodes=(8, 12))
     size = torch.minimum(host.num_nodes, donor.num_nodes).clamp_max(k)
-    a, b = _group(host, seeded(seed)), _group(donor, seeded(seed + 1))
-    child = _graft(host, a, donor, b, size, seeded(seed))
+    a, b = group_of(host, seeded(seed)), group_of(donor, seeded(seed + 1))
+    child = grafted(host, a, donor, b, size, seeded(seed))
     for i in range(4):
         into, taken = a[i, : size[i]].tolist(), b[i, : size[i]].tolist()
         place = dict(zip(taken, into, strict=True))
@@ -94,8 +107,8 @@ def test_a_graft_is_what_the_groups_say(seed: int, k: int) -> None:
 def test_edges_that_leave_a_group_go_to_random_nodes() -> None:
     host, donor = (random_graphs(s, 1, ACTIONS, nodes=(10, 10)) for s in (0, 3))
     many = torch.zeros(3000, dtype=torch.long)
-    group_a, group_b = (_group(g, seeded(4)).expand(3000, -1) for g in (host, donor))
-    child = _graft(host[many], group_a, donor[many], group_b, torch.ones_like(many), seeded(0))
+    group_a, group_b = (group_of(g, seeded(4)).expand(3000, -1) for g in (host, donor))
+    child = grafted(host[many], group_a, donor[many], group_b, torch.ones_like(many), seeded(0))
     taken, into = int(group_b[0, 0]), int(group_a[0, 0])
     leaves = [j for j, h in enumerate(donor.edges[0, taken].tolist()) if h not in (NO_NODE, taken)]
     assert leaves
@@ -107,6 +120,7 @@ def test_edges_that_leave_a_group_go_to_random_nodes() -> None:
 
 @pytest.fixture
 def unpruned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "takes", lambda *_: False)  # which prunes, too
     monkeypatch.setattr(module, "pruned", lambda graphs: graphs)
 
 

@@ -7,11 +7,13 @@ from hypothesis import strategies as st
 from support import custom_actions, judged_by, model, nested_actions, same, seeded
 from torch import Tensor
 
-from cgtorch.errors import GraphError, SettingsError
+from cgtorch.errors import DataError, GraphError, SettingsError
 from cgtorch.evolution import (
     EvolutionSettings,
     EvolutionState,
+    Generation,
     Population,
+    ask,
     evaluate,
     evolve,
     initial_state,
@@ -19,7 +21,7 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
-from cgtorch.evolution.sampling import bernoulli, choose, choose_many
+from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words
 from cgtorch.graphs import compacted
 from cgtorch.simulation import rollout
 
@@ -32,18 +34,36 @@ def same_population(first: Population, second: Population) -> bool:
 
 def test_choices_are_uniform_and_only_where_allowed() -> None:
     mask = torch.tensor([[False, True, True, False, True], [False] * 5]).repeat(3000, 1)
-    for picked in (
-        choose(mask, seeded(0)).view(-1, 2)[:, 0],
-        choose_many(mask, (1,), seeded(0)).view(-1, 2)[:, 0],
-    ):
-        counts = torch.bincount(picked, minlength=5)
+    draws = uniform(words((6000, 1), seeded(0)), 3)
+    for column in range(3):
+        picked = nth_true(mask, draws[:, column])
+        counts = torch.bincount(picked[::2], minlength=5)
         assert counts[0] == counts[3] == 0
         assert ((counts[[1, 2, 4]] - 1000).abs() < 5 * 1000**0.5).all()
-    assert (choose(mask, seeded(0))[1::2] == 0).all()
-    draws = bernoulli(torch.tensor([0.0, 0.3, 1.0]), (4000,), seeded(0)).float().mean(1)
-    assert draws[0] == 0
-    assert draws[1].item() == pytest.approx(0.3, abs=0.03)
-    assert draws[2] == 1
+        assert (picked[1::2] == 0).all()
+    assert torch.equal(nth_true(mask, draws)[:, 1], nth_true(mask, draws[:, 1]))
+
+
+def test_numbers_of_one_word_are_uniform_and_independent() -> None:
+    draws = uniform(words((20_000, 2), seeded(0)), 6)
+    assert draws.min() >= 0
+    assert draws.max() < 1
+    assert (draws * 2**BITS == (draws * 2**BITS).round()).all()
+    for threshold in (0.001, 0.3, 0.9):
+        error = (threshold * (1 - threshold) / 20_000) ** 0.5
+        assert ((draws < threshold).float().mean(0) - threshold).abs().max() < 5 * error
+    assert (torch.corrcoef(draws.T) - torch.eye(6)).abs().max() < 5 / 20_000**0.5
+    assert torch.equal(uniform(words((20_000, 2), seeded(0)), 4), draws[:, :4])
+
+
+def test_a_pick_is_never_out_of_range() -> None:
+    ends = torch.tensor([0.0, 1 - 2.0**-BITS, 1 - 2.0**-24, 1.0])
+    for count in (1, 3, 24, 1000, 2**25):
+        picked = pick(ends, count)
+        assert picked[0] == 0
+        assert (picked < count).all()
+        assert picked[-1] == count - 1
+    assert (pick(ends, 0) == 0).all()
 
 
 def test_a_random_population_is_as_random_as_it_says() -> None:
@@ -132,6 +152,42 @@ def test_evolution_depends_on_its_seed_alone() -> None:
     torch.rand(100)  # the global generator must not matter
     assert same_population(one, run(3))
     assert not same_population(one, run(4))
+
+
+def test_ask_and_tell_are_the_same_search_as_evolve() -> None:
+    """Whoever evaluates by himself gets, generation by generation, what `evolve` gives."""
+    environment, keep = model(0, 4), torch.tensor([True, False, False, False])
+    searching = evolve(environment, ACTIONS, SETTINGS, seeded(5), keep=keep)
+    mine, generator = list[Generation](), seeded(5)
+    state = initial_state(SETTINGS, ACTIONS, generator)
+    for _ in range(6):
+        mine.append(next(searching))
+        population = ask(state)
+        assert same_population(population, mine[-1].population)
+        assert same_population(ask(state), population)
+        result = evaluate(population.graphs, ACTIONS, environment, keep)
+        assert torch.equal(result.fitness, mine[-1].fitness)
+        state = tell(state, result.fitness, SETTINGS, ACTIONS, generator, result.scores)
+        assert state.best_fitness == mine[-1].best
+        assert same_population(state.best, mine[-1].champion)
+    assert state.generation == 6
+
+
+@pytest.mark.parametrize(
+    ("fitness", "scores", "message"),
+    [
+        (torch.zeros(29), None, r"fitness is a tensor \(29,\) of float32; give a tensor \(30,\)"),
+        (torch.zeros(30, 1), None, r"fitness is a tensor \(30, 1\)"),
+        ([0.0] * 30, None, "fitness is a list"),
+        (torch.zeros(30), torch.zeros(30), r"scores are a tensor \(30,\)"),
+        (torch.zeros(30), torch.zeros(5, 30), r"scores are .*; give a tensor \(30, B\)"),
+        (torch.zeros(30), torch.zeros(30, 0), r"scores are a tensor \(30, 0\)"),
+    ],
+)
+def test_what_is_told_has_to_fit(fitness: Tensor, scores: Tensor | None, message: str) -> None:
+    state = initial_state(SETTINGS, ACTIONS, seeded(0))
+    with pytest.raises(DataError, match=message):
+        tell(state, fitness, SETTINGS, ACTIONS, seeded(1), scores)
 
 
 def test_selection_makes_what_is_rewarded_common() -> None:

@@ -173,7 +173,7 @@ def test_until_they_migrate_islands_know_nothing_of_one_another() -> None:
 def test_the_champion_is_the_best_of_all_islands() -> None:
     settings, keep = replace(SETTINGS, islands=4, migration=3), torch.zeros(3, dtype=torch.bool)
     winners, bests = set(), []
-    for found in generations(settings, 3, 6):
+    for found in generations(settings, 4, 6):
         results = [
             evaluate(island.state.population.graphs, ACTIONS, model(0, 3), keep)
             for island in found.islands

@@ -1,5 +1,6 @@
 import math
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 import torch
@@ -13,13 +14,15 @@ from cgtorch.evolution.mutation import (
     PROBABILITY_MAX,
     SIGMA_MAX,
     STRATEGY_MIN,
+    drift,
+    mutate,
+)
+from cgtorch.evolution.parameters import changed, marked
+from cgtorch.evolution.structure import (
     add_node,
     change_edges,
     delete_node,
-    drift,
-    mutate,
     new_start,
-    perturb_parameters,
     replace_nodes,
 )
 from cgtorch.graphs import NO_NODE, Graphs
@@ -34,6 +37,14 @@ def graphs_of(seed: int) -> Graphs:
     return random_graphs(seed, P, ACTIONS, capacity=12, nodes=(1, 12))
 
 
+def draws(graphs: Graphs, columns: int, seed: int) -> Tensor:
+    return torch.rand(len(graphs), columns, generator=seeded(seed))
+
+
+def head_draws(graphs: Graphs, seed: int) -> Tensor:
+    return torch.rand(graphs.edges.shape, generator=seeded(seed + 1))
+
+
 def edges_of(graphs: Graphs, index: int) -> dict[tuple[int, int], int]:
     """Heads by (node, outcome)."""
     rows = enumerate(graphs.edges[index].tolist())
@@ -43,7 +54,7 @@ def edges_of(graphs: Graphs, index: int) -> dict[tuple[int, int], int]:
 @given(seeds)
 def test_add_node_takes_over_one_edge_of_a_node_with_two(seed: int) -> None:
     old = graphs_of(seed)
-    new = add_node(old, ACTIONS, ALWAYS, seeded(seed))
+    new = add_node(old, ACTIONS, ALWAYS, draws(old, 3 + old.edges.shape[2], seed))
     for i in range(P):
         before, after = edges_of(old, i), edges_of(new, i)
         indegree = Counter(before.values())
@@ -62,7 +73,7 @@ def test_add_node_takes_over_one_edge_of_a_node_with_two(seed: int) -> None:
 @given(seeds)
 def test_delete_node_turns_edges_to_others_and_leaves_two(seed: int) -> None:
     old = graphs_of(seed)
-    new = delete_node(old, ALWAYS, seeded(seed))
+    new = delete_node(old, ALWAYS, draws(old, 3, seed), head_draws(old, seed))
     for i in range(P):
         before, after = edges_of(old, i), edges_of(new, i)
         nodes, rest = (set(g.used[i].nonzero()[:, 0].tolist()) for g in (old, new))
@@ -81,7 +92,7 @@ def test_delete_node_turns_edges_to_others_and_leaves_two(seed: int) -> None:
 def test_every_node_is_deleted_equally_often() -> None:
     many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(3000, dtype=torch.long)]
     n = int(many.num_nodes[0])
-    new = delete_node(many, torch.ones(3000), seeded(0))
+    new = delete_node(many, torch.ones(3000), draws(many, 3, 0), head_draws(many, 0))
     gone = (many.used & ~new.used).sum(0)[many.used[0]]
     assert ((gone - 3000 / n).abs() < 5 * (3000 / n) ** 0.5).all()
 
@@ -89,16 +100,29 @@ def test_every_node_is_deleted_equally_often() -> None:
 @given(seeds)
 def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     old = graphs_of(seed)
-    new = replace_nodes(old, ACTIONS, ALWAYS, seeded(seed))
+    new = replace_nodes(old, ACTIONS, ALWAYS, draws(old, old.capacity, seed), head_draws(old, seed))
     assert torch.equal(new.used, old.used)
     assert torch.equal(new.start, old.start)
+    assert (new.parameters == 0).all()
+    still = torch.zeros(P)
+    made = changed(
+        replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long)),
+        old.parameters,
+        ACTIONS,
+        still,
+        still,
+        seeded(seed),
+    )
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
-    assert (new.parameters != old.parameters).any(2)[real].all()
+    assert (made.parameters != old.parameters).any(2)[real].all()
+    assert (made.parameters[~real] == 0).all()
 
 
 def test_replaced_nodes_take_every_action_equally_often() -> None:
     many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(3000, dtype=torch.long)]
-    new = replace_nodes(many, ACTIONS, torch.ones(3000), seeded(0))
+    new = replace_nodes(
+        many, ACTIONS, torch.ones(3000), draws(many, many.capacity, 0), head_draws(many, 0)
+    )
     count = torch.bincount(new.action[new.used], minlength=len(ACTIONS))
     wanted = count.sum() / len(ACTIONS)
     assert ((count - wanted).abs() < 5 * wanted.sqrt()).all()
@@ -107,7 +131,7 @@ def test_replaced_nodes_take_every_action_equally_often() -> None:
 @given(seeds)
 def test_change_edges_gives_at_most_one_new_head_to_a_node(seed: int) -> None:
     old = graphs_of(seed)
-    new = change_edges(old, ALWAYS, seeded(seed))
+    new = change_edges(old, ALWAYS, draws(old, old.capacity, seed), head_draws(old, seed))
     differs = (new.edges != old.edges).sum(2)
     assert int(differs.max()) <= 1
     assert torch.equal(new.action, old.action)
@@ -118,7 +142,7 @@ def test_change_edges_gives_at_most_one_new_head_to_a_node(seed: int) -> None:
 def test_change_edges_reaches_every_edge_and_every_head() -> None:
     one = random_graphs(2, 1, ACTIONS, nodes=(10, 10))
     many = one[torch.zeros(5000, dtype=torch.long)]
-    new = change_edges(many, torch.ones(5000), seeded(0))
+    new = change_edges(many, torch.ones(5000), draws(many, many.capacity, 0), head_draws(many, 0))
     for (tail, outcome), head in edges_of(one, 0).items():
         heads = set(new.edges[:, tail, outcome].tolist())
         assert heads == set(one.used[0].nonzero()[:, 0].tolist()), (tail, outcome, head)
@@ -129,7 +153,7 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
     many = one[torch.zeros(4000, dtype=torch.long)]
     sigma = torch.where(torch.arange(4000) < 2000, 0.1, 3.0)
     rate = torch.where(torch.arange(4000) % 2 == 0, 0.25, 1.0)
-    new = perturb_parameters(many, ACTIONS, rate, sigma, seeded(0))
+    new = changed(marked(many), many.parameters, ACTIONS, rate, sigma, seeded(0))
     change = new.parameters - many.parameters
     count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
     real = torch.arange(change.shape[2]) < count[:, None]
@@ -149,7 +173,7 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
 @given(seeds)
 def test_a_new_start_leads_to_another_node(seed: int) -> None:
     old = graphs_of(seed)
-    new = new_start(old, ALWAYS, seeded(seed))
+    new = new_start(old, ALWAYS, draws(old, 2, seed))
     for i in range(P):
         leads = {tail for (tail, _), head in edges_of(old, i).items() if head != tail}
         assert int(new.start[i]) in (leads or {int(old.start[i])})

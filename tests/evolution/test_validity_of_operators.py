@@ -3,7 +3,7 @@
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import all_valid, custom_actions, nested_actions, same, seeded
+from support import all_valid, nested_actions, same, seeded, stochastic_actions
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
@@ -17,12 +17,14 @@ from cgtorch.evolution import (
     tell,
     tournament,
 )
-from cgtorch.evolution import mutation as m
+from cgtorch.evolution import structure as m
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import random_population, seeded_population
 from cgtorch.graphs import pruned, valid
 
-SETS = [paper_actions(), custom_actions(), nested_actions()]
+SETS = [paper_actions(), stochastic_actions(), nested_actions()]
 SIZE = 8
 
 seeds = st.integers(0, 2**31)
@@ -96,13 +98,18 @@ def test_each_mutation(
 ) -> None:
     graphs, generator = made(seed, actions, size, 0).graphs, seeded(seed)
     rate_of: Tensor = torch.full((SIZE,), rate)
+    heads = torch.rand(graphs.edges.shape, generator=generator)
+
+    def draws(columns: int) -> Tensor:
+        return torch.rand(SIZE, columns, generator=generator)
+
     for mutated in (
-        m.add_node(graphs, actions, rate_of, generator),
-        m.delete_node(graphs, rate_of, generator),
-        m.replace_nodes(graphs, actions, rate_of, generator),
-        m.change_edges(graphs, rate_of, generator),
-        m.perturb_parameters(graphs, actions, rate_of, rate_of, generator),
-        m.new_start(graphs, rate_of, generator),
+        m.add_node(graphs, actions, rate_of, draws(3 + graphs.edges.shape[2])),
+        m.delete_node(graphs, rate_of, draws(3), heads),
+        m.replace_nodes(graphs, actions, rate_of, draws(graphs.capacity), heads),
+        m.change_edges(graphs, rate_of, draws(graphs.capacity), heads),
+        changed(marked(graphs), graphs.parameters, actions, rate_of, rate_of, generator),
+        m.new_start(graphs, rate_of, draws(2)),
     ):
         # Pruning comes last, once for all mutations; all else must hold after each.
         assert all_valid(mutated, actions, connected=False)
@@ -116,7 +123,7 @@ def test_mutate(
     seed: int, actions: ActionSet, size: tuple[int, tuple[int, int]], rate: float
 ) -> None:
     population = made(seed, actions, size, rate)
-    mutated = m.mutate(population, actions, seeded(seed))
+    mutated = mutate(population, actions, seeded(seed))
     check(mutated, actions, size[0])
     assert mutated.strategy.shape == (SIZE, len(STRATEGY))
     if rate == 0:

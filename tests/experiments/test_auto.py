@@ -230,7 +230,12 @@ def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
         train(wide[0], "S0", ignore, quietly)
 
 
-VALUES: list[Callable[[Any], Any]] = [lambda d: 3, lambda d: {}, lambda d: {**d, "tried": -1}]
+VALUES: list[Callable[[Any], Any]] = [
+    lambda d: 3,
+    lambda d: {},
+    lambda d: {**d, "tried": -1},
+    lambda d: {**d, "succeeded": d["tried"] + 1},
+]
 
 
 @pytest.mark.parametrize("change", VALUES)

@@ -68,6 +68,18 @@ def test_scenarios_come_from_the_seed() -> None:
     assert torch.equal(alone.transitions, first.transitions)
 
 
+def test_parts_change_nothing_and_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    skill, told = random_skill(1, "any", paper_actions()), list[int]()
+    whole = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    assert told == [20]
+    monkeypatch.setattr("cgtorch.experiments.evaluate.PART", 7)
+    parts = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    assert told == [20, 7, 7, 6]
+    assert torch.equal(whole.succeeded, parts.succeeded)
+    assert torch.equal(whole.transitions, parts.transitions)
+    assert torch.equal(whole.scenarios.seed, parts.scenarios.seed)
+
+
 def test_the_score_on_some() -> None:
     mask = torch.tensor([True, False, True, True])
     some = score(2, 4).of(mask)

@@ -10,7 +10,13 @@ import pytest
 from driving import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import custom_actions, nested_actions, random_graphs, random_skill
+from support import (
+    custom_actions,
+    nested_actions,
+    random_graphs,
+    random_skill,
+    stochastic_actions,
+)
 
 from cgtorch.actions import ActionSet
 from cgtorch.export import clusters_of, to_dot, to_graphml, to_mermaid
@@ -22,6 +28,7 @@ SKILLS = [
     reference()[1],
     random_skill(0, "S2", nested_actions(0)),
     random_skill(5, "flat", custom_actions()),
+    random_skill(6, "random", stochastic_actions()),
 ]
 
 

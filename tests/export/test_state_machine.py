@@ -13,7 +13,17 @@ import torch
 from driving import act, by_the_library, reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import Counter, custom_actions, model, nested_actions, random_graphs, random_skill
+from support import (
+    Counter,
+    Visits,
+    Wander,
+    custom_actions,
+    model,
+    nested_actions,
+    random_graphs,
+    random_skill,
+    stochastic_actions,
+)
 
 from cgtorch.actions import ActionSet, edge_actions
 from cgtorch.environment import Environment, start_lanes
@@ -108,12 +118,14 @@ def test_actions_of_ones_own_memory_and_messages(
 
     class Count(getattr(module, "Counter", module.State)):  # type: ignore[misc]
         def execute(self, userdata: Any) -> str:
-            userdata.memory[0] += 1
-            userdata.memory[1] = userdata.percept[4]
+            mine = userdata.memory
+            mine[self.memory[0]] += 1
+            mine[self.memory[1]] = userdata.percept[4]
             userdata.message[3] += self.parameters[0]
             if userdata.percept[4] > 1.2 + abs(self.parameters[1]):
                 return "lost"
-            return "enough" if userdata.memory[0] + userdata.message[3] > 3 else "again"
+            count: float = mine[self.memory[0]]
+            return "enough" if count + userdata.message[3] > 3 else "again"
 
     for scenario in range(4):
         states = {**filled_in(module, environment, scenario), "Counter": Count}
@@ -126,6 +138,19 @@ def test_actions_of_ones_own_memory_and_messages(
         timed_out = "timeout" if runs.timed_out[0, scenario] else "failure"
         assert end == ("success" if runs.succeeded[0, scenario] else timed_out)
         assert userdata.steps == runs.transitions[0, scenario]
+
+
+def test_actions_are_told_which_memory_is_theirs(tmp_path: Path) -> None:
+    actions = stochastic_actions().extended(["Visits"], [Visits()])
+    many = random_graphs(0, 500, actions, capacity=12, nodes=(10, 12))
+    wanted = [actions.index(name) for name in ("Counter", "Wander", "Visits")]
+    has_all = torch.stack([(many.action == i).any(1) for i in wanted]).all(0)
+    skill = Skill("S", many[has_all.nonzero()[:1, 0]], actions)
+    module = imported(to_state_machine(skill), tmp_path)
+    places = [list(getattr(module, name).memory) for name in ("Counter", "Wander", "Visits")]
+    assert sorted(place for each in places for place in each) == list(range(6))
+    assert [len(each) for each in places] == [2, 2, 2]
+    assert module.Wander.outcomes == Wander.outcomes
 
 
 def test_plain_python_is_enough(tmp_path: Path) -> None:

@@ -8,7 +8,17 @@ import torch
 from driving import act, assert_same, by_steps, by_the_library, reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import Counter, custom_actions, model, nested_actions, random_skill, seeded, world
+from support import (
+    Counter,
+    Visits,
+    Wander,
+    custom_actions,
+    model,
+    nested_actions,
+    random_skill,
+    seeded,
+    world,
+)
 from torch import Tensor, nn
 
 from cgtorch.actions import Action, ActionSet, Grasp, MoveBase, paper_actions
@@ -30,6 +40,24 @@ def test_skills_in_skills_with_memory_and_messages(seed: int, steps: int, most: 
     step = SkillStep(skill, max_steps=steps)
     for scenario, run in enumerate(expected):
         assert_same(by_steps(step, step.about(), environment, scenario), run)
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_two_actions_with_memory_of_their_own(seed: int) -> None:
+    base = nested_actions(seed, custom_actions().extended(["Visits"], [Visits()]))
+    skill = random_skill(seed, "S2", base)
+    environment = model(seed, 3)
+    expected, _ = by_the_library(skill, environment)
+    step = SkillStep(skill)
+    assert step.memory_size == 4
+    for scenario, run in enumerate(expected):
+        assert_same(by_steps(step, step.about(), environment, scenario), run)
+
+
+def test_random_numbers_cannot_be_carried_along() -> None:
+    with pytest.raises(ActionError, match="'Mine' cannot be exported: it is not deterministic"):
+        SkillStep(lone(Wander()), percept_size=7)
 
 
 def test_the_reference_skill_in_a_world_with_noise() -> None:

@@ -11,7 +11,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import custom_actions, nested_actions, random_graphs, random_skill, same, world
+from support import (
+    nested_actions,
+    random_graphs,
+    random_skill,
+    same,
+    stochastic_actions,
+    world,
+)
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.errors import ActionError, CgtorchError, GraphError, RunError
@@ -27,8 +34,8 @@ from cgtorch.graphs import (
 from cgtorch.graphs.view import View
 from cgtorch.simulation import rollout
 
-ACTIONS = custom_actions()
-NESTED = nested_actions()
+ACTIONS = stochastic_actions()
+NESTED = nested_actions(base=ACTIONS)
 float32s = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 

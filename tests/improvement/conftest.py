@@ -8,7 +8,7 @@ from torch import Tensor
 from cgtorch.actions import paper_actions
 from cgtorch.data import collect
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.improvement.knowledge import Knowledge, fit_models
+from cgtorch.improvement.knowledge import Knowledge, fit_models, learn, with_footprint
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.standing import Budget
 from cgtorch.world import Scenarios, TabletopWorld, stage_scenarios
@@ -34,7 +34,8 @@ def setup() -> Setup:
     return Setup(
         actions=paper_actions(),
         world_of=world_of,
-        footprint=torch.tensor(FOOTPRINT),
+        imagine=with_footprint(torch.tensor(FOOTPRINT)),
+        learn=learn,
         evolution=EvolutionSettings(population=60, capacity=12),
         budget=Budget(generations=12),
         attempts=3,

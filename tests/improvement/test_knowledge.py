@@ -26,7 +26,7 @@ from cgtorch.improvement.knowledge import (
 )
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
-from cgtorch.improvement.team import try_all, with_noise
+from cgtorch.improvement.team import try_all
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.world import Scenarios, TabletopWorld, cluttered_scenarios, random_scenarios
 
@@ -315,10 +315,10 @@ def test_any_missed_scenario_may_be_the_middle_of_a_group() -> None:
 
 def test_trials_meet_other_noise(setup: Setup) -> None:
     scenarios = random_scenarios("near", 40, seeded(3))
-    seeds = torch.cat([with_noise(scenarios, i).seed for i in range(3)])
-    assert torch.equal(with_noise(scenarios, 0).seed, scenarios.seed)
+    seeds = torch.cat([scenarios.with_noise(i).seed for i in range(3)])
+    assert torch.equal(scenarios.with_noise(0).seed, scenarios.seed)
     assert len(set(seeds.tolist())) == 120
-    first = [first_percepts(setup.world_of(with_noise(scenarios, i))) for i in range(2)]
+    first = [first_percepts(setup.world_of(scenarios.with_noise(i))) for i in range(2)]
     assert 0 < float((first[0] - first[1]).abs().max()) < 0.06
 
 
@@ -326,7 +326,7 @@ def test_who_succeeds_is_tried_again(setup: Setup) -> None:
     scenarios = random_scenarios("near", 60, seeded(3))
     skill = nearly(0.3)
     share, experience = try_all(replace(setup, trials=3), skill, scenarios)
-    trials = [try_skill(skill, setup.world_of(with_noise(scenarios, i))) for i in range(3)]
+    trials = [try_skill(skill, setup.world_of(scenarios.with_noise(i))) for i in range(3)]
     runs = torch.stack([t.succeeded for t in trials]).float()
     assert torch.allclose(share, torch.where(runs[0] == 1, runs.mean(0), 0.0))
     assert len(set(share.tolist())) >= 2

@@ -8,7 +8,7 @@ from sklearn.model_selection import GridSearchCV, PredefinedSplit
 from tabletop import labelled, transitions
 
 from cgtorch.errors import DataError, SettingsError
-from cgtorch.models import SVC, SVR, grid_search, splitting
+from cgtorch.models import SVC, SVR, chains, grid_search, splitting
 
 COSTS, WIDTHS = [0.5, 8.0, 128.0], [0.01, 0.1, 1.0]
 
@@ -61,6 +61,7 @@ def test_what_splitting_leaves_is_solved_by_the_active_set(monkeypatch):
     x, y = labelled(200)
     grid = {"C": [0.5, 128.0], "gamma": [0.1, 1.0]}
     plain = grid_search(SVC(), _scaled(x), y, **grid)
+    monkeypatch.setattr(chains, "_TURNS", 0)
     monkeypatch.setattr(splitting, "_ROUNDS", 0)
     other = grid_search(SVC(), _scaled(x), y, folds=plain.folds, **grid)
     assert bool(other.direct.all())

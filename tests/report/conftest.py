@@ -23,7 +23,12 @@ from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.standing import Budget
 from cgtorch.improvement.trial import try_skill
-from cgtorch.models import fit_success_classifier, fit_transition_model, success_quality
+from cgtorch.models import (
+    fit_success_classifier,
+    fit_transition_model,
+    success_quality,
+    transition_quality,
+)
 from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
 from cgtorch.world.scenarios import stage_scenarios
 
@@ -62,7 +67,8 @@ def events() -> list[Event]:
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
     knowledge = _knowledge()
     judged = success_quality(_world_of, knowledge.classifier, 60, seeded(1))
-    told.append(ModelsFitted("S1", knowledge, 1.5, classifier_quality=judged))
+    tried = transition_quality(_world_of, knowledge.gamma, 40, seeded(2))
+    told.append(ModelsFitted("S1", knowledge, 1.5, tried, judged))
     members: list[Skill] = []
     kept = torch.zeros(11, dtype=torch.bool)
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):

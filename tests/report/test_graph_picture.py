@@ -5,7 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from support import custom_actions, nested_actions, random_graphs, random_skill
+from support import (
+    custom_actions,
+    nested_actions,
+    random_graphs,
+    random_skill,
+    stochastic_actions,
+)
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
@@ -46,6 +52,7 @@ def composed() -> Skill:
 MANY = [
     *(skill_of(n, seed) for n in range(1, 16) for seed in (n, n + 50)),
     *(skill_of(n, n, custom_actions()) for n in (6, 10, 14)),
+    *(skill_of(n, n, stochastic_actions()) for n in (7, 13)),
     Skill("loops", graph(["BranchingNN"], [[0, 0]]), PAPER),
     Skill("parallel", graph(["BranchingNN", "MoveBase"], [[1, 1], [0, 0]]), PAPER),
     Skill("chain", graph(["Detect"] * 14 + ["Grasp"], [[i + 1] for i in range(14)] + [[-1, 0]]),

@@ -102,11 +102,16 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
 def test_models_and_world(written: EventAccumulator, events: list[Event]) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     gamma, classifier = fitted.knowledge.gamma_report, fitted.knowledge.classifier_report
+    assert fitted.gamma_quality is not None
     assert fitted.classifier_quality is not None
     wanted = {
         "gamma/error_table_x_min": gamma.error[0],
         "gamma/error_object_z": gamma.error[6],
         "gamma/object_error": (gamma.error[4] + gamma.error[5]) / 2,
+        "gamma/fresh_object_error": fitted.gamma_quality.object_error,
+        "gamma/fresh_object_floor": fitted.gamma_quality.object_floor,
+        "gamma/fresh_table_error": fitted.gamma_quality.table_error,
+        "gamma/fresh_table_floor": fitted.gamma_quality.table_floor,
         "classifier/balanced_accuracy": classifier.balanced_accuracy,
         "classifier/calibration_error": classifier.calibration_error,
         "classifier/near_accuracy": fitted.classifier_quality.near.balanced,

@@ -4,11 +4,12 @@ Slow and plain, in Python numbers; only what the environment does is asked of th
 """
 
 import math
+import zlib
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import torch
-from support import Counter
+from support import Counter, Wander
 from torch import Tensor
 
 from cgtorch.actions import Action, ActionSet, BranchingNN, ContinuousNN, Detect, Grasp, MoveBase
@@ -34,6 +35,8 @@ class Robot:
     message: list[float] = field(default_factory=lambda: [0.0] * 8)
     has_message: bool = False
     memory: list[float] = field(default_factory=lambda: [0.0] * 8)
+    tired: float = 0.0  # metres that Wander has sent the robot
+    draws: int = 0
     steps: int = 0
     seen: list[list[float]] = field(default_factory=list)  # the percept after each action
     ran_out: int | None = None  # actions before any graph first ran out of its transitions
@@ -127,6 +130,17 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
         case BranchingNN():
             first, second = (sigmoid(y) for y in network(percept, parameters, 2))
             return "out2" if second > first else "out1"
+        case Wander():
+            seed = int(robot.environment.seeds[robot.scenario])  # type: ignore[attr-defined]
+            drawn = [x / 2**24 for x in random_numbers(seed, "Wander", robot.draws, 3)]
+            robot.draws += 1
+            robot.message[:3] = [(x - 0.5) * parameters[0] for x in drawn]
+            robot.has_message = True
+            robot.tired += math.hypot(*robot.message[:2])
+            if robot.tired > 1:
+                return "tired"
+            side = robot.message[1]
+            return "left" if side > 0.1 else "right" if side < -0.1 else "ahead"
         case Counter():
             robot.memory[0] += 1
             robot.memory[1] = percept[4]
@@ -135,6 +149,23 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
                 return "lost"
             return "enough" if robot.memory[0] + robot.message[3] > 3 else "again"
     raise TypeError(f"the plain interpreter knows no {type(action).__name__}")
+
+
+def random_numbers(seed: int, who: str, count: int, size: int) -> list[int]:
+    """Numbers of 24 bits from Threefry-2x32-20 as its paper states it, one block at a time."""
+    word = 2**32 - 1
+    key = [seed & word, (seed >> 32) ^ zlib.crc32(who.encode())]
+    key.append(key[0] ^ key[1] ^ 0x1BD11BDA)
+    found: list[int] = []
+    for block in range(-(-size // 2)):
+        x, y = (count + key[0]) & word, (block + key[1]) & word
+        for step in range(1, 6):
+            for turn in ((13, 15, 26, 6), (17, 29, 16, 24))[(step - 1) % 2]:
+                x = (x + y) & word
+                y = ((y << turn | y >> (32 - turn)) & word) ^ x
+            x, y = (x + key[step % 3]) & word, (y + key[(step + 1) % 3] + step) & word
+        found += [x >> 8, y >> 8]
+    return found[:size]
 
 
 def network(inputs: list[float], weights: list[float], outputs: int) -> list[float]:

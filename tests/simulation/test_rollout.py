@@ -18,6 +18,7 @@ from support import (
     random_graphs,
     random_skill,
     seeded,
+    stochastic_actions,
     world,
 )
 from torch import Tensor
@@ -27,7 +28,12 @@ from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, Skill, SubSkill, from_networkx, to_networkx
 from cgtorch.simulation import Rollouts, rollout
 
-PLAIN_SETS = [paper_actions(), custom_actions(), nested_actions(0), nested_actions(40)]
+PLAIN_SETS = [
+    paper_actions(),
+    stochastic_actions(),
+    nested_actions(0),
+    nested_actions(40, base=stochastic_actions()),
+]
 SETS = [as_double_actions(s) for s in PLAIN_SETS]  # so that rounding cannot turn a branch
 ENVIRONMENTS: dict[str, Callable[..., Environment]] = {"world": world, "model": model}
 

@@ -16,15 +16,16 @@ from benchmarks.measure import (
     in_turns,
     torch_threads,
 )
-from benchmarks.networkx_operators import Individual, Kinds, individuals, kinds_of, offspring
-from benchmarks.workload import CAPACITY, populations, workload
+from benchmarks.networkx_operators import Individual, Kinds, individuals, kinds_of
+from benchmarks.networkx_operators import offspring as networkx_offspring
+from benchmarks.workload import CAPACITY, later_population, populations, workload
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import Population
-from cgtorch.evolution.crossover import crossover
-from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.offspring import offspring
 from cgtorch.graphs import Graphs, concatenate, from_networkx, valid
 
 PAIRS = 200  # that networkx is asked for
+MANY = 10_000
 ERRORS = 5.0  # standard errors that the means of two samples of children may differ
 
 
@@ -34,7 +35,7 @@ def operators_vs_networkx(effort: Effort) -> Line:
     with torch_threads(cores()):
         parts = tuple(
             _compared(population, work.actions, label, effort)
-            for label, population in populations().items()
+            for label, population in {**populations(), "later": later_population(MANY)}.items()
         )
     return Line(
         name="operators_vs_networkx",
@@ -58,7 +59,7 @@ def _compared(population: Population, actions: ActionSet, label: str, effort: Ef
         statistics_of(children(population[:few], actions, generator).graphs, actions),
         statistics_of(as_graphs(one_by_one(), actions), actions),
     )
-    ours, other = in_turns([batched, one_by_one], effort.repeats, WALL, calls=[5, 1])
+    ours, other = in_turns([batched, one_by_one], effort.repeats, WALL, calls=[10, 1])
     mine, theirs = 2 * half / ours.median, few / other.median
     return Comparison(
         label=f"{label}, {len(population)}",
@@ -79,16 +80,15 @@ def _compared(population: Population, actions: ActionSet, label: str, effort: Ef
 
 def children(population: Population, actions: ActionSet, generator: torch.Generator) -> Population:
     """Two children of each pair of one from the first half and one from the second."""
-    half = len(population) // 2
-    pairs = population[:half], population[half : 2 * half]
-    return mutate(crossover(*pairs, generator), actions, generator)
+    parents = torch.arange(len(population) // 2 * 2)
+    return offspring(population, parents, actions, generator)
 
 
 def networkx_children(parents: list[Individual], kinds: Kinds, random: Random) -> list[Individual]:
     """The same of individuals that are networkx graphs."""
     half = len(parents) // 2
     pairs = zip(parents[:half], parents[half:], strict=True)
-    return [child for pair in pairs for child in offspring(*pair, kinds, CAPACITY, random)]
+    return [child for pair in pairs for child in networkx_offspring(*pair, kinds, CAPACITY, random)]
 
 
 def as_graphs(individuals: list[Individual], actions: ActionSet) -> Graphs:

@@ -1,0 +1,75 @@
+"""What a shell offers to complete: the script that asks for it, and words that come from files.
+
+Nothing here imports torch, as nobody waits a second for a word.
+"""
+
+from collections.abc import Callable, Iterable
+from importlib.metadata import distribution, entry_points
+from pathlib import Path
+from typing import TypeAlias
+
+from click import Command, Context, Parameter
+from click.shell_completion import CompletionItem, get_completion_class
+
+SHELLS = ("bash", "zsh", "fish")
+SCENARIOS = ("near", "left", "right", "far", "perimeter", "general", "general-clutter")
+STAGES = ("S0", "S1", "S2", "S3", "auto")
+DEVICES = ("auto", "cpu", "cuda")
+
+Completer: TypeAlias = Callable[[Context, Parameter, str], list[CompletionItem]]
+"""What click asks with the words before and the beginning of one."""
+
+
+def script(shell: str) -> str:
+    """What a shell has to read so that it completes the words of all commands of cgtorch."""
+    complete = get_completion_class(shell)
+    if complete is None:
+        raise ValueError(f"shell is {shell!r}; use one of {', '.join(SHELLS)}")
+    commands = distribution("cgtorch").entry_points.select(group="console_scripts")
+    return "\n".join(
+        complete(Command(name), {}, name, f"_{name}_COMPLETE".replace("-", "_").upper()).source()
+        for name in sorted(commands.names)
+    )
+
+
+def one_of(words: Iterable[str]) -> Completer:
+    """Completes each of these words."""
+
+    def complete(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(word) for word in words if word.startswith(incomplete)]
+
+    return complete
+
+
+def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Folders of runs beginning with a word, those in runs/ to begin with; else any folder."""
+    place, slash, begins = (incomplete or "runs/").rpartition("/")
+    names = sorted(path.parent.name for path in Path(place + slash).glob("*/run.json"))
+    return [CompletionItem(place + slash + name) for name in names if name.startswith(begins)] or [
+        CompletionItem(incomplete, type="dir")
+    ]
+
+
+def runs_or_skills(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Folders of runs as above; else any file."""
+    return [
+        CompletionItem(item.value, type="file" if item.type == "dir" else item.type)
+        for item in runs(context, parameter, incomplete)
+    ]
+
+
+def ledger_names(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Names of the skills in the ledger of the run that has been named."""
+    # While an option lacks its value, click has not yet taken the arguments out of `args`.
+    run = context.params.get("path") or next(iter(context.args), ".")
+    ledger = Path(run) / "ledger"
+    names = sorted(path.stem for path in ledger.glob("*.json") if path.stem != "index")
+    return one_of(names)(context, parameter, incomplete)
+
+
+def declared_actions(
+    context: Context, parameter: Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Names of the actions that installed packages declare."""
+    names = sorted(entry_points(group="cgtorch.actions").names)
+    return one_of(names)(context, parameter, incomplete)

@@ -1,0 +1,101 @@
+"""Options that mean the same wherever a command has them, and what every command has."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from cgtorch.commands import completion
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+EXIT_CODES = "Exit codes: 0 done; 1 the task failed or was interrupted; 2 bad input."
+
+
+def epilog(examples: str) -> str:
+    """What ends the help of every command: its examples and what it exits with."""
+    return f"{examples.rstrip()}\n\n{EXIT_CODES}"
+
+
+def _print_script(context: click.Context, parameter: click.Parameter, shell: str | None) -> None:
+    if shell is not None and not context.resilient_parsing:
+        click.echo(completion.script(shell))
+        context.exit()
+
+
+def common_options(function: F) -> F:
+    """Decorator: the options that every command has, to stand last."""
+    function = click.option(
+        "--completion",
+        type=click.Choice(completion.SHELLS),
+        expose_value=False,
+        is_eager=True,
+        callback=_print_script,
+        help="Print what makes this shell complete the words of all commands and exit.",
+    )(function)
+    return click.version_option(package_name="cgtorch")(function)
+
+
+run_or_skill = click.argument(
+    "path",
+    metavar="RUN_OR_SKILL",
+    type=click.Path(path_type=Path),
+    shell_complete=completion.runs_or_skills,
+)
+
+skill_option = click.option(
+    "--skill",
+    "name",
+    shell_complete=completion.ledger_names,
+    help="An earlier skill of the run, by its name in the run's ledger.",
+)
+
+actions_option = click.option(
+    "--actions",
+    multiple=True,
+    shell_complete=completion.declared_actions,
+    help="Further action that a skill may use: name or package.module:Class; may be given more "
+    "than once.",
+)
+
+quiet_option = click.option("--quiet", is_flag=True, help="Show no progress, only the result.")
+
+
+@contextmanager
+def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
+    """On a terminal, show on one live line what is waited for, how long, and how much is done.
+
+    Args:
+        message: what is waited for.
+        quiet: show nothing.
+        total: how much there is to do, if that is known.
+
+    Yields:
+        What is told how much more has been done.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
+    console = Console(stderr=True)
+    counted = (BarColumn(24), MofNCompleteColumn()) if total is not None else ()
+    progress = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description} …", markup=False),
+        *counted,
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
+    with progress:
+        task = progress.add_task(message, total=total)
+        yield lambda more: progress.advance(task, more)

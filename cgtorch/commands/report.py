@@ -1,0 +1,68 @@
+"""`cgtorch-report`: a run as one HTML page."""
+
+from pathlib import Path
+
+import click
+
+from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.completion import runs_or_skills
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    quiet_option,
+    waiting,
+)
+from cgtorch.errors import RunError
+
+EXAMPLES = """\b
+Examples:
+  cgtorch-report runs/reference --output report.html
+  cgtorch-report runs/auto --output report.html --force
+  cgtorch-report runs/one --output one.html --actions my_package.actions:Wait
+"""
+
+
+@click.command("cgtorch-report", epilog=epilog(EXAMPLES))
+@click.argument(
+    "run", metavar="RUN", type=click.Path(path_type=Path), shell_complete=runs_or_skills
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The HTML file to write.",
+)
+@actions_option
+@click.option("--force", is_flag=True, help="Replace the file if there is one.")
+@quiet_option
+@common_options
+def command(run: Path, output: Path, actions: tuple[str, ...], force: bool, quiet: bool) -> None:
+    """Write one HTML page about a run that needs no other file, no script and no network.
+
+    Its stages beside the paper's figures, success seen from above, fitness and rates over
+    generations, the graphs, Γ and C, settings, versions, and how to make it again. Everything
+    comes from the folder RUN; of an unfinished run the page tells what is there and what is not.
+    """
+    if output.exists() and not force:
+        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+    import torch
+
+    from cgtorch.files import write_bytes
+    from cgtorch.report.page import report_page
+
+    torch.set_num_threads(1)
+    import_from_here(actions)
+    with waiting(f"drawing {run}", quiet):
+        page = report_page(run, actions)
+    write_bytes(output, page)
+    click.echo(f"{run} as a page: {output}, {len(page)} bytes")
+
+
+def main() -> None:
+    """Entry point of `cgtorch-report`."""
+    run_command(command)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Parameters of children: copied from parents or new, and Gaussian steps of some of them.
+
+Operators on structure move nodes about and never look at parameters. They are given graphs whose
+nodes carry a mark in place of parameters, which says where these come from, so that parameters are
+copied once, at the end, and only those of nodes that remain.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution import compiled
+from cgtorch.evolution.sampling import IN_A_WORD, uniform, words
+from cgtorch.graphs import Graphs
+
+
+def marked(graphs: Graphs) -> Graphs:
+    """The graphs with marks (P, N, 1) in place of parameters: 1 + the slot among all of them."""
+    marks = torch.arange(1, graphs.action.numel() + 1).view_as(graphs.action) * graphs.used
+    return replace(graphs, parameters=marks[..., None])
+
+
+def copied(graphs: Graphs, old: Tensor) -> Graphs:
+    """Marked graphs with the parameters that their marks point to in those of parents (P, N, K)."""
+    none = old.new_zeros(0, old.shape[2])
+    return replace(graphs, parameters=_at_marks(graphs.parameters, old, none))
+
+
+def changed(
+    graphs: Graphs,
+    old: Tensor,
+    actions: ActionSet,
+    rate: Tensor,
+    sigma: Tensor,
+    generator: Generator,
+) -> Graphs:
+    """Marked graphs with parameters, each of which may have changed by a Gaussian step.
+
+    Args:
+        graphs: P of them; nodes without a mark are new, get one, and initial parameters.
+        old: (P', N, K) parameters of parents, which marks point to.
+        actions: what the nodes are.
+        rate: (P,) probability that a parameter changes.
+        sigma: (P,) standard deviations of the steps.
+        generator: of new parameters, of the choices and of the steps; a step is drawn only where
+            one is taken.
+    """
+    native = compiled.takes(graphs, old)
+    mark = compiled.mark_new_ if native else mark_new_
+    first = mark(graphs, len(actions))
+    fresh = old.new_zeros(first[-1], old.shape[2])
+    for module, begin, end in zip(actions.actions, first, first[1:], strict=False):
+        if (k := module.num_parameters) and begin < end:
+            fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
+    way = compiled.parameters if native else parameters
+    made = way(graphs, old, fresh, actions, rate, sigma, generator)
+    return replace(graphs, parameters=made)
+
+
+def mark_new_(graphs: Graphs, actions: int) -> list[int]:
+    """Mark nodes without a mark with -1, -2, …, in place: first all of action 0, and so on.
+
+    Returns:
+        After how many the nodes of each action begin, and how many there are in all.
+    """
+    action, marks = graphs.action.view(-1), graphs.parameters.view(-1)
+    new = ((action >= 0) & (marks == 0)).nonzero()[:, 0]
+    numbers = torch.bincount(action[new], minlength=actions)
+    new = new[action[new].argsort(stable=True)]
+    marks[new] = torch.arange(-1, -len(new) - 1, -1)
+    return [0, *numbers.cumsum(0).tolist()]
+
+
+def parameters(
+    graphs: Graphs,
+    old: Tensor,
+    fresh: Tensor,
+    actions: ActionSet,
+    rate: Tensor,
+    sigma: Tensor,
+    generator: Generator,
+) -> Tensor:
+    """(P, N, K) in torch; `native/parameters.c` makes them for one individual after the other.
+
+    Args:
+        graphs: P of them; mark r > 0 is row r - 1 of `old`, r < 0 row -r - 1 of `fresh`.
+        old: (P', N, K).
+        fresh: (F, K).
+        actions: see `changed`, as of all that follows.
+        rate: (P,).
+        sigma: (P,).
+        generator: of choices and steps.
+    """
+    out = _at_marks(graphs.parameters, old, fresh)
+    count = actions.num_parameters[graphs.action.clamp_min(0)] * graphs.used
+    row, slot = count.nonzero(as_tuple=True)
+    count = count[row, slot]
+    owner = row.repeat_interleave(count)
+    # Each individual's numbers begin with a word of its own.
+    each = torch.bincount(owner, minlength=len(graphs))
+    whole = (each + IN_A_WORD - 1) // IN_A_WORD
+    place = torch.arange(len(owner)) - (each.cumsum(0) - each)[owner]
+    place += IN_A_WORD * (whole.cumsum(0) - whole)[owner]
+    draws = words((int(whole.sum()), 1), generator)
+    hit = uniform(draws, IN_A_WORD).flatten()[place] < rate[owner]
+    step = torch.randn(int(hit.sum()), generator=generator) * sigma[owner[hit]]
+    values = out[row, slot]
+    real = torch.arange(values.shape[1]) < count[:, None]
+    values[real.masked_scatter(real, hit)] += step
+    out[row, slot] = values
+    return out
+
+
+def _at_marks(marks: Tensor, old: Tensor, fresh: Tensor) -> Tensor:
+    """(P, N, K) rows that marks (P, N, 1) point to, zero where there is none."""
+    table = torch.cat([fresh.flip(0), old.new_zeros(1, old.shape[2]), old.flatten(0, 1)])
+    return table[marks[..., 0] + len(fresh)]

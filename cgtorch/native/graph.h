@@ -1,0 +1,132 @@
+/* One computational graph at a time: its nodes in order, without the unused slots between them. */
+#ifndef CGTORCH_GRAPH_H
+#define CGTORCH_GRAPH_H
+#include <stdint.h>
+#include <string.h>
+
+#define NO_NODE (-1)
+#define MOST_NODES 64 /* sets of nodes are the bits of one word */
+#define MOST_OUTCOMES 16
+
+/* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. What a node carries stands
+   for its parameters: a mark of where they come from, 0 for none. Without marks it is 1 + its place
+   among all slots. */
+typedef struct {
+  int64_t *action, *edges, *marks, *start;
+} Graphs;
+
+typedef struct {
+  int64_t nodes, outcomes; /* N and O */
+} Shape;
+
+typedef struct {
+  int count, start; /* nodes; those that are gone leave a hole */
+  uint64_t used;    /* which of them are there */
+  int64_t mark[MOST_NODES + 1];
+  int32_t action[MOST_NODES + 1];
+  int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
+  int8_t slot[MOST_NODES + 1];             /* where each lies */
+} Graph;
+
+static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
+static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
+
+static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes;
+  const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
+  int8_t place[MOST_NODES] = {0};
+  int count = 0;
+  /* Without branches, as no CPU foresees them: what is no node is overwritten by the next. */
+  for (int64_t i = 0; i < n; i++) {
+    int used = action[i] != NO_NODE;
+    place[i] = (int8_t)(used ? count : NO_NODE);
+    graph->slot[count] = (int8_t)i;
+    graph->action[count] = (int32_t)action[i];
+    count += used;
+  }
+  for (int i = 0; i < count; i++) {
+    int64_t at = row * n + graph->slot[i];
+    graph->mark[i] = from->marks ? from->marks[at] : at + 1;
+  }
+  for (int i = 0; i < count; i++) {
+    const int64_t *heads = edges + graph->slot[i] * o;
+    for (int64_t j = 0; j < o; j++)
+      graph->edges[i][j] = heads[j] < 0 || heads[j] >= n ? NO_NODE : place[heads[j]];
+  }
+  int64_t start = from->start[row];
+  graph->start = start < 0 || start >= n ? NO_NODE : place[start];
+  graph->count = count;
+  graph->used = first_bits(count);
+}
+
+/* Nodes that the start leads to. */
+static inline uint64_t reached(const Graph *graph, int outcomes) {
+  uint64_t seen = graph->start == NO_NODE ? 0 : bit(graph->start), wave = seen;
+  while (wave) {
+    uint64_t next = 0;
+    for (; wave; wave &= wave - 1) {
+      const int8_t *heads = graph->edges[__builtin_ctzll(wave)];
+      for (int j = 0; j < outcomes; j++)
+        if (heads[j] != NO_NODE) next |= bit(heads[j]);
+    }
+    wave = next & ~seen;
+    seen |= wave;
+  }
+  return seen;
+}
+
+/* Takes away what the start does not lead to; the others move up, in their order. */
+static inline void prune(Graph *graph, int outcomes) {
+  uint64_t kept = reached(graph, outcomes);
+  int8_t place[MOST_NODES];
+  int count = 0;
+  if (kept == graph->used && kept == first_bits(graph->count)) return;
+  for (uint64_t rest = kept; rest; rest &= rest - 1) place[__builtin_ctzll(rest)] = (int8_t)count++;
+  for (uint64_t rest = kept; rest; rest &= rest - 1) {
+    int old = __builtin_ctzll(rest), new = place[old];
+    graph->mark[new] = graph->mark[old];
+    graph->action[new] = graph->action[old];
+    graph->slot[new] = graph->slot[old];
+    for (int j = 0; j < outcomes; j++) {
+      int head = graph->edges[old][j];
+      graph->edges[new][j] = head == NO_NODE ? NO_NODE : place[head];
+    }
+  }
+  if (graph->start != NO_NODE) graph->start = place[graph->start];
+  graph->count = count;
+  graph->used = first_bits(count);
+}
+
+/* A copy of the nodes that there are. */
+static inline void copy_graph(Graph *to, const Graph *from) {
+  size_t count = (size_t)from->count;
+  to->count = from->count;
+  to->start = from->start;
+  to->used = from->used;
+  memcpy(to->mark, from->mark, count * sizeof *to->mark);
+  memcpy(to->action, from->action, count * sizeof *to->action);
+  memcpy(to->edges, from->edges, count * sizeof *to->edges);
+  memcpy(to->slot, from->slot, count * sizeof *to->slot);
+}
+
+/* Writes what the start leads to, each node at its slot. */
+static inline void write_reached(const Graph *graph, const Graphs *to, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes;
+  int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
+  int64_t *marks = to->marks + row * n;
+  memset(action, 0xff, (size_t)n * sizeof *action); /* NO_NODE everywhere */
+  memset(edges, 0xff, (size_t)(n * o) * sizeof *edges);
+  memset(marks, 0, (size_t)n * sizeof *marks);
+  for (uint64_t rest = reached(graph, (int)o); rest; rest &= rest - 1) {
+    int i = __builtin_ctzll(rest);
+    int64_t slot = graph->slot[i];
+    action[slot] = graph->action[i];
+    for (int64_t j = 0; j < o; j++) {
+      int head = graph->edges[i][j];
+      edges[slot * o + j] = head == NO_NODE ? NO_NODE : graph->slot[head];
+    }
+    marks[slot] = graph->mark[i];
+  }
+  to->start[row] = graph->start == NO_NODE ? NO_NODE : graph->slot[graph->start];
+}
+#endif

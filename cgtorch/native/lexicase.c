@@ -1,0 +1,190 @@
+/* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
+#include "parallel.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef REAL real;
+
+static inline real distance(real a, real b) { return a < b ? b - a : a - b; }
+
+/* The value at place k of `count` values in order, as quickselect (Hoare 1961) finds it. */
+static real ranked(real *x, int64_t count, int64_t k) {
+  int64_t low = 0, high = count - 1;
+  while (low < high) {
+    real pivot = x[low + (high - low) / 2];
+    int64_t i = low, j = high;
+    while (i <= j) {
+      while (x[i] < pivot) i++;
+      while (x[j] > pivot) j--;
+      if (i > j) break;
+      real kept = x[i];
+      x[i++] = x[j];
+      x[j--] = kept;
+    }
+    if (k <= j) high = j;
+    else if (k >= i) low = i;
+    else break;
+  }
+  return x[k];
+}
+
+/* Median absolute deviation of each scenario's scores, the lower one of two medians; 1 for want of
+   memory. */
+int deviation(const real *scores, int64_t people, int64_t scenarios, real *out) {
+  real *x = malloc((size_t)people * sizeof *x);
+  if (!x) return 1;
+  for (int64_t j = 0; j < scenarios; j++) {
+    for (int64_t i = 0; i < people; i++) x[i] = scores[i * scenarios + j];
+    real middle = ranked(x, people, (people - 1) / 2);
+    for (int64_t i = 0; i < people; i++) x[i] = distance(scores[i * scenarios + j], middle);
+    out[j] = ranked(x, people, (people - 1) / 2);
+  }
+  free(x);
+  return 0;
+}
+
+typedef struct {
+  int64_t scenarios, rows;     /* B, and how many different rows of scores there are */
+  real *cases;                 /* (B, rows) */
+  const real *epsilon;         /* (B,) */
+  int64_t *members, *first;    /* individuals by row, and where those of each row begin */
+  int64_t *good, *good_first;  /* rows that stand after one scenario alone, and where they begin */
+  const float *turns;          /* (count, B) scenarios in the order of these */
+  const double *last;          /* (count,) */
+  int64_t *chosen;             /* (count,) */
+  _Atomic int failed;          /* for want of memory */
+} Lexicase;
+
+/* Numbers individuals of equal scores alike, in the order in which each first appears. */
+static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios, int64_t *row_of,
+                           int64_t *table, int64_t size) {
+  int64_t rows = 0;
+  size_t bytes = (size_t)scenarios * sizeof *scores;
+  for (int64_t i = 0; i < size; i++) table[i] = -1;
+  for (int64_t i = 0; i < people; i++) {
+    const real *mine = scores + i * scenarios;
+    uint64_t hash = 0;
+    for (int64_t j = 0; j < scenarios; j++) {
+      uint64_t bits = 0;
+      memcpy(&bits, mine + j, sizeof *mine);
+      hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+      hash ^= hash >> 29;
+    }
+    int64_t at = (int64_t)(hash & (uint64_t)(size - 1));
+    while (table[at] >= 0 && memcmp(scores + table[at] * scenarios, mine, bytes))
+      at = (at + 1) & (size - 1);
+    if (table[at] < 0) {
+      table[at] = i;
+      row_of[i] = rows++;
+    } else {
+      row_of[i] = row_of[table[at]];
+    }
+  }
+  return rows;
+}
+
+/* The scenario whose turn comes after the one with `turn` and `done`. */
+static int64_t next_case(const float *turns, int64_t scenarios, int64_t done) {
+  int64_t best = -1;
+  for (int64_t j = 0; j < scenarios; j++) {
+    int later = done < 0 || turns[j] > turns[done] || (turns[j] == turns[done] && j > done);
+    if (later && (best < 0 || turns[j] < turns[best])) best = j;
+  }
+  return best;
+}
+
+static int64_t standing(const real *score, real epsilon, const int64_t *rows, int64_t count,
+                        int64_t *left) {
+  real best = -INFINITY;
+  for (int64_t i = 0; i < count; i++)
+    if (score[rows[i]] > best) best = score[rows[i]];
+  real enough = best - epsilon;
+  int64_t kept = 0;
+  for (int64_t i = 0; i < count; i++) {
+    left[kept] = rows[i];
+    kept += score[rows[i]] >= enough;
+  }
+  return kept;
+}
+
+static void some_parents(void *what, int64_t begin, int64_t end) {
+  Lexicase *l = what;
+  int64_t *left = malloc((size_t)(l->rows + 1) * sizeof *left);
+  if (!left) l->failed = 1;
+  for (int64_t parent = begin; left && parent < end; parent++) {
+    const float *turns = l->turns + parent * l->scenarios;
+    int64_t scenario = next_case(turns, l->scenarios, -1);
+    const int64_t *rows = l->good + l->good_first[scenario];
+    int64_t count = l->good_first[scenario + 1] - l->good_first[scenario], total = 0;
+    while (count > 1 && (scenario = next_case(turns, l->scenarios, scenario)) >= 0) {
+      count = standing(l->cases + scenario * l->rows, l->epsilon[scenario], rows, count, left);
+      rows = left;
+    }
+    for (int64_t i = 0; i < count; i++) total += l->first[rows[i] + 1] - l->first[rows[i]];
+    int64_t place = (int64_t)(l->last[parent] * (double)total), i = 0;
+    l->chosen[parent] = 0;
+    for (; i < count; i++) {
+      int64_t size = l->first[rows[i] + 1] - l->first[rows[i]];
+      if (place < size) {
+        l->chosen[parent] = l->members[l->first[rows[i]] + place];
+        break;
+      }
+      place -= size;
+    }
+  }
+  free(left);
+}
+
+/* Individuals sorted by their row, and where those of each row begin. */
+static void sort_members(const int64_t *row_of, int64_t people, int64_t rows, int64_t *members,
+                         int64_t *first) {
+  memset(first, 0, (size_t)(rows + 1) * sizeof *first);
+  for (int64_t i = 0; i < people; i++) first[row_of[i] + 1]++;
+  for (int64_t r = 0; r < rows; r++) first[r + 1] += first[r];
+  for (int64_t i = 0; i < people; i++) members[first[row_of[i]]++] = i;
+  for (int64_t r = rows; r > 0; r--) first[r] = first[r - 1]; /* they moved on while filling */
+  first[0] = 0;
+}
+
+/* Which rows stand after one scenario alone, for each scenario. */
+static void stand_after_one(Lexicase *l, const int64_t *all) {
+  l->good_first[0] = 0;
+  for (int64_t j = 0; j < l->scenarios; j++)
+    l->good_first[j + 1] =
+        l->good_first[j] + standing(l->cases + j * l->rows, l->epsilon[j], all, l->rows,
+                                    l->good + l->good_first[j]);
+}
+
+/* Parents (count,) by scores (people, scenarios); 1 for want of memory. */
+int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *epsilon,
+             const float *turns, const double *last, int64_t count, int64_t *chosen,
+             int64_t threads) {
+  int64_t size = 64;
+  while (size < 2 * people) size *= 2;
+  int64_t whole = 4 * people + 1 + (people + 1) * scenarios + 1 + size + scenarios;
+  int64_t *memory = malloc((size_t)whole * sizeof *memory);
+  real *cases = malloc((size_t)(people * scenarios + 1) * sizeof *cases);
+  if (!memory || !cases) {
+    free(memory);
+    free(cases);
+    return 1;
+  }
+  int64_t *row_of = memory, *members = row_of + people, *first = members + people;
+  int64_t *all = first + people + 1, *good_first = all + people;
+  int64_t *good = good_first + scenarios + 1, *table = good + people * scenarios;
+  int64_t rows = number_rows(scores, people, scenarios, row_of, table, size);
+  sort_members(row_of, people, rows, members, first);
+  for (int64_t r = 0; r < rows; r++) {
+    all[r] = r;
+    for (int64_t j = 0; j < scenarios; j++)
+      cases[j * rows + r] = scores[members[first[r]] * scenarios + j];
+  }
+  Lexicase l = {scenarios, rows, cases, epsilon, members, first, good, good_first, turns, last,
+                chosen, 0};
+  stand_after_one(&l, all);
+  in_parallel(some_parents, &l, count, 64, (int)threads);
+  free(memory);
+  free(cases);
+  return l.failed;
+}

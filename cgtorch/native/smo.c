@@ -1,0 +1,252 @@
+/* Dual problems on one kernel matrix (cgtorch.models.compiled_smo).
+
+   The rows that violate their conditions most, or come nearest to it, have their kernel values
+   gathered side by side in the cache, where a step (pairs.h) takes a tenth of a microsecond. When
+   they are solved (Joachims 1999), gradients of all rows are brought up to date in double
+   precision, and others take their turn. */
+#include <stdlib.h>
+#include "pairs.h"
+#include "parallel.h"
+
+#define LARGEST_SET 1024
+#define SMALLEST_SET 64
+#define NEAR 0.1      /* of the largest violation: how near to violating a row is solved too */
+#define ROUND 0.1     /* of the largest violation: what a round leaves */
+#define FINER 0.25    /* of the tolerance, where the duality gap is still too large */
+#define FINEST 1e-3   /* of the tolerance, below which single precision ends */
+#define GATHERED 4    /* steps' work for a value that is gathered */
+#define ALL_ROWS 8    /* steps for each row between two choices, where sets would be too large */
+#define ADRIFT 256    /* steps for each row, after which single precision has drifted too far */
+
+typedef struct {
+  const real *kernel; /* (n, stride), n filled up to WIDTH with finite numbers */
+  int64_t n, stride, count;
+  const double *z, *lower, *upper; /* (count, n) */
+  const double *epsilon;           /* (count,) */
+  double tolerance, gap;           /* gap: of the objective, at most */
+  double worth;                    /* kernel values that a problem may take */
+  double *beta, *gradient;         /* (count, n); the gradient is K beta - z */
+  double *bias, *violation;        /* (count,) */
+} Problems;
+
+typedef struct {
+  const real *kernel;
+  int64_t n, stride;
+  const double *z, *lower, *upper;
+  double epsilon, *beta, *gradient;
+} Problem;
+
+typedef struct {
+  double *score, *sorted, *before;
+  int32_t *index;
+  real *block;
+  Set set;
+} Memory;
+
+/* What a step up gains at most, and what a step down costs at least. */
+static void extremes(const Problem *p, double *high, double *low) {
+  double most = -INFINITY, least_cost = INFINITY;
+  for (int64_t t = 0; t < p->n; t++) {
+    double up = rising(p->beta[t], p->upper[t], p->epsilon) - p->gradient[t];
+    double down = falling(p->beta[t], p->lower[t], p->epsilon) - p->gradient[t];
+    most = up > most ? up : most;
+    least_cost = down < least_cost ? down : least_cost;
+  }
+  *high = most;
+  *low = least_cost;
+}
+
+/* The duality gap at a bias, as a share of the objective. */
+static double relative_gap(const Problem *p, double bias) {
+  double gap = 0, objective = 0;
+  for (int64_t t = 0; t < p->n; t++) {
+    double b = p->beta[t], r = -p->gradient[t] - bias, tube = p->epsilon * fabs(b);
+    double over = r - p->epsilon, under = -r - p->epsilon;
+    gap += p->upper[t] * (over > 0 ? over : 0) - p->lower[t] * (under > 0 ? under : 0) - r * b + tube;
+    objective += 0.5 * (p->gradient[t] - p->z[t]) * b + tube;
+  }
+  return gap / (fabs(objective) + 1e-12);
+}
+
+static double kth_largest(double *v, int64_t n, int64_t k) {
+  int64_t first = 0, last = n - 1;
+  while (first < last) {
+    double pivot = v[(first + last) / 2];
+    int64_t i = first, j = last;
+    while (i <= j) {
+      while (v[i] > pivot) i++;
+      while (v[j] < pivot) j--;
+      if (i > j) break;
+      double swapped = v[i];
+      v[i++] = v[j];
+      v[j--] = swapped;
+    }
+    if (k <= j) last = j;
+    else if (k >= i) first = i;
+    else break;
+  }
+  return v[k];
+}
+
+/* Writes the rows of the next set, and how many of all rows violate conditions or nearly do. */
+static int64_t choose(const Problem *p, double high, double low, Memory *m, int64_t *near) {
+  double middle = (high + low) / 2, close = -NEAR * (high - low);
+  int64_t live = 0, count = 0;
+  *near = 0;
+  for (int64_t t = 0; t < p->n; t++) {
+    double up = rising(p->beta[t], p->upper[t], p->epsilon) - p->gradient[t] - middle;
+    double down = middle + p->gradient[t] - falling(p->beta[t], p->lower[t], p->epsilon);
+    double score = up > down ? up : down;
+    m->score[t] = score;
+    live += score > -INFINITY;
+    *near += score > close;
+  }
+  int64_t want = *near + *near / 4 + WIDTH;
+  want = want < SMALLEST_SET ? SMALLEST_SET : want > LARGEST_SET ? LARGEST_SET : want;
+  want = want < live ? want : live;
+  memcpy(m->sorted, m->score, (size_t)p->n * sizeof(double));
+  double last = kth_largest(m->sorted, p->n, want - 1);
+  int64_t above = 0;
+  for (int64_t t = 0; t < p->n; t++) above += m->score[t] > last;
+  int64_t equal = want - above;
+  for (int64_t t = 0; t < p->n; t++)
+    if (m->score[t] > last || (m->score[t] == last && equal-- > 0)) m->index[count++] = (int32_t)t;
+  return count;
+}
+
+static void gather(const Problem *p, Memory *m, int64_t count) {
+  int64_t stride = (count + WIDTH - 1) / WIDTH * WIDTH;
+  for (int64_t k = 0; k < count; k++) {
+    const real *restrict row = p->kernel + m->index[k] * p->stride;
+    real *restrict to = m->block + k * stride;
+    for (int64_t e = 0; e < count; e++) to[e] = row[m->index[e]];
+    for (int64_t e = count; e < stride; e++) to[e] = 0;
+  }
+  m->set.kernel = m->block;
+  m->set.stride = stride;
+}
+
+/* Gradients are taken from their middle, where free coefficients have theirs: what is near 0 has
+   digits enough for millions of small changes. */
+static void fill(const Problem *p, Memory *m, int64_t count, double middle) {
+  Set *s = &m->set;
+  s->count = (count + WIDTH - 1) / WIDTH * WIDTH;
+  s->epsilon = p->epsilon;
+  for (int64_t k = 0; k < count; k++) {
+    int64_t t = m->index[k];
+    m->before[k] = s->beta[k] = p->beta[t];
+    s->lower[k] = p->lower[t];
+    s->upper[k] = p->upper[t];
+    s->gradient[k] = (real)(p->gradient[t] + middle);
+    s->diagonal[k] = p->kernel[t * p->stride + t];
+    set_ends(s, k);
+  }
+  for (int64_t k = count; k < s->count; k++) {
+    s->gradient[k] = 0, s->diagonal[k] = 1;
+    s->rise[k] = -INFINITY, s->fall[k] = INFINITY;
+  }
+}
+
+/* Takes the set's coefficients over, and brings the gradients up to date; how many changed. */
+static int64_t follow(const Problem *p, Memory *m, int64_t count) {
+  int64_t changed = 0, n = p->n, k = 0;
+  for (int64_t e = 0; e < count; e++) {
+    double change = m->set.beta[e] - m->before[e];
+    if (change == 0) continue;
+    p->beta[m->index[e]] = m->set.beta[e];
+    m->index[changed] = m->index[e];
+    m->before[changed++] = change;
+  }
+  double *restrict g = p->gradient;
+  for (; k + 8 <= changed; k += 8) {
+    const real *restrict r[8];
+    const double *c = m->before + k;
+    for (int e = 0; e < 8; e++) r[e] = p->kernel + m->index[k + e] * p->stride;
+    for (int64_t t = 0; t < n; t++)
+      g[t] += ((c[0] * r[0][t] + c[1] * r[1][t]) + (c[2] * r[2][t] + c[3] * r[3][t])) +
+              ((c[4] * r[4][t] + c[5] * r[5][t]) + (c[6] * r[6][t] + c[7] * r[7][t]));
+  }
+  for (; k < changed; k++) {
+    const real *restrict row = p->kernel + m->index[k] * p->stride;
+    double c = m->before[k];
+    for (int64_t t = 0; t < n; t++) g[t] += c * row[t];
+  }
+  return changed;
+}
+
+/* In the middle of what is optimal, as far as that is bounded. */
+static double bias_between(double high, double low) {
+  if (isfinite(high) && isfinite(low)) return (high + low) / 2;
+  return isfinite(high) ? high : isfinite(low) ? low : 0;
+}
+
+/* Solves a problem from where it is; the violation that is left. */
+static double solve(const Problem *p, double tolerance, double gap, double worth, double *bias,
+                    Memory *m) {
+  double finest = FINEST * tolerance, work = 0;
+  for (int round = 0;; round++) {
+    double high, low;
+    extremes(p, &high, &low);
+    double wrong = high - low;
+    *bias = bias_between(high, low);
+    if (!(wrong > -INFINITY)) return 0; /* nothing can move */
+    while (wrong < tolerance) {
+      if (tolerance < finest || relative_gap(p, *bias) <= gap) return wrong;
+      tolerance *= FINER;
+    }
+    if (work > worth) return wrong;
+    int64_t near, count = choose(p, high, low, m, &near), most;
+    if (near > LARGEST_SET || (round == 0 && 4 * near > p->n)) { /* too many to be gathered */
+      for (int64_t t = 0; t < p->n; t++) m->index[t] = (int32_t)t;
+      m->set.kernel = p->kernel;
+      m->set.stride = p->stride;
+      count = p->n;
+      most = round ? ALL_ROWS * count : count;
+    } else {
+      gather(p, m, count);
+      work += GATHERED * (double)(count * count);
+      most = ADRIFT * count;
+    }
+    int64_t affordable = (int64_t)((worth - work) / (double)count) + count;
+    most = most < affordable ? most : affordable;
+    fill(p, m, count, (high + low) / 2);
+    double aim = ROUND * wrong > 0.5 * tolerance ? ROUND * wrong : 0.5 * tolerance;
+    int64_t steps = pairs(&m->set, (real)aim, most);
+    if (steps == 0) return wrong; /* single precision sees nothing to do */
+    work += (double)(steps * count + follow(p, m, count) * p->n);
+  }
+}
+
+static int allocate(Memory *m, int64_t n) {
+  int64_t rows = n + WIDTH;
+  double *d = malloc((size_t)rows * 6 * sizeof *d);
+  real *r = malloc(((size_t)rows * 4 + (size_t)LARGEST_SET * LARGEST_SET) * sizeof *r);
+  m->index = malloc((size_t)rows * sizeof *m->index);
+  m->score = d, m->block = r;
+  if (!d || !r || !m->index) return 0;
+  m->sorted = d + rows, m->before = d + 2 * rows;
+  m->set.beta = d + 3 * rows, m->set.lower = d + 4 * rows, m->set.upper = d + 5 * rows;
+  real *vectors = r + (int64_t)LARGEST_SET * LARGEST_SET;
+  m->set.gradient = vectors, m->set.rise = vectors + rows;
+  m->set.fall = vectors + 2 * rows, m->set.diagonal = vectors + 3 * rows;
+  return 1;
+}
+
+static void some_problems(void *what, int64_t begin, int64_t end) {
+  const Problems *all = what;
+  Memory memory;
+  int64_t n = all->n;
+  int room = allocate(&memory, n);
+  for (int64_t i = begin; i < end && room; i++) {
+    Problem p = {all->kernel, n, all->stride, all->z + i * n, all->lower + i * n,
+                 all->upper + i * n, all->epsilon[i], all->beta + i * n, all->gradient + i * n};
+    all->violation[i] = solve(&p, all->tolerance, all->gap, all->worth, all->bias + i, &memory);
+  }
+  free(memory.score), free(memory.block), free(memory.index);
+}
+
+/* Takes problems on from their coefficients and gradients; fills in biases and violations. */
+int smo_problems(const Problems *problems, int64_t threads) {
+  in_parallel(some_problems, (void *)problems, problems->count, 1, (int)threads);
+  return 0;
+}

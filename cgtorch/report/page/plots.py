@@ -1,0 +1,191 @@
+"""The plots of the page: success by stage, fitness, rates and learning curves."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from cgtorch.evolution.population import STRATEGY
+from cgtorch.experiments.interval import wilson
+from cgtorch.report.page.course import Course
+from cgtorch.report.page.event_files import Told
+from cgtorch.report.page.paper import AROUND_SUCCEEDED, AROUND_TRIED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GOOD, LINE, FAINT, INK, GRID, PAPER = (
+    "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6", "#8a6d3b",
+)  # fmt: skip
+WIDTH = 8.4  # inches
+RATES = {
+    "crossover": "crossover",
+    "add_node": "add a node",
+    "delete_node": "delete a node",
+    "new_start": "new start node",
+    "replace_node": "replace a node",
+    "change_edge": "change an edge",
+    "mutate_parameter": "mutate a parameter",
+    "sigma": "size of a mutation (σ)",
+}
+
+Shares = Sequence[tuple[str, int, int]]
+"""Names, how many succeeded, and of how many."""
+
+
+def draw_success(shares: Shares, others: Shares, label: str, other: str, paper: bool) -> "Figure":
+    """Success by stage with 95 % confidence intervals.
+
+    Args:
+        shares: of each stage, drawn as circles.
+        others: of the same stages on other placements, drawn as squares.
+        label: what `shares` are.
+        other: what `others` are.
+        paper: whether the paper's last test is a line.
+    """
+    figure, (axes,) = _figure(2.9)
+    for data, shift, marker, colour, name in (
+        (shares, -0.08, "o", GOOD, label),
+        (others, 0.08, "s", LINE, other),
+    ):
+        rows = [(i, s, n) for i, (_, s, n) in enumerate(data) if n]
+        if not rows:
+            continue
+        rate = [s / n for _, s, n in rows]
+        bounds = [wilson(s, n, 0.95) for _, s, n in rows]
+        low = [max(r - b[0], 0) for r, b in zip(rate, bounds, strict=True)]
+        high = [max(b[1] - r, 0) for r, b in zip(rate, bounds, strict=True)]
+        axes.errorbar(
+            [i + shift for i, _, _ in rows], rate, yerr=[low, high], fmt=marker, ms=5,
+            color=colour, capsize=3, lw=1.2, label=name, zorder=3,
+        )  # fmt: skip
+    if paper:
+        share = AROUND_SUCCEEDED / AROUND_TRIED
+        axes.axhline(share, color=PAPER, ls="--", lw=1.2)
+        axes.plot(
+            [], [], color=PAPER, ls="--", lw=1.2, label=f"the paper's last test: {_percent(share)}"
+        )
+    names = [name for name, _, _ in shares]
+    axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 10 else 0)
+    axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
+    axes.set_ylim(0, 1.04)
+    axes.yaxis.set_major_formatter(_percent)
+    axes.set_ylabel("placements reached")
+    _legend(axes)
+    return figure
+
+
+def draw_fitness(told: Told, course: Course) -> "Figure":
+    """Fitness over generations, above the share of individuals that solve nothing and graph sizes.
+
+    A line is an evolution; where it ends its candidate is tried in the world.
+    """
+    figure, (fitness, unsolved, nodes) = _figure(5.4, (2.2, 1, 1))
+    for axes, tags in (
+        (fitness, {"fitness/best": (GOOD, "the best"), "fitness/mean": (LINE, "the mean")}),
+        (unsolved, {"population/unsolved": (LINE, "fitness 0")}),
+        (nodes, {"graph/nodes_best": (GOOD, "the best"), "graph/nodes_mean": (LINE, "the mean")}),
+    ):
+        for tag, (colour, name) in tags.items():
+            for i, line in enumerate(course.lines(told.scalars.get(tag, ()))):
+                known = [(x, y) for x, y in line if isfinite(y)]
+                marker = "." if len(known) == 1 else ""
+                axes.plot(
+                    [x for x, _ in known], [y for _, y in known], color=colour, lw=1.3,
+                    marker=marker, label=name if i == 0 else None,
+                )  # fmt: skip
+        _stages(axes, course, named=axes is fitness)
+    fitness.set_ylabel("fitness (eq. 3)")
+    unsolved.set_ylabel("share with\nfitness 0")
+    unsolved.set_ylim(-0.03, 1.03)
+    unsolved.yaxis.set_major_formatter(_percent)
+    nodes.set_ylabel("nodes")
+    nodes.set_xlabel("generation of the run")
+    _legend(fitness)
+    return figure
+
+
+def draw_rates(told: Told, course: Course) -> "Figure | None":
+    """The strategy parameters of eq. 2 over generations: mean and the middle 80 %.
+
+    None if no event file holds any.
+    """
+    rates = {name: told.histograms.get(f"strategy/{name}", ()) for name in STRATEGY}
+    if not any(rates.values()):
+        return None
+    figure, grid = _figure(4.0, (1, 1), columns=4)
+    for axes, (name, spreads) in zip(grid, rates.items(), strict=True):
+        for line in course.spreads(spreads):
+            known = [(x, s) for x, s in line if isfinite(s.low + s.mean + s.high)]
+            x = [x for x, _ in known]
+            low, mean, high = ([getattr(s, f) for _, s in known] for f in ("low", "mean", "high"))
+            axes.vlines(x, low, high, color=LINE, lw=2.2, alpha=0.35)
+            axes.plot(x, mean, color=LINE, lw=1.2, marker=".", ms=4)
+        axes.set_title(RATES.get(name, name), fontsize=9, color=INK)
+        _stages(axes, course, named=False)
+        axes.set_ylim(bottom=0)
+    figure.supxlabel("generation of the run", fontsize=9, color=INK)
+    return figure
+
+
+Curve = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
+"""Name of the score, rows learnt from, scores on these and on rows held out."""
+
+
+def draw_learning(curves: Sequence[Curve]) -> "Figure":
+    """Learning curves, one below the other."""
+    figure, grid = _figure(3.1 * len(curves), [1] * len(curves), width=5.2, share_x=False)
+    for axes, (name, sizes, train, test) in zip(grid, curves, strict=True):
+        axes.plot(sizes, train, color=FAINT, lw=1.2, marker="s", ms=3.5, label="learnt from")
+        axes.plot(sizes, test, color=GOOD, lw=1.4, marker="o", ms=4, label="held out")
+        axes.set_title(name, fontsize=9.5, color=INK)
+        axes.set_xscale("log")
+        axes.set_xticks(list(sizes), [f"{size:g}" for size in sizes])
+        axes.minorticks_off()
+        axes.set_xlabel("rows learnt from")
+        _legend(axes)
+    return figure
+
+
+def _figure(
+    height: float,
+    ratios: Sequence[float] = (1,),
+    columns: int = 1,
+    width: float = WIDTH,
+    share_x: bool = True,
+) -> tuple["Figure", list["Axes"]]:
+    """A figure of so many inches, and its axes row by row."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    rows = len(ratios)
+    grid = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axisbelow(True)
+        axes.grid(color=GRID, linewidth=0.6)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    return figure, list(grid.flat)
+
+
+def _stages(axes: "Axes", course: Course, named: bool) -> None:
+    """Where stages end, and what they are called."""
+    last = len(course.steps)
+    axes.set_xlim(0.5, last + 0.5)
+    for name, first, end in course.stages:
+        axes.axvline(end + 0.5, color=FAINT, lw=0.9, ls=":")
+        wide = end - first + 1 > 0.02 * last
+        if named and wide and len(course.stages) <= 12:
+            axes.annotate(
+                name, ((first + end) / 2, 1), xycoords=("data", "axes fraction"), xytext=(0, 3),
+                textcoords="offset points", ha="center", va="bottom", fontsize=8, color=PAPER,
+            )  # fmt: skip
+
+
+def _percent(value: float, place: Any = None) -> str:
+    return f"{100 * value:.0f} %"
+
+
+def _legend(axes: "Axes") -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=8.5)

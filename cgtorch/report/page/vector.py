@@ -1,0 +1,122 @@
+"""A matplotlib figure as an inline SVG that takes its colours from the page."""
+
+import io
+import re
+from typing import TYPE_CHECKING
+
+from lxml import etree
+from markupsafe import Markup
+
+from cgtorch.errors import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
+POINTS = 0.75  # pt in a CSS pixel
+LEAST = 0.65  # of its width, to which a picture shrinks
+STYLE = {
+    "svg.fonttype": "none",  # text stays text: it can be searched and takes the page's colours
+    "svg.hashsalt": "cgtorch",  # the same picture is the same file
+    "font.size": 9.0,
+    "font.sans-serif": ["DejaVu Sans", "Verdana"],  # as wide as what is measured, or nearly
+}
+"""Under which figures for the page are made and drawn."""
+
+_COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
+_REFERENCE = re.compile(r"(?<=url\(#)[^)]+")
+_OF_MATPLOTLIB = re.compile(r"[A-Za-z][\w.]*_\d+")
+_FRACTION = re.compile(r"(\.\d\d)\d+")
+
+
+def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
+    """A figure as an `svg` element for the middle of an HTML page.
+
+    Every colour becomes a CSS variable that is called after it, such as `var(--c-1c1f24, #1c1f24)`,
+    so that the page can have another in the dark. On a narrow screen it shrinks, but not so far
+    that nobody can read it.
+
+    Args:
+        figure: made under `STYLE`, its texts printable; its background is left out.
+        key: what tells its identifiers from those of other pictures on the page: letters, digits
+            and hyphens.
+        label: what it shows, for who cannot see it.
+    """
+    from matplotlib import rc_context
+
+    out = io.StringIO()
+    with rc_context(STYLE):
+        figure.patch.set_alpha(0)
+        for axes in figure.axes:
+            axes.patch.set_alpha(0)
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    # Stripping comments and the like is safe: names are in attributes and text.
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
+        remove_comments=True, remove_blank_text=True,
+    )  # fmt: skip
+    root = etree.fromstring(out.getvalue().encode(), parser)
+    _remove(root, "metadata", "style", "title")
+    _rename(root, key)
+    _round(root)
+    _say_once(root)
+    width, height = (float(root.get(side)[:-2]) / POINTS for side in ("width", "height"))  # pt
+    root.set("width", f"{width:.0f}")
+    root.set("height", f"{height:.0f}")
+    root.set("style", f"min-width: {LEAST * width:.0f}px")
+    root.set("role", "img")
+    root.set("aria-label", printable(label))
+    etree.cleanup_namespaces(root)
+    return Markup(etree.tostring(root, encoding="unicode"))  # noqa: S704  written by lxml
+
+
+def _remove(root: etree._Element, *names: str) -> None:
+    """Remove what would be about the whole page, or about the file."""
+    for element in list(root.iter(*(SVG + name for name in names))):
+        element.getparent().remove(element)
+
+
+def _rename(root: etree._Element, key: str) -> None:
+    """Give identifiers that are referred to a name of this picture, and colours theirs.
+
+    Others are those of matplotlib, which go, and those of artists, which become `data-part`.
+    """
+    used = set()
+    for element in root.iter(etree.Element):
+        for name in ("clip-path", "style"):
+            if (value := element.get(name)) is not None:
+                used.update(_REFERENCE.findall(value))
+                element.set(name, _REFERENCE.sub(lambda m: f"{key}-{m[0]}", value))
+        if (style := element.get("style")) is not None:
+            element.set("style", _COLOUR.sub(r"var(--c-\1, #\1)", style))
+        if (target := element.get(f"{XLINK}href")) is not None:
+            used.add(target.removeprefix("#"))
+            del element.attrib[f"{XLINK}href"]
+            element.set("href", f"#{key}-{target.removeprefix('#')}")
+    for element in root.iter(etree.Element):
+        if (name := element.attrib.pop("id", None)) is None:
+            continue
+        if name in used:
+            element.set("id", f"{key}-{name}")
+        elif not _OF_MATPLOTLIB.fullmatch(name):
+            element.set("data-part", name)
+
+
+def _round(root: etree._Element) -> None:
+    """Leave a hundredth of a point of every place, which nobody can see."""
+    for element in root.iter(etree.Element):
+        for name in ("d", "x", "y", "width", "height", "transform"):
+            if (value := element.get(name)) is not None:
+                element.set(name, _FRACTION.sub(r"\1", value))
+
+
+def _say_once(root: etree._Element) -> None:
+    """Marks of one style, of which there may be thousands, have it from their group."""
+    for group in root.iter(f"{SVG}g"):
+        styles = {mark.get("style") for mark in group}
+        if len(group) > 1 and len(styles) == 1 and all(mark.tag == f"{SVG}use" for mark in group):
+            if (style := styles.pop()) is None or group.get("style") is not None:
+                continue
+            group.set("style", style)
+            for mark in group:
+                del mark.attrib["style"]

@@ -1,0 +1,111 @@
+"""A package of somebody else's with actions, installed as any other and found by its names."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import Ended, in_a_shell
+from trained import SMALL
+
+from cgtorch.actions import paper_actions
+
+HERE = Path(__file__).parent.parent
+SOURCE = HERE / "plugin_package"
+NAMES = ("Approach", "Wander")
+OPTIONS = [
+    f"--{name.replace('_', '-')}={value}"
+    for name, value in SMALL.to_dict().items()
+    if name != "actions"
+]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder that pip has put the package into, known to commands while tests run."""
+    folder = tmp_path_factory.mktemp("plugin")
+    shutil.copytree(SOURCE, folder / "source")  # building leaves things beside the sources
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"),
+            *("--no-index", "--no-deps", "--no-build-isolation"),
+            *("--target", str(folder / "site"), str(folder / "source")),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    path = os.pathsep.join([str(folder / "site"), os.environ.get("PYTHONPATH", "")])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
+        yield folder / "site"
+
+
+@pytest.fixture(scope="module")
+def run(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
+    """A small run with both actions, and how its command ended."""
+    folder = tmp_path_factory.mktemp("run")
+    words = ["--stage", "S0", "--run-dir", "run", *OPTIONS]
+    named = [word for name in NAMES for word in ("--actions", name)]
+    return folder / "run", in_a_shell("cgtorch-train", *words, *named, folder=folder)
+
+
+def test_it_holds_what_the_document_says() -> None:
+    text = (HERE.parent / "docs" / "own-action.md").read_text()
+    for name in NAMES:
+        code = (SOURCE / "src" / "reaching_actions" / f"{name.lower()}.py").read_text()
+        (said,) = re.findall(rf"^```python\n# {name.lower()}\.py\n(.*?)^```", text, re.M | re.S)
+        assert code.partition('"""\n\n')[2] == said
+
+
+def test_it_is_found_by_name(installed: Path) -> None:
+    assert (installed / "reaching_actions" / "approach.py").is_file()
+    program = (
+        "from cgtorch import resolve_actions\n"
+        "actions = resolve_actions(['Approach', 'Wander'])\n"
+        "print(*actions.names)\n"
+        "print(actions.actions[-2].__class__.__module__)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    names, module = ended.stdout.splitlines()
+    assert names.split() == [*paper_actions().names, *NAMES]
+    assert module == "reaching_actions.approach"
+
+
+def test_a_run_is_trained_with_it_and_tried_again(run: tuple[Path, Ended]) -> None:
+    """Its actions take part in evolution, and the skill is read again without naming them."""
+    folder, ended = run
+    assert ended.code == 0, ended.err
+    assert json.loads((folder / "run.json").read_text())["settings"]["actions"] == list(NAMES)
+    skill = json.loads((folder / "S0" / "skill.json").read_text())
+    every = [skill, *skill["skills"].values()]
+    assert {n["action"] for one in every for n in one["nodes"]} & set(NAMES)
+    result = json.loads((folder / "S0" / "result.json").read_text())
+    words = ["--scenarios", "near", "--count", "40", "--seed", "5", "--json"]
+    tried = in_a_shell("cgtorch-evaluate", str(folder), *words)
+    assert tried.code == 0, tried.err
+    found = json.loads(tried.out)
+    assert (found["skill"], found["tried"]) == ("S0", 40)
+    assert found["succeeded"] > 20
+    assert result["targets_succeeded"] > 2
+    named = [word for name in NAMES for word in ("--actions", name)]
+    lone = in_a_shell("cgtorch-evaluate", str(folder / "S0" / "skill.json"), *words, *named)
+    assert lone.code == 0, lone.err
+    assert json.loads(lone.out)["succeeded"] == found["succeeded"]
+
+
+def test_without_the_package_the_run_says_what_it_lacks(
+    run: tuple[Path, Ended], installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = os.environ["PYTHONPATH"].removeprefix(str(installed)).lstrip(os.pathsep)
+    monkeypatch.setenv("PYTHONPATH", known)
+    ended = in_a_shell("cgtorch-evaluate", str(run[0]))
+    assert ended.code == 2
+    assert "unknown action 'Approach'; known are" in ended.err
+    assert "Traceback" not in ended.err

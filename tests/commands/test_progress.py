@@ -1,0 +1,61 @@
+"""Long work on a terminal, elsewhere, and quiet; and how an interrupted command ends."""
+
+import io
+import signal
+
+import click
+import pytest
+from rich.console import Console
+
+from cgtorch.commands.command import run_command
+from cgtorch.commands.options import waiting
+
+
+@pytest.mark.parametrize(
+    ("terminal", "quiet", "shown"),
+    [(True, False, True), (True, True, False), (False, False, False)],
+)
+def test_what_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, terminal: bool, quiet: bool, shown: bool
+) -> None:
+    """One live line that goes away, or nothing at all, not even a control character."""
+    written = io.StringIO()
+
+    def console(stderr: bool) -> Console:
+        assert stderr  # results go to the standard output
+        return Console(file=written, force_terminal=terminal, width=90, legacy_windows=False)
+
+    monkeypatch.setattr("rich.console.Console", console)
+    with waiting("trying S3 [on] 40", quiet, 40) as done:
+        done(40)
+    text = written.getvalue()
+    assert ("trying S3 [on] 40 …" in text) == shown
+    assert ("40/40" in text) == shown
+    assert (text == "") == (not shown)
+    assert not shown or text.endswith("\x1b[2K")  # the line is cleared
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--resume"], "stopped: interrupted; what was done is kept, go on with --resume\n"),
+        ([], "stopped: interrupted\n"),
+    ],
+)
+def test_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    line: str,
+) -> None:
+    """Only a command that can resume is said to."""
+
+    def interrupted(**values: str | None) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    command = click.Command("stopped", None, interrupted, [click.Option([o]) for o in options])
+    monkeypatch.setattr("sys.argv", ["stopped"])
+    with pytest.raises(SystemExit) as ended:
+        run_command(command)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.lstrip("\n") == line  # click ends the line of a ^C

@@ -1,0 +1,130 @@
+"""Compiled operators and those in torch are the same functions, to the last bit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import as_double, custom_actions, nested_actions, same, seeded
+from torch import Tensor
+
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.evolution import EvolutionSettings, Population, compiled, initial_state, tell
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.lexicase import deviation, lexicase
+from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.population import random_population
+from cgtorch.graphs import valid
+
+SETS = [paper_actions(), custom_actions(), nested_actions()]
+seeds, action_sets = st.integers(0, 2**31), st.sampled_from(SETS)
+capacities = st.sampled_from([1, 2, 5, 14, 64])
+T = TypeVar("T")
+
+pytestmark = pytest.mark.skipif(
+    not compiled.takes_scores(torch.zeros(1, 1)), reason="nothing can be compiled here"
+)
+
+
+def in_torch(work: Callable[[], T]) -> T:
+    """What `work` returns where nothing is compiled."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "takes", lambda *_: False)
+        patch.setattr(compiled, "takes_scores", lambda *_: False)
+        return work()
+
+
+def equal(first: Population, second: Population) -> bool:
+    return same(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
+
+
+def population(seed: int, actions: ActionSet, capacity: int, size: int = 10) -> Population:
+    """Individuals whose every rate is random, at times 0 or 1."""
+    made = random_population(size, actions, capacity, (1, capacity), seeded(seed))
+    strategy = (1.4 * torch.rand(made.strategy.shape, generator=seeded(seed)) - 0.2).clamp(0, 1)
+    return Population(made.graphs, strategy)
+
+
+def test_compiled_operators_run_here() -> None:
+    graphs = population(0, SETS[0], 24).graphs
+    assert compiled.takes(graphs, graphs.parameters)
+    assert compiled.takes(graphs, graphs.parameters.double())
+    assert not compiled.takes(graphs, graphs.parameters.half())
+    large = random_population(2, SETS[0], 65, (1, 65), seeded(0)).graphs
+    assert not compiled.takes(large, large.parameters)
+
+
+@given(seeds, action_sets, capacities)
+def test_crossover(seed: int, actions: ActionSet, capacity: int) -> None:
+    first, second = (population(seed + i, actions, capacity) for i in range(2))
+    children = crossover(first, second, seeded(seed))
+    assert equal(children, in_torch(lambda: crossover(first, second, seeded(seed))))
+    assert valid(children.graphs, actions).all()
+
+
+@given(seeds, action_sets, capacities, st.booleans())
+def test_mutation(seed: int, actions: ActionSet, capacity: int, double: bool) -> None:
+    before = population(seed, actions, capacity)
+    if double:
+        before = replace(before, graphs=as_double(before.graphs))
+    children = mutate(before, actions, seeded(seed))
+    assert equal(children, in_torch(lambda: mutate(before, actions, seeded(seed))))
+    assert valid(children.graphs, actions).all()
+    assert children.graphs.parameters.dtype == before.graphs.parameters.dtype
+
+
+@given(seeds, action_sets, capacities)
+def test_offspring(seed: int, actions: ActionSet, capacity: int) -> None:
+    whole = population(seed, actions, capacity)
+    parents = torch.randint(len(whole), (14,), generator=seeded(seed))
+    children = offspring(whole, parents, actions, seeded(seed))
+    assert equal(children, in_torch(lambda: offspring(whole, parents, actions, seeded(seed))))
+    assert valid(children.graphs, actions).all()
+
+
+tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))
+
+
+@given(seeds, tables, st.sampled_from([torch.float32, torch.float64]))
+def test_lexicase(seed: int, table: tuple[int, int, int], dtype: torch.dtype) -> None:
+    """With scores that are all different, or few different ones, some of them zeros with a sign."""
+    people, scenarios, levels = table
+    scores = torch.rand(people, scenarios, generator=seeded(seed), dtype=dtype) - 0.5
+    if levels:
+        scores = (scores * levels).round() / levels
+    order = torch.arange(people)
+    chosen = lexicase(order, scores, 31, seeded(seed))
+    assert torch.equal(chosen, in_torch(lambda: lexicase(order, scores, 31, seeded(seed))))
+
+
+@given(st.lists(st.floats(-(2.0**99), 2.0**99, width=32), min_size=1, max_size=40))
+def test_deviation(values: list[float]) -> None:
+    for dtype in (torch.float32, torch.float64):
+        scores = torch.tensor([values, values[::-1], [0.0] * len(values)], dtype=dtype).T
+        assert torch.equal(compiled.deviation(scores), deviation(scores))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_generations_are_the_same_with_and_without_a_compiler(threads: int) -> None:
+    actions, settings = custom_actions(), EvolutionSettings(population=150, elite=3)
+
+    def evolved() -> tuple[Population, Tensor]:
+        generator = seeded(0)
+        state = initial_state(settings, actions, generator)
+        for _ in range(8):
+            scores = torch.rand(150, 4, generator=generator).round(decimals=1)
+            state = tell(state, scores.mean(1), settings, actions, generator, scores)
+        return state.population, torch.rand(1, generator=generator)
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        (found, then), (wanted, wanted_then) = evolved(), in_torch(evolved)
+    finally:
+        torch.set_num_threads(before)
+    assert equal(found, wanted)
+    assert torch.equal(then, wanted_then)  # as many numbers were drawn

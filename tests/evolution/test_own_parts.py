@@ -1,0 +1,228 @@
+"""Fitness, selection, crossover and mutation of one's own, and how they are checked."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from support import custom_actions, model, same, seeded
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.errors import SettingsError
+from cgtorch.evolution import (
+    EvolutionSettings,
+    Population,
+    chance_of_success,
+    evaluate,
+    evolve,
+    initial_state,
+    lexicase,
+    mutate,
+    tell,
+)
+from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.population import random_population
+from cgtorch.graphs import NO_NODE, pruned, widened
+from cgtorch.simulation import Rollouts, rollout
+
+ACTIONS = custom_actions()
+SMALL = EvolutionSettings(population=30, capacity=12, initial_nodes=(2, 10), elite=2)
+
+
+def hurry(runs: Rollouts, probability: Tensor) -> Tensor:
+    """Who needs fewer actions is better."""
+    return torch.where(runs.succeeded, 1 / runs.transitions, 0.0)
+
+
+def test_what_a_run_is_worth_is_ones_own() -> None:
+    graphs = random_population(300, ACTIONS, 12, (2, 10), seeded(0)).graphs
+    environment, keep = model(0, 5), torch.tensor([True, False, False, False, False])
+    found = evaluate(graphs, ACTIONS, environment, keep, fitness=hurry)
+    runs = rollout(graphs, ACTIONS, environment)
+    kept = runs.succeeded[:, 0]
+    assert 0 < kept.sum() < 300
+    expected = hurry(runs, torch.zeros(300, 5)) * kept[:, None]
+    assert torch.equal(found.scores, expected)
+    assert torch.equal(found.fitness, expected.mean(1))
+    usual = evaluate(graphs, ACTIONS, environment, keep)
+    assert torch.equal(found.succeeded, usual.succeeded)
+    assert not torch.equal(found.scores, usual.scores)
+
+
+def test_worth_that_is_no_number_or_negative() -> None:
+    def odd(runs: Rollouts, probability: Tensor) -> Tensor:
+        worth = chance_of_success(runs, probability) + 0.5
+        worth[3] = torch.nan
+        worth[5] = -7
+        return worth
+
+    graphs = random_population(20, ACTIONS, 12, (2, 10), seeded(0)).graphs
+    environment, keep = model(0, 4), torch.zeros(4, dtype=torch.bool)
+    found, usual = (evaluate(graphs, ACTIONS, environment, keep, fitness=f)
+                    for f in (odd, chance_of_success))  # fmt: skip
+    assert found.not_finite == usual.not_finite + 1
+    assert (found.scores[[3, 5]] == 0).all()
+    assert not found.succeeded[3].any()
+    assert torch.equal(found.succeeded[5], usual.succeeded[5])
+    rest = [i for i in range(20) if i not in (3, 5)]
+    assert torch.equal(found.scores[rest], usual.scores[rest] + 0.5)
+
+
+def test_evolution_follows_ones_own_fitness() -> None:
+    """Where more actions are worth more, the best takes more of them than under eq. 3."""
+
+    def leisure(runs: Rollouts, probability: Tensor) -> Tensor:
+        return runs.transitions / 20
+
+    def best(settings: EvolutionSettings) -> float:
+        search = evolve(model(0, 4), ACTIONS, settings, seeded(0))
+        for _ in range(6):
+            champion = next(search).champion
+        runs = rollout(champion.graphs, ACTIONS, model(0, 4))
+        return float(runs.transitions.float().mean())
+
+    larger = replace(SMALL, population=50)
+    assert best(larger) < 18
+    assert best(replace(larger, fitness=leisure)) == 20
+
+
+def test_parts_that_only_pass_on_change_nothing() -> None:
+    own = replace(
+        SMALL,
+        fitness=lambda runs, probability: chance_of_success(runs, probability),
+        selection=lambda *given: lexicase(*given),
+    )
+    operators = replace(SMALL, crossover=lambda *given: crossover(*given))
+    both = replace(operators, mutation=lambda *given: mutate(*given))
+    # Crossover and mutation in one step draw other numbers than one after the other.
+    for settings in ((SMALL, own), (operators, both)):
+        one, two = (evolve(model(0, 3), ACTIONS, s, seeded(4)) for s in settings)
+        for _ in range(5):
+            first, second = next(one), next(two)
+            assert same(first.population.graphs, second.population.graphs)
+            assert torch.equal(first.fitness, second.fitness)
+
+
+def nothing_crossed(first: Population, second: Population, generator: Generator) -> Population:
+    strategy = torch.cat([first.strategy, second.strategy])
+    pairs = zip(vars(first.graphs).values(), vars(second.graphs).values(), strict=True)
+    return Population(type(first.graphs)(*map(torch.cat, pairs)), strategy)
+
+
+def shifted(
+    population: Population, actions: ActionSet, generator: Generator, tau: float
+) -> Population:
+    """All parameters a bit larger, and room for two more nodes."""
+    graphs = population.graphs
+    count = actions.num_parameters[graphs.action.clamp_min(0)] * graphs.used
+    real = torch.arange(graphs.parameters.shape[2]) < count[..., None]
+    graphs = replace(graphs, parameters=graphs.parameters + real)
+    return replace(population, graphs=widened(graphs, graphs.capacity + 2))
+
+
+def test_children_are_what_ones_own_operators_make() -> None:
+    settings = replace(SMALL, elite=0, crossover=nothing_crossed, mutation=shifted, capacity=16)
+    state = initial_state(settings, ACTIONS, seeded(0))
+    scores = torch.zeros(30, 1)
+    scores[7] = 1
+    after = tell(state, scores[:, 0], settings, ACTIONS, seeded(1), scores).population
+    parent = state.population.graphs[torch.full((30,), 7)]
+    assert after.graphs.capacity == 16
+    assert torch.equal(after.graphs.num_nodes, parent.num_nodes)
+    total = after.graphs.parameters.flatten(1).sum(1) - parent.parameters.flatten(1).sum(1)
+    count = ACTIONS.num_parameters[parent.action.clamp_min(0)] * parent.used
+    assert torch.allclose(total, count.sum(1).float(), atol=1e-4)
+
+
+def unpruned(
+    population: Population, actions: ActionSet, generator: Generator, tau: float
+) -> Population:
+    """A node that nothing leads to in every graph, once in a while."""
+    graphs = population.graphs
+    if len(population) < 3:  # not while it is tried
+        return population
+    action = graphs.action.clone()
+    free = (action == NO_NODE).long().argmax(1)
+    action[torch.arange(len(action)), free] = actions.index("Detect")
+    return replace(population, graphs=replace(graphs, action=action))
+
+
+def test_invalid_children_are_refused_in_any_generation() -> None:
+    search = evolve(model(0, 3), ACTIONS, replace(SMALL, mutation=unpruned), seeded(0))
+    next(search)
+    with pytest.raises(SettingsError, match=r"made graph 0 invalid: node .* has no edge for"):
+        next(search)
+
+
+def same_mutation(
+    population: Population, actions: ActionSet, generator: Generator, tau: float
+) -> Population:
+    return population
+
+
+def in_place(
+    population: Population, actions: ActionSet, generator: Generator, tau: float
+) -> Population:
+    population.strategy.mul_(2)
+    return population
+
+
+def with_strategy(of: Callable[[Tensor], Tensor]) -> Callable[..., Population]:
+    return lambda population, *_: replace(population, strategy=of(population.strategy))
+
+
+def with_graphs(**of: Callable[[Tensor], Tensor]) -> Callable[..., Population]:
+    def mutation(population: Population, *_: Any) -> Population:
+        graphs = population.graphs
+        changed = {name: f(getattr(graphs, name)) for name, f in of.items()}
+        return replace(population, graphs=replace(graphs, **changed))
+
+    return mutation
+
+
+def bare(population: Population, *_: Any) -> Any:
+    return population.graphs
+
+
+@pytest.mark.parametrize(
+    ("part", "own", "message"),
+    [
+        ("fitness", lambda runs, chance: chance[0], r"fitness .* returned a tensor \(2,\) of"),
+        ("fitness", lambda runs, chance: runs.succeeded, r"\(2, 2\) of bool; return .* float32"),
+        ("fitness", lambda runs: runs, r"fitness .* raised TypeError: .* on two rows"),
+        ("fitness", lambda runs, chance: None, r"returned a NoneType; return a tensor \(2, 2\)"),
+        ("selection", lambda *given: given[0][:1], r"selection .* returned a tensor \(1,\)"),
+        ("selection", lambda *given: given[0] + 1, r"chose \[1, 2\] of 2; choose 0 to 1"),
+        ("selection", lambda *given: given[1], r"selection .* of float32; return .* int64"),
+        ("crossover", lambda a, b, generator: a, r"crossover .* action as a tensor \(1, .*\(2, "),
+        ("crossover", lambda a, b: a, "crossover .* raised TypeError"),
+        ("mutation", bare, "mutation 'bare' returned a Graphs; return a Population"),
+        ("mutation", in_place, "mutation 'in_place' changed its parents in place"),
+        ("mutation", with_strategy(lambda s: s[:, :7]), r"strategy as a tensor \(2, 7\)"),
+        ("mutation", with_strategy(lambda s: s.double()), r"strategy as .* of float64; return"),
+        ("mutation", with_graphs(start=lambda s: s + 99), "made graph 0 invalid: start node"),
+        ("mutation", with_graphs(action=lambda a: a[0]), r"action as a tensor \(12,\) of int64"),
+        ("mutation", with_graphs(edges=lambda e: e * 0 - 1), "invalid: node .* has no edge for"),
+        (
+            "mutation",
+            lambda p, *_: replace(p, graphs=widened(p.graphs, 14)),
+            "graphs of 14 slots; return 12 at most",
+        ),
+    ],
+)
+def test_parts_are_tried_at_the_door(part: str, own: Any, message: str) -> None:
+    evaluated = model(0, 3)
+    with pytest.raises(SettingsError, match=message) as caught:
+        next(evolve(evaluated, ACTIONS, replace(SMALL, **{part: own}), seeded(0)))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(part)
+
+
+def test_good_parts_pass_and_trying_them_draws_nothing() -> None:
+    settings = replace(SMALL, mutation=same_mutation, fitness=hurry)
+    generator = seeded(3)
+    generation = next(evolve(model(0, 1), ACTIONS, settings, generator))
+    expected = initial_state(settings, ACTIONS, seeded(3)).population
+    assert same(generation.population.graphs, pruned(expected.graphs))

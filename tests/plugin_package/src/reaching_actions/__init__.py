@@ -1,0 +1,1 @@
+"""Actions for cgtorch, found by their entry points once the package is installed."""

@@ -1,0 +1,159 @@
+"""The parts that the page is made of, one by one."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from report_pages import REFERENCE, thinned
+from support import random_graphs
+from torch.utils.tensorboard import SummaryWriter
+
+from cgtorch.actions import paper_actions
+from cgtorch.commands.train import command
+from cgtorch.errors import printable
+from cgtorch.experiments.run import Run, create_run, open_run
+from cgtorch.experiments.settings import RunSettings
+from cgtorch.graphs import Skill
+from cgtorch.report import draw_skill
+from cgtorch.report.page.contents import read_contents
+from cgtorch.report.page.course import course_of
+from cgtorch.report.page.event_files import read_event_files
+from cgtorch.report.page.reproduce import changes_of, training_commands
+from cgtorch.report.page.vector import STYLE, inline_svg
+
+SLOW = "CGTORCH_NATIVE=0"
+
+
+def test_the_middle_of_a_histogram(tmp_path: Path) -> None:
+    values = torch.linspace(0, 1, 1001)
+    with SummaryWriter(str(tmp_path)) as writer:
+        writer.add_histogram("even", values, 5, bins=50)
+        writer.add_histogram("one", torch.full((7,), 0.25), 5, bins=24)
+        writer.add_scalar("number", 3.5, 9)
+    told = read_event_files(tmp_path)
+    (even,), (one,) = told.histograms["even"], told.histograms["one"]
+    assert (even.step, even.low, even.mean, even.high) == pytest.approx(
+        (5, 0.1, 0.5, 0.9), abs=0.02
+    )
+    assert (one.low, one.mean, one.high) == pytest.approx((0.25, 0.25, 0.25))
+    assert told.scalars == {"number": ((9, 3.5),)}
+    assert (told.last("number"), told.last("other")) == (3.5, None)
+
+
+def test_what_was_done_again_is_told_once(tmp_path: Path) -> None:
+    """A run that goes on hides what it does again (see `cgtorch.report.tensorboard`)."""
+    for purge, value in ((None, 1.0), (2, 2.0)):
+        with SummaryWriter(str(tmp_path), purge_step=purge) as writer:
+            for step in range(purge or 0, 4):
+                writer.add_scalar("x", value, step)
+    assert read_event_files(tmp_path).scalars["x"] == ((0, 1.0), (1, 1.0), (2, 2.0), (3, 2.0))
+
+
+def test_the_course_of_the_reference_run() -> None:
+    contents = read_contents(REFERENCE)
+    course = course_of(contents)
+    assert course is not None
+    counts = {s.name: s.result["generations"] for s in contents.stages}
+    assert {name: end - first + 1 for name, first, end in course.stages} == {
+        name: count for name, count in counts.items() if count
+    }
+    best = contents.told.scalars["fitness/best"]
+    lines = course.lines(best)
+    assert [x for line in lines for x, _ in line] == list(range(1, len(best) + 1))
+    assert {line[-1][0] for line in lines} == set(course.ends)
+    assert len(lines) >= len(course.stages)
+
+
+def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """All options that a command line gives, and the settings among them."""
+    words = [word for word in shlex.split(line) if word != SLOW]
+    assert words[0] == "cgtorch-train"
+    values = command.make_context("cgtorch-train", words[1:]).params
+    names = set(RunSettings.__dataclass_fields__)
+    return values, {name: value for name, value in values.items() if name in names}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        RunSettings(),
+        RunSettings(seed=7, population=60, position_noise=0.01, method="paper", networks="percept"),
+        RunSettings(scenarios="general", heading_noise=0.0, islands=3, migration=2),
+    ],
+)
+def test_the_command_gives_the_settings(tmp_path: Path, settings: RunSettings) -> None:
+    run = create_run(tmp_path / "run", settings)
+    (line,) = training_commands(run, {}, {})
+    found = options(line)[1]
+    assert RunSettings(**found) == settings
+
+
+def with_stages(folder: Path, *names: str) -> Run:
+    for name in names:
+        (folder / name).mkdir()
+        (folder / name / "skill.json").write_text("{}")
+    return open_run(folder)
+
+
+def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
+    create_run(tmp_path / "my run", RunSettings(population=700, attempts=5))
+    run = with_stages(tmp_path / "my run", "S0", "S1", "S2", "auto-1", "auto-2", "auto-3")
+    history = [
+        {"before": "S1", "changed": {"population": [400, 600], "torch": ["2.4", "2.5"]}},
+        {"before": "S1", "changed": {"population": [600, 650]}},
+        {"before": "auto-1", "changed": {"engine": ["torch", "compiled"]}},
+        {"before": "auto-3", "changed": {"population": [650, 700], "attempts": [24, 5]}},
+    ]
+    about = {"history": history, "engine": "compiled"}
+    lines = training_commands(run, about, {"target": 0.9, "rounds": 30, "minutes": 4})
+    found = [options(line)[0] for line in lines]
+    assert [(f["stage"], f["resume"] is None) for f in found] == [
+        ("S0", True), ("S2", False), ("auto", False), ("auto", False),
+    ]  # fmt: skip
+    assert [line.startswith(SLOW) for line in lines] == [True, True, False, False]
+    assert (found[0]["population"], found[0]["attempts"]) == (400, 24)
+    assert found[1]["override"] == ("population=600", "population=650")
+    assert [f["override"] for f in found[2:]] == [(), ("population=700", "attempts=5")]
+    assert [(f["rounds"], f["target"]) for f in found[2:]] == [(2, 0.9), (3, 0.9)]
+    assert changes_of(about)[1] == ("S1", "torch", "2.4", "2.5")
+
+
+def test_another_robot_and_actions_are_named(tmp_path: Path) -> None:
+    folder = thinned(tmp_path / "it's", "S0", models=False, events=False)
+    path = folder / "robot" / "robot.json"
+    path.write_text(path.read_text() + "\n")
+    (line,) = training_commands(open_run(folder), {}, {})
+    values, _ = options(line)
+    assert str(values["urdf"]) == "it's/robot/robot.urdf"
+    assert str(values["robot"]) == "it's/robot/robot.json"
+
+
+def test_names_in_a_graph_are_no_formulas() -> None:
+    for name in (r"$\frac{1}{$", "$x$", "a\nb\x1b", "\ud800", " "):
+        skill = Skill(name, random_graphs(0, 1, paper_actions()), paper_actions())
+        with rc_context(STYLE):
+            svg = inline_svg(draw_skill(skill), "key", name)
+        assert f"{printable(name)} · " in svg
+
+
+def test_two_pictures_share_no_names() -> None:
+    def picture(key: str) -> str:
+        with rc_context(STYLE):
+            figure = Figure()
+            axes = figure.add_subplot()
+            axes.scatter(range(5), range(5), gid="five:all")
+            axes.plot([0, 1], [1, 0], color="#123456")
+            return inline_svg(figure, key, 'a label with < & "')
+
+    one, other = picture("one"), picture("other")
+    assert one == picture("one")
+    assert one.replace("one-", "other-") == other
+    assert 'data-part="five:all"' in one
+    assert "stroke: var(--c-123456, #123456)" in one
+    assert 'aria-label="a label with &lt; &amp; &quot;"' in one
+    assert "<style" not in one
+    assert "<metadata" not in one

@@ -1,0 +1,158 @@
+"""Pages of runs that are not finished, were thinned out, or are damaged."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from lxml import html
+from report_pages import REFERENCE, changed, parsed, rewrite, thinned, words
+from safetensors.torch import load, save
+from torch.utils.tensorboard import SummaryWriter
+
+from cgtorch.errors import CgtorchError, RunError
+from cgtorch.experiments.journal import FileJournal
+from cgtorch.models.storage import notes_of
+from cgtorch.report.page import report_page
+
+
+def missing(page: html.HtmlElement) -> list[str]:
+    found = page.xpath("//aside//li")
+    return [words(line) for line in found]
+
+
+def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(REFERENCE / "robot", folder / "robot")
+    shutil.copy(REFERENCE / "run.json", folder)
+    page = parsed(folder)
+    assert missing(page) == [
+        "No stage is finished yet, so there is no skill to show.",
+        "There are no TensorBoard files, so no course of the evolution.",
+        "There are no models Γ and C in the folder, so nothing of their fits.",
+    ]
+    ours = [words(e) for e in page.find_class("ours")]
+    assert ours == [*["This run Not made in this run."] * 4, "This run Not tried yet."]
+    assert [words(e) for e in page.find_class("paper")][3].startswith("The paper 3 of 5 reached")
+    assert page.find(".//*[@id='results']") is None
+    assert len(page.find_class("schematic")) == 4 == len(list(page.iter("svg")))
+    text = words(page.get_element_by_id("reproduce"))
+    assert "cgtorch-train --stage S0 --seed" in text
+    assert "cgtorch-evaluate" not in text
+
+
+def test_a_run_in_the_middle(tmp_path: Path) -> None:
+    """Two stages are there, the third has begun, and TensorBoard knows more than is finished."""
+    folder = thinned(tmp_path / "run", "S0", "S1")
+    FileJournal(folder / "journal" / "S2").record("x", {"generations": torch.tensor(7)})
+    FileJournal(folder / "journal" / "S1").record("x", {"generations": torch.tensor(9)})
+    page = parsed(folder)
+    assert missing(page) == [
+        "The run has not made S2, S3.",
+        "S2 has begun and is not finished; its journal knows 7 generations.",
+    ]
+    assert [words(e.find("h3")) for e in page.iter("article")] == [
+        "S0: near edge", "S1: left edge", "S2: right edge", "S3: far edge",
+    ]  # fmt: skip
+    assert [len(list(e.iter("svg"))) for e in page.iter("article")] == [3, 3, 1, 1]
+    results = [json.loads((folder / s / "result.json").read_text()) for s in ("S0", "S1")]
+    done = sum(result["generations"] for result in results)
+    logged = words(page.get_element_by_id("evolution")).split("over the ")[1]
+    assert int(logged.split()[0]) > done
+    assert "cgtorch-train --stage S1 --seed" in words(page.get_element_by_id("reproduce"))
+
+
+def test_a_run_without_models_and_events(tmp_path: Path) -> None:
+    page = parsed(thinned(tmp_path / "run", "S0", models=False, events=False))
+    assert missing(page)[1:] == [
+        "There are no TensorBoard files, so no course of the evolution.",
+        "There are no models Γ and C in the folder, so nothing of their fits.",
+    ]
+    assert "No generation is in the run" in words(page.get_element_by_id("evolution"))
+    assert "Nothing is known of the models." in words(page.get_element_by_id("models"))
+
+
+def test_models_are_told_from_events_where_they_are_gone(tmp_path: Path) -> None:
+    folder = thinned(tmp_path / "run", "S0", models=False)
+    with SummaryWriter(str(folder)) as writer:
+        for part, error in (("object", 0.011), ("table", 0.021)):
+            writer.add_scalar(f"gamma/fresh_{part}_error", error, 0)
+            writer.add_scalar(f"gamma/fresh_{part}_floor", error - 0.001, 0)
+        writer.add_scalar("gamma/error_<b>", 0.5, 0)
+    models = parsed(folder).get_element_by_id("models")
+    rows = [[words(c) for c in row.iter("th", "td")] for row in models.iter("tr")]
+    assert ["the object, x and y", "1.10 cm", "1.00 cm"] in rows
+    assert ["the table's sides", "2.10 cm", "2.00 cm"] in rows
+    assert ["<b>", "50.00 cm", "–"] in rows
+    assert any(row[0] == "object x" for row in rows)
+    assert any("Learning curves" in svg.get("aria-label") for svg in models.iter("svg"))
+
+
+def test_half_an_event_file(tmp_path: Path) -> None:
+    """As after a power cut; what is whole is drawn."""
+    folder = thinned(tmp_path / "run", "S0")
+    (path,) = folder.glob("events.out*")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+    (svg,) = parsed(folder).xpath(
+        "//section[@id='evolution']//svg[starts-with(@aria-label, 'Fit')]"
+    )
+    assert len(list(svg.iter("path"))) > 5
+    path.write_bytes(bytes(range(256)) * 100)
+    assert "No generation" in words(parsed(folder).get_element_by_id("evolution"))
+
+
+@pytest.mark.parametrize(
+    ("file", "values"),
+    [
+        ("S0/result.json", {"fresh": {"placement": "near", "tried": 4, "succeeded": 5}}),
+        ("S0/result.json", {"seconds": -1}),
+        ("S0/result.json", {"edge": 7}),
+        ("S0/scenarios.json", {"W": [{}]}),
+        ("S0/skill.json", {"start": "nobody"}),
+        ("ledger/index.json", {"skills": [{"name": "../S0"}]}),
+        ("run.json", {"settings": {}}),
+        ("robot/robot.json", {"footprint": "wide"}),
+    ],
+)
+def test_damaged_files_are_named(tmp_path: Path, file: str, values: dict[str, Any]) -> None:
+    folder = thinned(tmp_path / "run", "S0", events=False, models=False)
+    changed(folder / file, **values)
+    with pytest.raises(CgtorchError):
+        report_page(folder)
+
+
+def test_a_list_for_an_object(tmp_path: Path) -> None:
+    folder = thinned(tmp_path / "run", "S0", events=False, models=False)
+    rewrite(folder / "summary.json", [1])
+    with pytest.raises(RunError, match=r"summary\.json' holds no object; restore the file"):
+        report_page(folder)
+
+
+@pytest.mark.parametrize(
+    ("model", "values"),
+    [
+        ("gamma", {"error": ["<b>"] * 7}),
+        ("gamma", {"error": [0.1]}),
+        ("gamma", {"coordinates": 7}),
+        ("gamma", {"rows": "many"}),
+        ("gamma", {"choice": [{"C": "x", "gamma": 1, "epsilon": 1, "score": 0}]}),
+        ("gamma", {"learning_curve": {"sizes": [1], "train_scores": [[]], "test_scores": [[1]]}}),
+        ("gamma", {"learning_curve": {"sizes": [1], "train_scores": 1, "test_scores": 2}}),
+        ("gamma", {"learning_curve": 5}),
+        ("classifier", {"balanced_accuracy": None}),
+        ("classifier", {"reliability": [[0.5, 2.0, 4]]}),
+        ("classifier", {"reliability": [["a", 0.5, 4]]}),
+        ("classifier", {"reliability": 3}),
+    ],
+)
+def test_damaged_reports_of_models(tmp_path: Path, model: str, values: dict[str, Any]) -> None:
+    folder = thinned(tmp_path / "run", "S0", events=False)
+    path = folder / "S0" / f"{model}.safetensors"
+    data = path.read_bytes()
+    header = json.loads(notes_of(data)["cgtorch"])
+    header["report"] |= values
+    path.write_bytes(save(load(data), metadata={"cgtorch": json.dumps(header)}))
+    with pytest.raises(RunError, match="damaged"):
+        report_page(folder)
