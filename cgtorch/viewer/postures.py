@@ -102,8 +102,10 @@ def _free(
     """(K,) whether an arm touches nothing on straight lines from postures a to b (K, n)."""
     if not len(a):
         return torch.zeros(0, dtype=torch.bool)
-    line = _between(a, b, steps)
-    return ~touches(arm, line.flatten(0, 1), slab, body).view(len(a), steps).any(1)
+    line = _between(a, b, steps).flatten(0, 1)
+    parts = (slab.centre, slab.rotation, slab.half)
+    everywhere = Boxes(*(part.expand(len(line), *part.shape[1:]) for part in parts))
+    return ~touches(arm, line, everywhere, body).view(len(a), steps).any(1)
 
 
 def _between(a: Tensor, b: Tensor, steps: int) -> Tensor:
