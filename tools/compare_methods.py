@@ -64,9 +64,9 @@ class Meter:
             self.generations += 1
             self.search += now - self.last
         elif isinstance(event, SkillAccepted):
-            seed = FRESH_SEED + self.run.settings.seed
+            spent, seed = self.cost, FRESH_SEED + self.run.settings.seed
             score = evaluate_skill(event.skill, self.run.world_of, PERIMETER, self.placements, seed)
-            point = {"stage": event.stage, **self.cost, "succeeded": score.successes}
+            point = {"stage": event.stage, **spent, "succeeded": score.successes}
             size = {"nodes": event.skill.num_nodes, "depth": event.skill.depth}
             self.points.append({**point, **size})
             self.measuring += time.process_time() - now

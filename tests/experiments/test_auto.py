@@ -199,7 +199,6 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
         transitions=100,
         labels=300,
         attempts=1,
-        generations=8,
     )
     run = create_run(tmp_path_factory.mktemp("wide") / "run", settings)
     events: list[Event] = []

@@ -63,7 +63,8 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     assert len(lines) == sum(not isinstance(e, GenerationDone) for e in events) + 1
     assert lines[0] == "S1: stage 2 of 3, 6 scenarios to keep (W), 5 to solve"
     assert re.fullmatch(
-        r"S1: Γ errs by \d+\.\d cm on the object and \d+\.\d cm on the table, C's balanced "
+        r"S1: on 40 fresh transitions Γ errs by \d+\.\d\d cm on the object \(floor .*\) and "
+        r"\d+\.\d\d cm on the table \(floor .*\), C's balanced "
         r"accuracy on fresh labels is \d+\.\d % near the object \(possible \d+\.\d\) and "
         r"\d+\.\d % overall \(possible \d+\.\d\); "
         r"120 transitions and \d+ labels, 1\.5 s",
@@ -163,7 +164,8 @@ def test_how_good_the_first_models_are_stays_above_the_live_lines(events: list[E
     later = next(e for e in events if isinstance(e, ModelsFitted))
     assert later.stage == "S1"
     with ProgressDisplay(console(terminal=True)) as display:
-        for event in (replace(later, stage="start", gamma_quality=QUALITY), later):
+        first = replace(later, stage="start", gamma_quality=QUALITY)
+        for event in (first, replace(later, gamma_quality=None)):
             display(event)
     shown = text_of(display)
     assert "start: on 2000 fresh transitions" in shown
