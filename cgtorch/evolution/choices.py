@@ -1,17 +1,14 @@
-"""Random choices of the operators on structure, drawn before the operators run.
+"""Random choices of the operators on structure, as what their numbers follow from.
 
-What they choose from is not known yet, so these are numbers in [0, 1), as many whatever happens.
+What they choose from is not known before, so each number has a place of its own, whatever happens.
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
+import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution.sampling import words, words_for
-
-Pairing: TypeAlias = tuple[Tensor, Tensor, int, int]
-"""`chosen` and `size` of `Pairs`, how many pairs are crossed, and `width`."""
+from cgtorch.evolution.sampling import key, keys, words
 
 
 @dataclass(frozen=True)
@@ -20,17 +17,19 @@ class Pairs:
 
     Attributes:
         parents: (2 Q,) long, the first of all pairs and then the second.
-        chosen: (Q,) long, row of `draws`, or -1 for pairs that are only copied.
-        size: (Q,) long, how many nodes are swapped.
-        draws: (C, W) random words for numbers in `pair_parts(width, O)`.
+        strategy: (2 Q, S) float32 rates of the parents.
+        key: of all pairs' numbers, whose places are `pair_parts(width, O)`.
         width: nodes of the largest parent.
     """
 
     parents: Tensor
-    chosen: Tensor
-    size: Tensor
-    draws: Tensor
+    strategy: Tensor
+    key: int
     width: int
+
+    def __len__(self) -> int:
+        """Q."""
+        return len(self.parents) // 2
 
 
 @dataclass(frozen=True)
@@ -39,36 +38,45 @@ class Choices:
 
     Attributes:
         strategy: (P, S) float32 rates.
-        draws: (P, W) random words for numbers in `parts(width, O)`.
-        width: at least nodes of the largest graph and one more, or N if that is less.
+        key: of all graphs' numbers, whose places are `parts(width, O)`.
+        width: at least nodes of the largest graph and one more, or as many as there may be.
     """
 
     strategy: Tensor
-    draws: Tensor
+    key: int
     width: int
 
 
 def pair_parts(width: int, outcomes: int) -> list[int]:
-    """Of either parent where its group begins and the order of nodes, of either child its heads."""
-    return [1, 1, width, width, width * outcomes, width * outcomes]
+    """Numbers of a pair.
+
+    Whether it is crossed and how many nodes are swapped, of either parent where its group begins
+    and the order of nodes, of either child its heads.
+    """
+    return [1, 1, 1, 1, width, width, width * outcomes, width * outcomes]
 
 
 def parts(width: int, outcomes: int) -> list[int]:
-    """To add, to delete, to move the start; to replace, to change, and heads of all edges."""
+    """Numbers of a graph.
+
+    To add, to delete, to move the start; to replace, to change, and heads of all edges.
+    """
     return [3 + outcomes, 3, 2, width, width, width * outcomes]
 
 
-def choices_for(
-    strategy: Tensor, nodes: int, shape: tuple[int, ...], generator: Generator
-) -> Choices:
+def numbers(key_of_all: int, count: int, sizes: list[int]) -> tuple[Tensor, ...]:
+    """Words (count, size) of so many individuals for parts of such sizes."""
+    places = torch.arange(sum(sizes))
+    return words(keys(key_of_all, count)[:, None], places).split(sizes, 1)
+
+
+def choices_for(strategy: Tensor, nodes: int, capacity: int, generator: Generator) -> Choices:
     """Choices for individuals of a strategy (P, S) whose graphs have at most so many nodes.
 
     Args:
         strategy: (P, S).
         nodes: at most.
-        shape: (N, O) of their edges.
+        capacity: that a graph may have in the end.
         generator: of all choices.
     """
-    width = min(nodes + 1, shape[0])
-    draws = words((len(strategy), words_for(sum(parts(width, shape[1])))), generator)
-    return Choices(strategy.float(), draws, width)
+    return Choices(strategy.float(), key(generator), min(nodes + 1, capacity))

@@ -11,12 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.choices import Choices, Pairing, Pairs
-from cgtorch.evolution.sampling import IN_A_WORD, words
+from cgtorch.evolution.choices import Choices, Pairs
+from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
@@ -30,23 +30,19 @@ class _Pointers(ctypes.Structure):
 
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
-    "mutated": (_G, _G, _P, _P, _P, _I, _P, _I, _I, _I),
-    "bred": (_G, _P, _G, _P, _P, _P, _P, _I, _P, _P, _I, _P, _I, _I, _I),
-    "paired": (_P, _I, _P, _I, _P, _I, _P, _P, _P, _P),
+    "most_nodes": (_P, _I, _P, _I, _P),
+    "mutated": (_G, _G, _P, _P, _I, _I, _P, _I, _I, _I),
+    "bred": (_G, _P, _I, _P, _G, _P, _P, *[_I] * 4, _P, _I, _I, _I),
     "mark_new": (_P, _P, _I, _I, _P, _P),
-    "parameter_counts": (_P, _P, _I, _I, _P, _P, _I),
-    "parameter_hits": (_P, _P, _P, _P, _P, _P, _I, _I),
-    "parameters_of": (*[_P] * 7, _I, _I, _P, _P, _P, _I, _P, _I, _I),
+    "parameters_of": (_P, _P, _I, *[_P] * 3, _I, _I, *[_P] * 3, _I, _P, _I, _I),
     "deviation": (_P, _I, _I, _P),
-    "lexicase": (_P, _I, _I, _P, _P, _P, _I, _P, _I),
+    "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
 }
 _SOURCE = {
+    "most_nodes": "operators",
     "mutated": "operators",
     "bred": "operators",
-    "paired": "operators",
     "mark_new": "parameters",
-    "parameter_counts": "parameters",
-    "parameter_hits": "parameters",
     "parameters_of": "parameters",
     "deviation": "lexicase",
     "lexicase": "lexicase",
@@ -71,48 +67,53 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
-def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
-    """See `cgtorch.evolution.structure.restructured`."""
-    graphs, out = _contiguous(graphs), _like(graphs, len(graphs))
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int) -> Graphs:
+    """See `cgtorch.evolution.structure.restructured`; the capacity is that of the graphs."""
+    graphs, out = _contiguous(graphs), _room(len(graphs), capacity, graphs.edges.shape[2])
     _call(
         "mutated", torch.float32,
-        _pointers(graphs), _pointers(out), _shape(graphs),
-        choices.strategy, choices.draws, choices.width, actions.has_edge, len(actions), len(graphs),
+        _pointers(graphs), _pointers(out), _shape(graphs), choices.strategy, choices.key,
+        choices.width, actions.has_edge, len(actions), len(graphs),
     )  # fmt: skip
     return out
 
 
-def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
-    """See `cgtorch.evolution.crossover.paired`."""
-    chosen, size = torch.empty(2, len(draws), dtype=torch.long)
-    totals = torch.empty(2, dtype=torch.long)
-    _call(
-        "paired", torch.float32,
-        graphs.action, graphs.capacity, parents, len(draws), strategy, strategy.shape[1],
-        draws, chosen, size, totals,
-    )  # fmt: skip
-    crossed, width = totals.tolist()
-    return chosen, size, crossed, width
+def most_nodes(graphs: Graphs, rows: Tensor) -> int:
+    """Nodes of the largest of the graphs `rows` (n,)."""
+    most = torch.empty((), dtype=torch.long)
+    _call("most_nodes", torch.float32, graphs.action, graphs.capacity, rows, len(rows), most)
+    return int(most)
 
 
 def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
     """See `cgtorch.evolution.crossover.swapped`."""
-    return _bred(graphs, pairs, None, None, 0, None, 0)
+    return _bred(graphs, pairs.parents[:0], pairs, 0, graphs.capacity, None, 0)
 
 
-def bred(graphs: Graphs, pairs: Pairs, choices: Choices, actions: ActionSet) -> Graphs:
-    """Children of pairs, mutated; see both of the above."""
-    mutation = choices.strategy, choices.draws, choices.width
-    return _bred(graphs, pairs, *mutation, actions.has_edge, len(actions))
+def bred(
+    graphs: Graphs, elite: Tensor, pairs: Pairs, choices: Choices, actions: ActionSet
+) -> Graphs:
+    """See `cgtorch.evolution.offspring.bred`."""
+    mutation = choices.key, choices.width, actions.has_edge, len(actions)
+    return _bred(graphs, elite, pairs, *mutation)
 
 
-def _bred(graphs: Graphs, pairs: Pairs, *mutation: Any) -> Graphs:
+def _bred(
+    graphs: Graphs,
+    elite: Tensor,
+    pairs: Pairs,
+    key: int,
+    slots: int,
+    has_edge: Tensor | None,
+    actions: int,
+) -> Graphs:
     graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
-    out = _like(graphs, len(pairs.parents))
+    out = _room(len(elite) + len(pairs.parents), slots, graphs.edges.shape[2])
     _call(
         "bred", torch.float32,
-        _pointers(graphs, marks=False), pairs.parents, _pointers(out), _shape(graphs),
-        pairs.chosen, pairs.size, pairs.draws, pairs.width, *mutation, len(pairs.chosen),
+        _pointers(graphs, marks=False), elite, len(elite), pairs.parents, _pointers(out),
+        _shape(graphs), pairs.strategy, pairs.key, pairs.width, key, slots, has_edge, actions,
+        len(pairs),
     )  # fmt: skip
     return out
 
@@ -132,22 +133,15 @@ def parameters(
     actions: ActionSet,
     rate: Tensor,
     sigma: Tensor,
-    generator: Generator,
+    key: int,
 ) -> Tensor:
     """See `cgtorch.evolution.parameters.parameters`."""
     p, n = graphs.action.shape
-    out = old.new_empty(p, *old.shape[1:])
-    counts, first, hits = torch.empty(3, p + 1, dtype=torch.long)
-    nodes = graphs.action, actions.num_parameters, len(actions), n
-    _call("parameter_counts", old.dtype, *nodes, counts, first, p)
-    draws = words((int(first[-1]),), generator)
-    which = torch.empty(IN_A_WORD * len(draws), dtype=torch.int32)
-    _call("parameter_hits", old.dtype, counts, first, draws, rate, hits, which, p)
-    normal = torch.randn(int(hits[-1]), generator=generator)
+    out = old.new_empty(p, n, old.shape[2])
     _call(
         "parameters_of", old.dtype,
-        first, hits, which, sigma, normal, *nodes, graphs.parameters, old, fresh, old.shape[2],
-        out, p,
+        rate, sigma, key, quantiles(), graphs.action, actions.num_parameters, len(actions), n,
+        graphs.parameters, old, fresh, old.shape[2], out, p,
     )  # fmt: skip
     return out
 
@@ -159,13 +153,10 @@ def deviation(scores: Tensor) -> Tensor:
     return out
 
 
-def lexicase(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Tensor:
+def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     """See `cgtorch.evolution.lexicase.parents`."""
-    chosen = torch.empty(len(turns), dtype=torch.long)
-    _call(
-        "lexicase", scores.dtype, scores, *scores.shape, epsilon, turns, last,
-        len(turns), chosen,
-    )  # fmt: skip
+    chosen = torch.empty(count, dtype=torch.long)
+    _call("lexicase", scores.dtype, scores, *scores.shape, epsilon, key, count, chosen)
     return chosen
 
 
@@ -189,9 +180,10 @@ def _contiguous(graphs: Graphs) -> Graphs:
     return Graphs(*(x.contiguous() for x in vars(graphs).values()))
 
 
-def _like(graphs: Graphs, count: int) -> Graphs:
-    """Room for so many graphs of the same size."""
-    return Graphs(*(x.new_empty(count, *x.shape[1:]) for x in vars(graphs).values()))
+def _room(count: int, nodes: int, outcomes: int) -> Graphs:
+    """Room for so many marked graphs."""
+    sizes = (count, nodes), (count, nodes, outcomes), (count, nodes, 1), (count,)
+    return Graphs(*(torch.empty(size, dtype=torch.long) for size in sizes))
 
 
 def _pointers(graphs: Graphs, marks: bool = True) -> Any:

@@ -4,19 +4,17 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import Pairing, Pairs, pair_parts
+from cgtorch.evolution.choices import Pairs, numbers, pair_parts
 from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words, words_for
+from cgtorch.evolution.sampling import BITS, fields, key, nth_true, pick, uniform
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
     compacted,
     concatenate,
     narrowed,
-    nodes_first,
     pruned,
-    rearranged,
     widened,
 )
 
@@ -40,69 +38,65 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     """
     graphs = concatenate([first.graphs, second.graphs])
     strategy = torch.cat([first.strategy, second.strategy])
-    pairs = pairs_of(graphs, torch.arange(len(graphs)), strategy, generator)
+    every = torch.arange(len(graphs))
+    pairs = pairs_of(graphs, every[:0], every, strategy, generator)
     way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
     return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
 
 
-def pairs_of(graphs: Graphs, parents: Tensor, strategy: Tensor, generator: Generator) -> Pairs:
-    """Choices for the pairs of parents (2 Q,) of graphs, whose strategies (2 Q, S) are given."""
-    draws = torch.rand(len(parents) // 2, 2, generator=generator)
-    way = compiled.paired if compiled.takes(graphs, graphs.parameters) else paired
-    chosen, size, crossed, width = way(graphs, parents, strategy.float(), draws)
-    count = words_for(sum(pair_parts(width, graphs.edges.shape[2])))
-    return Pairs(parents, chosen, size, words((crossed, count), generator), width)
+def pairs_of(
+    graphs: Graphs, others: Tensor, parents: Tensor, strategy: Tensor, generator: Generator
+) -> Pairs:
+    """Choices for pairs of graphs.
+
+    Args:
+        graphs: P of them.
+        others: (n,) long, those besides parents that are to have room in `Pairs.width`.
+        parents: (2 Q,) long, the first of all pairs and then the second.
+        strategy: (2 Q, S) theirs.
+        generator: of all choices.
+    """
+    way = compiled.most_nodes if compiled.takes(graphs, graphs.parameters) else most_nodes
+    most = way(graphs, torch.cat([others, parents]))
+    return Pairs(parents, strategy.float(), key(generator), most)
 
 
-def paired(graphs: Graphs, parents: Tensor, strategy: Tensor, draws: Tensor) -> Pairing:
-    """Which pairs are crossed, and how many nodes they swap, as draws (Q, 2) say; in torch."""
-    nodes = graphs.num_nodes[parents].view(2, -1)
-    half = nodes.amin(0) // 2
-    probability = strategy[:, 0].view(2, -1).sum(0) / 2
-    crossed = (draws[:, 0] < probability) & (half > 0)
-    chosen = torch.where(crossed, crossed.cumsum(0) - 1, -1)
-    width = int(nodes.max()) if len(half) else 0
-    return chosen, 1 + pick(draws[:, 1], half), int(crossed.sum()), width
+def most_nodes(graphs: Graphs, rows: Tensor) -> int:
+    """Nodes of the largest of the graphs `rows` (n,)."""
+    return int(graphs.num_nodes[rows].max()) if len(rows) else 0
 
 
 def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
     """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
 
     They are marked (`cgtorch.evolution.parameters`): marks point to the parameters of `graphs`.
+    Their nodes are in the first slots.
     """
-    parents, chosen, draws, width = pairs.parents, pairs.chosen, pairs.draws, pairs.width
-    (_, n, o), q = graphs.edges.shape, len(chosen)
-    both = marked(graphs)[parents]
-    first, second = both[:q], both[q:]
-    at = chosen >= 0
-    every = torch.zeros(q, draws.shape[1], dtype=torch.long).masked_scatter(at[:, None], draws)
-    numbers = uniform(every, sum(pair_parts(width, o))).split(pair_parts(width, o), 1)
-    begin_a, begin_b, jitter_a, jitter_b, heads_a, heads_b = numbers
-    size = torch.where(at, pairs.size, 0)
-    order_a, order_b = nodes_first(first), nodes_first(second)
-    a, b = narrowed(compacted(first), width), narrowed(compacted(second), width)
-    group_a, group_b = group(a, begin_a, jitter_a), group(b, begin_b, jitter_b)
-    one = graft(a, group_a, b, group_b, size, heads_a.view(q, width, o))
-    two = graft(b, group_b, a, group_a, size, heads_b.view(q, width, o))
-    return pruned(
-        concatenate(
-            [
-                rearranged(widened(child, n), torch.argsort(order, dim=1), order)
-                for child, order in ((one, order_a), (two, order_b))
-            ]
-        )
+    parents, width, q = pairs.parents, pairs.width, len(pairs)
+    n, o = graphs.edges.shape[1:]
+    both = compacted(marked(graphs)[parents])
+    a, b = narrowed(both[:q], width), narrowed(both[q:], width)
+    crosses, share, *begins, jitter_a, jitter_b, heads_a, heads_b = numbers(
+        pairs.key, q, pair_parts(width, o)
     )
+    half = torch.minimum(a.num_nodes, b.num_nodes) // 2
+    probability = pairs.strategy[:, 0].view(2, -1).sum(0) / 2
+    crossed = (uniform(crosses)[:, 0] < probability) & (half > 0)
+    size = torch.where(crossed, 1 + pick(uniform(share)[:, 0], half), 0)
+    group_a, group_b = group(a, begins[0], jitter_a), group(b, begins[1], jitter_b)
+    one = graft(a, group_a, b, group_b, size, uniform(heads_a).view(q, width, o))
+    two = graft(b, group_b, a, group_a, size, uniform(heads_b).view(q, width, o))
+    return widened(compacted(pruned(concatenate([one, two]))), n)
 
 
 def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """(Q, N) long, slots in the order an undirected breadth-first search meets them.
 
-    The search begins at the node that `begin` (Q, 1) draws; within one distance the order is that
-    of `jitter` (Q, N).
+    The search begins at the node that the word `begin` (Q, 1) draws; within one distance the order
+    is that of words `jitter` (Q, N).
     """
-    distance = undirected_distance(graphs, nth_true(graphs.used, begin)[:, 0])
-    # Whole numbers, as a sum of floats could round up to the next distance.
-    return torch.argsort((distance << BITS) + (jitter * 2**BITS).long(), dim=1, stable=True)
+    distance = undirected_distance(graphs, nth_true(graphs.used, uniform(begin))[:, 0])
+    return torch.argsort((distance << BITS) + fields(jitter), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:

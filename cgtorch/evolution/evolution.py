@@ -19,9 +19,10 @@ from cgtorch.evolution.population import (
     join,
     random_population,
     seeded_population,
+    slim,
 )
 from cgtorch.evolution.selection import Selection, ranking
-from cgtorch.graphs import compacted, resized, widened
+from cgtorch.graphs import compacted, resized
 
 WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
@@ -119,11 +120,14 @@ def initial_state(
         population = random_population(settings.population, actions, *sizes)
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)
+    population = slim(population)
     return EvolutionState(population, 0, population[:1], float("-inf"))
 
 
 def ask(state: EvolutionState) -> Population:
     """The P = `settings.population` individuals to evaluate next.
+
+    Their graphs have as many slots as the largest may need, however many nodes there could be.
 
     Whoever asks again before telling gets the same ones.
     """
@@ -160,16 +164,32 @@ def tell(
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
     population = state.population
     order = ranking(fitness, population.graphs.num_nodes)
-    count = settings.population - settings.elite
-    pairs = (count + 1) // 2
+    elite, pairs = order[: settings.elite], (settings.population - settings.elite + 1) // 2
     parents = settings.selection(order, scores, 2 * pairs, generator)
-    children = _children(population, parents, settings, actions, generator)[:count]
     return EvolutionState(
-        population=join(population[order[: settings.elite]], children),
+        population=_next(population, elite, parents, settings, actions, generator),
         generation=state.generation + 1,
         best=population[order[:1]],
         best_fitness=float(fitness[order[0]]),
     )
+
+
+def _next(
+    population: Population,
+    elite: Tensor,
+    parents: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> Population:
+    """The elite (E,) and children of parents (2 Q,) by the operators of the settings."""
+    if settings.crossover is crossover and settings.mutation is mutate:
+        sizes = settings.capacity, settings.tau
+        made = offspring(population, elite, parents, actions, generator, *sizes)
+    else:
+        children = _children(population, parents, settings, actions, generator)
+        made = join(slim(population[elite]), children)
+    return made[: settings.population]
 
 
 def _children(
@@ -179,18 +199,15 @@ def _children(
     actions: ActionSet,
     generator: Generator,
 ) -> Population:
-    """As many children as parents (2 Q,), by the operators of the settings."""
-    if settings.crossover is crossover and settings.mutation is mutate:
-        return offspring(population, parents, actions, generator, settings.tau)
-    # Operators of others look at every slot, so those that nobody needs go meanwhile.
+    """As many children as parents (2 Q,), by operators of which one at least is of one's own."""
     graphs, q = population.graphs, len(parents) // 2
-    capacity, slots = graphs.capacity, int(graphs.num_nodes.max()) + 1
-    sizes = min(slots, capacity), graphs.edges.shape[2], graphs.parameters.shape[2]
+    slots = min(int(graphs.num_nodes.max()) + 1, settings.capacity)
+    sizes = slots, graphs.edges.shape[2], graphs.parameters.shape[2]
     some = Population(resized(compacted(graphs), *sizes), population.strategy)
     children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
     children = settings.mutation(children, actions, generator, settings.tau)
-    check_offspring(children, 2 * q, capacity, actions)
-    return Population(widened(children.graphs, capacity), children.strategy)
+    check_offspring(children, 2 * q, settings.capacity, actions)
+    return children
 
 
 def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:

@@ -20,7 +20,7 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, initial_state, tell
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Graphs, widened
 
 MIGRANTS = 10  # one individual in so many
 
@@ -58,6 +58,12 @@ class Tried:
         """The best of them; of equal fitness the smaller graph first."""
         rows = ranking(self.fitness, self.population.graphs.num_nodes)[:count]
         return Tried.of([values[rows] for values in self.tensors()])
+
+    def widened(self, nodes: int) -> "Tried":
+        """The same with so many slots, as those have that others are to take over."""
+        population = self.population
+        graphs = widened(population.graphs, nodes)
+        return replace(self, population=Population(graphs, population.strategy))
 
     def tensors(self) -> list[Tensor]:
         """All of it as tensors of P rows."""
@@ -103,15 +109,16 @@ def first_islands(
     return [Island(initial_state(settings, actions, each, seeds), each) for each in own]
 
 
-def emigrants(tried: Tried) -> Tried:
-    """Those that an island sends to the next one: its best, one at least."""
-    return tried.best(max(1, len(tried.population) // MIGRANTS))
+def emigrants(tried: Tried, capacity: int) -> Tried:
+    """Those that an island sends to the next one: its best, one at least, with so many slots."""
+    return tried.best(max(1, len(tried.population) // MIGRANTS)).widened(capacity)
 
 
 def migrated(tried: Tried, arrivals: Tried) -> Tried:
     """An island's individuals with `arrivals` in place of the worst of them."""
     order = ranking(tried.fitness, tried.population.graphs.num_nodes)
     stay = order[: len(order) - len(arrivals.population)].sort().values
+    tried = tried.widened(arrivals.population.graphs.capacity)
     pairs = zip(tried.tensors(), arrivals.tensors(), strict=True)
     return Tried.of([torch.cat([old[stay], new]) for old, new in pairs])
 

@@ -4,6 +4,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
+from cgtorch.evolution.sampling import key, keys, pick, uniform, words
 
 POOL = 1024  # individuals that a parent is chosen from at most
 
@@ -48,15 +49,13 @@ def deviation(scores: Tensor) -> Tensor:
 def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
     """(count,) parents from all P individuals of `scores` (P, B)."""
     scores = scores + 0.0  # there is one zero only
-    turns = torch.rand(count, scores.shape[1], generator=generator)
-    last = torch.rand(count, generator=generator, dtype=torch.float64)
     if compiled.takes_scores(scores):
-        return compiled.lexicase(scores, compiled.deviation(scores), turns, last)
-    return parents(scores, deviation(scores), turns, last)
+        return compiled.lexicase(scores, compiled.deviation(scores), count, key(generator))
+    return parents(scores, deviation(scores), count, key(generator))
 
 
-def parents(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Tensor:
-    """(count,) parents as draws say, in torch; `native/lexicase.c` chooses one after the other.
+def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
+    """(count,) parents, in torch; `native/lexicase.c` chooses one after the other.
 
     Individuals of equal scores stand or fall together, so they are one row here. Who still stands
     for which parent is a list of pairs, sorted by parent: after the first scenarios few are left.
@@ -64,12 +63,13 @@ def parents(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Ten
     Args:
         scores: (P, B).
         epsilon: (B,) how much worse than the best is good enough.
-        turns: (count, B) each parent's scenarios follow in the order of these draws.
-        last: (count,) draws in [0, 1) that choose from who still stands at the end.
+        count: how many parents to choose.
+        key: of all random choices.
     """
-    count = len(turns)
     rows, row_of, size = _distinct(scores)
-    cases, turns = rows.T.contiguous(), turns.argsort(dim=1, stable=True).T.contiguous()
+    cases, own = rows.T.contiguous(), keys(key, count)
+    turns = _turns(own, scores.shape[1])
+    last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
     parent, row = _good_at_first(cases, epsilon, turns[0])
     for case in turns[1:]:
         if len(row) == count:  # one for each parent
@@ -87,6 +87,17 @@ def parents(scores: Tensor, epsilon: Tensor, turns: Tensor, last: Tensor) -> Ten
     pair = torch.searchsorted(ends, place, right=True)
     first = size.cumsum(0) - size
     return row_of.argsort(stable=True)[first[row[pair]] + place - (ends - number)[pair]]
+
+
+def _turns(own: Tensor, scenarios: int) -> Tensor:
+    """(B, count) in what order the scenarios come for keys (count,): Fisher and Yates' shuffle."""
+    turns = torch.arange(scenarios)[:, None].repeat(1, len(own))
+    for turn in range(scenarios):
+        at = turn + pick(uniform(words(own, torch.tensor(turn))), scenarios - turn)
+        found = turns.gather(0, at[None])
+        turns.scatter_(0, at[None], turns[turn : turn + 1].clone())
+        turns[turn] = found[0]
+    return turns
 
 
 def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -11,7 +11,6 @@ from cgtorch.evolution.choices import choices_for
 from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.structure import restructured
-from cgtorch.graphs import Graphs
 
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
@@ -25,30 +24,20 @@ def mutate(
     Add a node, delete a node, replace nodes, change an edge of nodes, choose a new start; nodes
     that the start does not lead to are pruned; last, perturb parameters. The graphs stay valid.
 
-    All choices follow from numbers that are drawn first, of which there are as many whatever way
-    the operators run: compiled for the CPU, or in torch, with the same children to the last bit.
+    The children are the same to the last bit whatever way the operators run, compiled for the CPU
+    or in torch: all choices follow from numbers that are functions of the individual's place.
     """
     graphs, strategy = marked(population.graphs), population.strategy
-    old = population.graphs.parameters
+    old, capacity = population.graphs.parameters, graphs.capacity
     nodes = int(graphs.num_nodes.max()) if len(graphs) else 0
-    choices = choices_for(strategy, nodes, graphs.edges.shape[1:], generator)
+    choices = choices_for(strategy, nodes, capacity, generator)
     way = compiled.restructured if compiled.takes(graphs, old) else restructured
-    return finished(way(graphs, choices, actions), old, strategy, actions, generator, tau)
-
-
-def finished(
-    graphs: Graphs,
-    old: Tensor,
-    strategy: Tensor,
-    actions: ActionSet,
-    generator: Generator,
-    tau: float,
-) -> Population:
-    """What is left to do for mutated graphs that are marked: parameters, from `old`, and eq. 2."""
+    made = way(graphs, choices, actions, capacity)
     column = dict(zip(STRATEGY, strategy.float().unbind(1), strict=True))
     rate, sigma = column["mutate_parameter"], column["sigma"]
-    graphs = changed(graphs, old, actions, rate, sigma, generator)
-    return Population(graphs, drift(strategy, tau, generator))
+    return Population(
+        changed(made, old, actions, rate, sigma, generator), drift(strategy, tau, generator)
+    )
 
 
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:

@@ -1,40 +1,65 @@
-"""Crossover and mutation in one step."""
+"""A generation from the last one: the elite, and children by crossover and mutation at once."""
 
+import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import choices_for
+from cgtorch.evolution.choices import Choices, Pairs, choices_for
 from cgtorch.evolution.crossover import pairs_of, swapped
-from cgtorch.evolution.mutation import TAU, finished
-from cgtorch.evolution.population import Population
+from cgtorch.evolution.mutation import TAU, drift
+from cgtorch.evolution.parameters import changed, marked
+from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.structure import restructured
+from cgtorch.graphs import Graphs, compacted, concatenate, narrowed
 
 
 def offspring(
     population: Population,
+    elite: Tensor,
     parents: Tensor,
     actions: ActionSet,
     generator: Generator,
+    capacity: int,
     tau: float = TAU,
 ) -> Population:
-    """Children of parents by `crossover` and `mutate`; parameters are copied once, not twice.
+    """The elite, and children of parents by `crossover` and `mutate`.
+
+    Nothing is copied twice, parameters of nodes that do not remain not even once.
 
     Args:
-        population: who parents are of.
+        population: who all are of.
+        elite: (E,) long, those that go on unchanged.
         parents: (2 Q,) long, the first of each of Q pairs and then the second of each.
         actions: what nodes can do.
         generator: of all random choices.
+        capacity: the most nodes that a child can have.
         tau: variance of the drift in eq. 2.
 
     Returns:
-        2 Q children, in the order of `crossover`.
+        E + 2 Q individuals, the elite first, the children in the order of `crossover`, all of them
+        with their nodes in the first slots. There are as many slots as the largest may need,
+        however many there could be.
     """
     graphs, strategy = population.graphs, population.strategy.index_select(0, parents)
-    pairs = pairs_of(graphs, parents, strategy, generator)
-    choices = choices_for(strategy, pairs.width, graphs.edges.shape[1:], generator)
-    if compiled.takes(graphs, graphs.parameters):
-        children = compiled.bred(graphs, pairs, choices, actions)
-    else:
-        children = restructured(swapped(graphs, pairs), choices, actions)
-    return finished(children, graphs.parameters, strategy, actions, generator, tau)
+    pairs = pairs_of(graphs, elite, parents, strategy, generator)
+    choices = choices_for(strategy, pairs.width, capacity, generator)
+    way = compiled.bred if compiled.takes(graphs, graphs.parameters) else bred
+    children = way(graphs, elite, pairs, choices, actions)
+    rate, sigma = (
+        torch.cat([strategy.new_zeros(len(elite)), strategy[:, STRATEGY.index(name)]]).float()
+        for name in ("mutate_parameter", "sigma")
+    )
+    return Population(
+        changed(children, graphs.parameters, actions, rate, sigma, generator),
+        torch.cat([population.strategy[elite], drift(strategy, tau, generator)]),
+    )
+
+
+def bred(
+    graphs: Graphs, elite: Tensor, pairs: Pairs, choices: Choices, actions: ActionSet
+) -> Graphs:
+    """Marked graphs of the elite (E,) and of children of pairs, mutated, in torch."""
+    same = narrowed(compacted(marked(graphs)[elite]), choices.width)
+    children = restructured(swapped(graphs, pairs), choices, actions, choices.width)
+    return concatenate([same, children])

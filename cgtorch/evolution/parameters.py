@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.sampling import IN_A_WORD, uniform, words
+from cgtorch.evolution.sampling import key, keys, normal, uniform, words
 from cgtorch.graphs import Graphs
 
 
@@ -44,8 +44,7 @@ def changed(
         actions: what the nodes are.
         rate: (P,) probability that a parameter changes.
         sigma: (P,) standard deviations of the steps.
-        generator: of new parameters, of the choices and of the steps; a step is drawn only where
-            one is taken.
+        generator: of new parameters, of the choices and of the steps.
     """
     native = compiled.takes(graphs, old)
     mark = compiled.mark_new_ if native else mark_new_
@@ -55,7 +54,7 @@ def changed(
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     way = compiled.parameters if native else parameters
-    made = way(graphs, old, fresh, actions, rate, sigma, generator)
+    made = way(graphs, old, fresh, actions, rate, sigma, key(generator))
     return replace(graphs, parameters=made)
 
 
@@ -80,36 +79,29 @@ def parameters(
     actions: ActionSet,
     rate: Tensor,
     sigma: Tensor,
-    generator: Generator,
+    key: int,
 ) -> Tensor:
     """(P, N, K) in torch; `native/parameters.c` makes them for one individual after the other.
 
     Args:
         graphs: P of them; mark r > 0 is row r - 1 of `old`, r < 0 row -r - 1 of `fresh`.
-        old: (P', N, K).
+        old: (P', N', K).
         fresh: (F, K).
         actions: see `changed`, as of all that follows.
         rate: (P,).
         sigma: (P,).
-        generator: of choices and steps.
+        key: of all choices and steps. Each parameter has one word, which says both whether it
+            changes and by how much.
     """
     out = _at_marks(graphs.parameters, old, fresh)
     count = actions.num_parameters[graphs.action.clamp_min(0)] * graphs.used
+    before = count.cumsum(1) - count
     row, slot = count.nonzero(as_tuple=True)
-    count = count[row, slot]
-    owner = row.repeat_interleave(count)
-    # Each individual's numbers begin with a word of its own.
-    each = torch.bincount(owner, minlength=len(graphs))
-    whole = (each + IN_A_WORD - 1) // IN_A_WORD
-    place = torch.arange(len(owner)) - (each.cumsum(0) - each)[owner]
-    place += IN_A_WORD * (whole.cumsum(0) - whole)[owner]
-    draws = words((int(whole.sum()), 1), generator)
-    hit = uniform(draws, IN_A_WORD).flatten()[place] < rate[owner]
-    step = torch.randn(int(hit.sum()), generator=generator) * sigma[owner[hit]]
+    column = torch.arange(out.shape[2])
+    random = words(keys(key, len(graphs))[row, None], before[row, slot][:, None] + column)
+    changes = (uniform(random) < rate[row, None]) & (column < count[row, slot][:, None])
     values = out[row, slot]
-    real = torch.arange(values.shape[1]) < count[:, None]
-    values[real.masked_scatter(real, hit)] += step
-    out[row, slot] = values
+    out[row, slot] = torch.where(changes, values + normal(random) * sigma[row, None], values)
     return out
 
 

@@ -7,7 +7,17 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.errors import GraphError
-from cgtorch.graphs import NO_NODE, Graphs, compacted, concatenate, pruned, resized, valid
+from cgtorch.graphs import (
+    NO_NODE,
+    Graphs,
+    compacted,
+    concatenate,
+    pruned,
+    resized,
+    trimmed,
+    valid,
+    widened,
+)
 
 STRATEGY = (
     "crossover",
@@ -45,14 +55,20 @@ class Population:
         return Population(self.graphs[index], self.strategy[index])
 
 
+def slim(population: Population) -> Population:
+    """The same individuals with no more slots than their largest graph has nodes."""
+    return Population(trimmed(population.graphs), population.strategy)
+
+
 def initial_strategy(size: int) -> Tensor:
     """(size, S) the strategy parameters that evolution starts with."""
     return torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
 
 
 def join(*parts: Population) -> Population:
-    """One population of all individuals."""
-    graphs = concatenate([p.graphs for p in parts])
+    """One population of all individuals, with as many slots as the widest."""
+    nodes = max(part.graphs.capacity for part in parts)
+    graphs = concatenate([widened(part.graphs, nodes) for part in parts])
     return Population(graphs, torch.cat([p.strategy for p in parts]))
 
 

@@ -1,29 +1,80 @@
-"""Choices for a whole population at once, as functions of uniform numbers drawn before.
+"""Random numbers of operators, each a function of a key and of what the number is for.
 
-Most numbers only say whether something rare happens, so three are drawn at the cost of one: a word
-of 63 random bits is three numbers of 21 bits.
+One word is drawn for all individuals of a generation and gives every one of them a key; number i of
+an individual is then SplitMix64 (Steele, Lea & Flood, "Fast splittable pseudorandom number
+generators", OOPSLA 2014) of its key, i steps on. So a number is made only where it is looked at,
+whoever else is looked at, in any order and in any number of threads.
 """
+
+from functools import cache
 
 import torch
 from torch import Generator, Tensor
 
-IN_A_WORD, BITS = 3, 21
+BITS = 24
+"""Of a word, the upper ones, that make a uniform number; the lower 40 make a normal one."""
+GOLDEN, FIRST, SECOND = (
+    constant - 2**64 for constant in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
+OCTAVES, STEPS = 40, 32
+"""The quantile is a polynomial on each of so many steps of each octave of chances."""
 
 
-def words(shape: tuple[int, ...], generator: Generator) -> Tensor:
-    """(*shape) long, 63 random bits each."""
-    return torch.empty(shape, dtype=torch.long).random_(generator=generator)
+def key(generator: Generator) -> int:
+    """A random word that `keys` of all individuals follow from."""
+    return int(torch.empty((), dtype=torch.long).random_(generator=generator))
 
 
-def words_for(numbers: int) -> int:
-    """How many words hold so many numbers."""
-    return -(-numbers // IN_A_WORD)
+def keys(key: int, count: int) -> Tensor:
+    """(count,) long, the key of each individual."""
+    return _mixed(key + GOLDEN * torch.arange(1, count + 1))
 
 
-def uniform(words: Tensor, columns: int) -> Tensor:
-    """(P, columns) float32 in [0, 1), the numbers that each row of words (P, W) begins with."""
-    fields = words[..., None] >> torch.arange(IN_A_WORD) * BITS & 2**BITS - 1
-    return fields.flatten(1)[:, :columns].float() * 2.0**-BITS
+def words(keys: Tensor, numbers: Tensor) -> Tensor:
+    """Numbers, counted from 0, of individuals; keys and numbers broadcast.
+
+    Returns:
+        64 random bits each, as long.
+    """
+    return _mixed(keys + GOLDEN * (numbers + 1))
+
+
+def uniform(words: Tensor) -> Tensor:
+    """Float32 in [0, 1), multiples of 2^-24, of words."""
+    return fields(words).float() * 2.0**-BITS
+
+
+def fields(words: Tensor) -> Tensor:
+    """`uniform` of words as whole numbers (long), by which they can be sorted."""
+    return words >> 64 - BITS & 2**BITS - 1
+
+
+def normal(words: Tensor) -> Tensor:
+    """Standard normal numbers (float32) of words, up to 7.1 and to six digits."""
+    chance = (words & 2 ** (OCTAVES - 1) - 1) * 2 + 1  # of 2^41, as a half of them is negative
+    bits = chance.float().view(torch.int32)
+    # The bits of a float are the octave, then the step in it, then the place in the step.
+    a, b, c = quantiles()[((bits >> 18) - 127 * STEPS).long()].unbind(-1)
+    place = (bits & 2**18 - 1).float() * 2.0**-18
+    size = a + place * (b + place * c)
+    return torch.where(words >> OCTAVES - 1 & 1 != 0, -size, size)
+
+
+@cache
+def quantiles() -> Tensor:
+    """(1281, 3) float32: size of the normal quantile of chances 2^e (1 + (k + t) / 32) / 2^41.
+
+    The row of e and k holds coefficients of 1, t and t². They interpolate at the ends of a step and
+    in its middle; a chance that is rounded up to 2^40 has the last row.
+    """
+    place = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    step = torch.arange(STEPS, dtype=torch.float64)[:, None]
+    octave = torch.arange(OCTAVES, dtype=torch.float64)[:, None, None] - (OCTAVES + 1)
+    at = torch.special.ndtri(torch.exp2(octave) * (1 + (step + place) / STEPS))
+    first, middle, last = at.flatten(0, 1).unbind(1)
+    rows = [first, 4 * middle - 3 * first - last, 2 * (first + last) - 4 * middle]
+    table = -torch.stack(rows, 1).float()
+    return torch.cat([table, torch.zeros(1, 3)])
 
 
 def pick(draw: Tensor, count: Tensor | int) -> Tensor:
@@ -43,3 +94,10 @@ def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
     order = torch.argsort((~mask).long(), dim=1, stable=True)
     at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)
+
+
+def _mixed(x: Tensor) -> Tensor:
+    """SplitMix64's finalizer."""
+    x = (x ^ (x >> 30 & 2**34 - 1)) * FIRST
+    x = (x ^ (x >> 27 & 2**37 - 1)) * SECOND
+    return x ^ (x >> 31 & 2**33 - 1)

@@ -117,19 +117,23 @@ def evolve(
             Tried(island.state.population, result.fitness, result.scores, result.succeeded)
             for island, result in zip(islands, results, strict=True)
         ]
-        generation = _generation(islands, tried, results, count)
+        generation = _generation(islands, tried, results, settings)
         yield generation
         if count > 1 and (generation.number + 1) % settings.migration == 0:
-            arrivals = _passed_on([emigrants(each) for each in tried], count)
+            arrivals = _passed_on([emigrants(each, settings.capacity) for each in tried], count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
         islands = told_islands(islands, tried, settings, actions)
 
 
 def _generation(
-    islands: Sequence[Island], tried: Sequence[Tried], results: Sequence[Evaluation], count: int
+    islands: Sequence[Island],
+    tried: Sequence[Tried],
+    results: Sequence[Evaluation],
+    settings: EvolutionSettings,
 ) -> Generation:
-    """The generation of all `count` islands, given those that this rank holds."""
-    leaders = _exchanged([each.best(1) for each in tried], count)
+    """The generation of all islands, given those that this rank holds."""
+    count = settings.islands
+    leaders = _exchanged([each.best(1).widened(settings.capacity) for each in tried], count)
     fitness = torch.cat([each.fitness for each in leaders])
     sizes = torch.cat([each.population.graphs.num_nodes for each in leaders])
     winner = int(ranking(fitness, sizes)[0])

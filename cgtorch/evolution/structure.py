@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.choices import Choices, parts
+from cgtorch.evolution.choices import Choices, numbers, parts
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.evolution.sampling import nth_true, pick, uniform
 from cgtorch.graphs import (
@@ -18,37 +18,36 @@ from cgtorch.graphs import (
     Graphs,
     compacted,
     narrowed,
-    nodes_first,
     pruned,
-    rearranged,
     widened,
 )
 
 
-def restructured(graphs: Graphs, choices: Choices, actions: ActionSet) -> Graphs:
+def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
     Args:
         graphs: P of them, whose parameters are marks (`cgtorch.evolution.parameters`).
         choices: how they are mutated.
         actions: what nodes can be.
+        capacity: slots of each in the end, as many as `choices.width` at least.
 
     Returns:
-        The graphs; nodes that are new have no marks.
+        The graphs, their nodes in the first slots; nodes that are new have no marks.
     """
-    p, n, o = graphs.edges.shape
-    rate, width = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True)), choices.width
-    numbers = uniform(choices.draws, sum(parts(width, o))).split(parts(width, o), 1)
-    add, delete, start, replaced, changed, heads = numbers
-    heads = heads.view(p, width, o)
-    order, dense = nodes_first(graphs), narrowed(compacted(graphs), width)
+    width, o = choices.width, graphs.edges.shape[2]
+    rate = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True))
+    draws = [uniform(x) for x in numbers(choices.key, len(graphs), parts(width, o))]
+    add, delete, start, replaced, changed, heads = draws
+    heads = heads.view(-1, width, o)
+    graphs = compacted(graphs)
+    dense = narrowed(widened(graphs, max(width, graphs.capacity)), width)
     dense = add_node(dense, actions, rate["add_node"], add)
     dense = delete_node(dense, rate["delete_node"], delete, heads)
     dense = replace_nodes(dense, actions, rate["replace_node"], replaced, heads)
     dense = change_edges(dense, rate["change_edge"], changed, heads)
     dense = pruned(new_start(dense, rate["new_start"], start))
-    # Back to the slots where the nodes came from; a node that was added takes the first free one.
-    return rearranged(widened(dense, n), torch.argsort(order, dim=1), order)
+    return widened(compacted(dense), capacity)
 
 
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:

@@ -138,9 +138,17 @@ def narrowed(graphs: Graphs, nodes: int) -> Graphs:
     )
 
 
+def trimmed(graphs: Graphs) -> Graphs:
+    """The same graphs, compacted, with no more slots than the largest needs."""
+    nodes = int(graphs.num_nodes.max()) if len(graphs) else 1
+    return narrowed(compacted(graphs), nodes)
+
+
 def widened(graphs: Graphs, nodes: int) -> Graphs:
     """The same graphs with unused slots at their end, `nodes` in all."""
     more = nodes - graphs.capacity
+    if more == 0:
+        return graphs
     return Graphs(
         pad(graphs.action, (0, more), value=NO_NODE),
         pad(graphs.edges, (0, 0, 0, more), value=NO_NODE),

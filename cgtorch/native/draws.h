@@ -1,27 +1,36 @@
-/* Uniform numbers in [0, 1): three of 21 bits in a word (cgtorch.evolution.sampling). */
+/* Random numbers that are functions of a key (cgtorch.evolution.sampling). */
 #ifndef CGTORCH_DRAWS_H
 #define CGTORCH_DRAWS_H
 #include <math.h>
 #include <stdint.h>
 
-#define IN_A_WORD 3
-#define BITS 21
-#define FIELD (((int64_t)1 << BITS) - 1)
+#define BITS 24 /* of a word, the upper ones, for uniform numbers; the others are for normal ones */
+#define STRATEGY 8 /* columns of strategies */
+#define GOLDEN 0x9E3779B97F4A7C15u
 
-static inline int64_t words_for(int64_t numbers) { return (numbers + IN_A_WORD - 1) / IN_A_WORD; }
-
-static inline int64_t field(const int64_t *words, int64_t i) {
-  return words[(uint64_t)i / IN_A_WORD] >> ((uint64_t)i % IN_A_WORD * BITS) & FIELD;
+/* SplitMix64's finalizer. */
+static inline uint64_t mixed(uint64_t x) {
+  x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9u;
+  x = (x ^ x >> 27) * 0x94D049BB133111EBu;
+  return x ^ x >> 31;
 }
 
-/* The i-th number. */
-static inline float uniform(const int64_t *words, int64_t i) {
-  return (float)field(words, i) * 0x1p-21f;
+/* The key of an individual, given that of all, and the word of its number i. */
+static inline uint64_t key_of(int64_t all, int64_t row) {
+  return mixed((uint64_t)all + GOLDEN * (uint64_t)(row + 1));
 }
+static inline uint64_t word(uint64_t key, int64_t i) {
+  return mixed(key + GOLDEN * (uint64_t)(i + 1));
+}
+
+static inline int64_t field(uint64_t key, int64_t i) { return (int64_t)(word(key, i) >> (64 - BITS)); }
+
+/* Number i, uniform in [0, 1). */
+static inline float uniform(uint64_t key, int64_t i) { return (float)field(key, i) * 0x1p-24f; }
 
 /* The first field whose number is not below `rate`. */
-static inline int64_t below(float rate) {
-  return rate > 0 ? (int64_t)ceilf(fminf(rate, 1) * 0x1p21f) : 0;
+static inline uint64_t below(float rate) {
+  return rate > 0 ? (uint64_t)ceilf(fminf(rate, 1) * 0x1p24f) : 0;
 }
 
 /* floor(draw * count), within 0 ... count - 1 also where the product rounds up. */

@@ -25,14 +25,13 @@ typedef struct {
   int64_t mark[MOST_NODES + 1];
   int32_t action[MOST_NODES + 1];
   int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
-  int8_t slot[MOST_NODES + 1];             /* where each lies */
 } Graph;
 
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
 static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
 
 static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int64_t row) {
-  int64_t n = shape.nodes, o = shape.outcomes;
+  int64_t n = shape.nodes, o = shape.outcomes, slot[MOST_NODES + 1];
   const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
   int8_t place[MOST_NODES] = {0};
   int count = 0;
@@ -40,16 +39,16 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
   for (int64_t i = 0; i < n; i++) {
     int used = action[i] != NO_NODE;
     place[i] = (int8_t)(used ? count : NO_NODE);
-    graph->slot[count] = (int8_t)i;
+    slot[count] = i;
     graph->action[count] = (int32_t)action[i];
     count += used;
   }
   for (int i = 0; i < count; i++) {
-    int64_t at = row * n + graph->slot[i];
+    int64_t at = row * n + slot[i];
     graph->mark[i] = from->marks ? from->marks[at] : at + 1;
   }
   for (int i = 0; i < count; i++) {
-    const int64_t *heads = edges + graph->slot[i] * o;
+    const int64_t *heads = edges + slot[i] * o;
     for (int64_t j = 0; j < o; j++)
       graph->edges[i][j] = heads[j] < 0 || heads[j] >= n ? NO_NODE : place[heads[j]];
   }
@@ -86,7 +85,6 @@ static inline void prune(Graph *graph, int outcomes) {
     int old = __builtin_ctzll(rest), new = place[old];
     graph->mark[new] = graph->mark[old];
     graph->action[new] = graph->action[old];
-    graph->slot[new] = graph->slot[old];
     for (int j = 0; j < outcomes; j++) {
       int head = graph->edges[old][j];
       graph->edges[new][j] = head == NO_NODE ? NO_NODE : place[head];
@@ -106,27 +104,22 @@ static inline void copy_graph(Graph *to, const Graph *from) {
   memcpy(to->mark, from->mark, count * sizeof *to->mark);
   memcpy(to->action, from->action, count * sizeof *to->action);
   memcpy(to->edges, from->edges, count * sizeof *to->edges);
-  memcpy(to->slot, from->slot, count * sizeof *to->slot);
 }
 
-/* Writes what the start leads to, each node at its slot. */
-static inline void write_reached(const Graph *graph, const Graphs *to, Shape shape, int64_t row) {
-  int64_t n = shape.nodes, o = shape.outcomes;
+/* Writes what the start leads to into the first slots. */
+static inline void write_reached(Graph *graph, const Graphs *to, Shape shape, int64_t row) {
+  int64_t n = shape.nodes, o = shape.outcomes, count;
   int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
   int64_t *marks = to->marks + row * n;
-  memset(action, 0xff, (size_t)n * sizeof *action); /* NO_NODE everywhere */
-  memset(edges, 0xff, (size_t)(n * o) * sizeof *edges);
-  memset(marks, 0, (size_t)n * sizeof *marks);
-  for (uint64_t rest = reached(graph, (int)o); rest; rest &= rest - 1) {
-    int i = __builtin_ctzll(rest);
-    int64_t slot = graph->slot[i];
-    action[slot] = graph->action[i];
-    for (int64_t j = 0; j < o; j++) {
-      int head = graph->edges[i][j];
-      edges[slot * o + j] = head == NO_NODE ? NO_NODE : graph->slot[head];
-    }
-    marks[slot] = graph->mark[i];
+  prune(graph, (int)o);
+  count = graph->count;
+  for (int64_t i = 0; i < count; i++) {
+    action[i] = graph->action[i];
+    marks[i] = graph->mark[i];
+    for (int64_t j = 0; j < o; j++) edges[i * o + j] = graph->edges[i][j];
   }
-  to->start[row] = graph->start == NO_NODE ? NO_NODE : graph->slot[graph->start];
+  for (int64_t i = count; i < n; i++) action[i] = NO_NODE, marks[i] = 0;
+  for (int64_t i = count * o; i < n * o; i++) edges[i] = NO_NODE;
+  to->start[row] = graph->start;
 }
 #endif

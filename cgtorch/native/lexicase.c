@@ -1,6 +1,6 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
+#include "draws.h"
 #include "parallel.h"
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -50,8 +50,7 @@ typedef struct {
   const real *epsilon;         /* (B,) */
   int64_t *members, *first;    /* individuals by row, and where those of each row begin */
   int64_t *good, *good_first;  /* rows that stand after one scenario alone, and where they begin */
-  const float *turns;          /* (count, B) scenarios in the order of these */
-  const double *last;          /* (count,) */
+  int64_t key;                 /* of all parents' numbers */
   int64_t *chosen;             /* (count,) */
   _Atomic int failed;          /* for want of memory */
 } Lexicase;
@@ -84,14 +83,22 @@ static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios
   return rows;
 }
 
-/* The scenario whose turn comes after the one with `turn` and `done`. */
-static int64_t next_case(const float *turns, int64_t scenarios, int64_t done) {
-  int64_t best = -1;
-  for (int64_t j = 0; j < scenarios; j++) {
-    int later = done < 0 || turns[j] > turns[done] || (turns[j] == turns[done] && j > done);
-    if (later && (best < 0 || turns[j] < turns[best])) best = j;
-  }
-  return best;
+/* The scenario that comes as number `turn`, when those before it have been moved to the front:
+   Fisher and Yates' shuffle as far as it is looked at. */
+static int64_t next_case(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
+  int64_t at = turn + pick(uniform(key, turn), (int)(scenarios - turn));
+  int32_t found = turns[at];
+  turns[at] = turns[turn];
+  turns[turn] = found;
+  return found;
+}
+
+/* Undoes that, the last one first, so that every parent begins with the same order. */
+static void turns_back(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
+  int64_t at = turn + pick(uniform(key, turn), (int)(scenarios - turn));
+  int32_t found = turns[turn];
+  turns[turn] = turns[at];
+  turns[at] = found;
 }
 
 static int64_t standing(const real *score, real epsilon, const int64_t *rows, int64_t count,
@@ -108,21 +115,27 @@ static int64_t standing(const real *score, real epsilon, const int64_t *rows, in
   return kept;
 }
 
+/* A number in [0, 1) with all the digits of a double. */
+static inline double fine(uint64_t key, int64_t i) { return (double)(word(key, i) >> 11) * 0x1p-53; }
+
 static void some_parents(void *what, int64_t begin, int64_t end) {
   Lexicase *l = what;
   int64_t *left = malloc((size_t)(l->rows + 1) * sizeof *left);
-  if (!left) l->failed = 1;
-  for (int64_t parent = begin; left && parent < end; parent++) {
-    const float *turns = l->turns + parent * l->scenarios;
-    int64_t scenario = next_case(turns, l->scenarios, -1);
+  int32_t *turns = malloc((size_t)(l->scenarios + 1) * sizeof *turns);
+  if (!left || !turns) l->failed = 1;
+  for (int64_t j = 0; turns && j < l->scenarios; j++) turns[j] = (int32_t)j;
+  for (int64_t parent = begin; left && turns && parent < end; parent++) {
+    uint64_t key = key_of(l->key, parent);
+    int64_t turn = 0, total = 0, scenario = next_case(turns, l->scenarios, turn++, key);
     const int64_t *rows = l->good + l->good_first[scenario];
-    int64_t count = l->good_first[scenario + 1] - l->good_first[scenario], total = 0;
-    while (count > 1 && (scenario = next_case(turns, l->scenarios, scenario)) >= 0) {
+    int64_t count = l->good_first[scenario + 1] - l->good_first[scenario];
+    while (count > 1 && turn < l->scenarios) {
+      scenario = next_case(turns, l->scenarios, turn++, key);
       count = standing(l->cases + scenario * l->rows, l->epsilon[scenario], rows, count, left);
       rows = left;
     }
     for (int64_t i = 0; i < count; i++) total += l->first[rows[i] + 1] - l->first[rows[i]];
-    int64_t place = (int64_t)(l->last[parent] * (double)total), i = 0;
+    int64_t place = (int64_t)(fine(key, l->scenarios) * (double)total), i = 0;
     l->chosen[parent] = 0;
     for (; i < count; i++) {
       int64_t size = l->first[rows[i] + 1] - l->first[rows[i]];
@@ -132,8 +145,10 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
       }
       place -= size;
     }
+    while (turn) turns_back(turns, l->scenarios, --turn, key);
   }
   free(left);
+  free(turns);
 }
 
 /* Individuals sorted by their row, and where those of each row begin. */
@@ -158,8 +173,7 @@ static void stand_after_one(Lexicase *l, const int64_t *all) {
 
 /* Parents (count,) by scores (people, scenarios); 1 for want of memory. */
 int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *epsilon,
-             const float *turns, const double *last, int64_t count, int64_t *chosen,
-             int64_t threads) {
+             int64_t key, int64_t count, int64_t *chosen, int64_t threads) {
   int64_t size = 64;
   while (size < 2 * people) size *= 2;
   int64_t whole = 4 * people + 1 + (people + 1) * scenarios + 1 + size + scenarios;
@@ -180,7 +194,7 @@ int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *
     for (int64_t j = 0; j < scenarios; j++)
       cases[j * rows + r] = scores[members[first[r]] * scenarios + j];
   }
-  Lexicase l = {scenarios, rows, cases, epsilon, members, first, good, good_first, turns, last,
+  Lexicase l = {scenarios, rows, cases, epsilon, members, first, good, good_first, key,
                 chosen, 0};
   stand_after_one(&l, all);
   in_parallel(some_parents, &l, count, 64, (int)threads);

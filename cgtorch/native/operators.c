@@ -7,6 +7,8 @@ typedef struct {
   Crossover crossover;
   Mutation mutation;
   Graphs from, to;
+  Shape shape;   /* of `to` */
+  int64_t first; /* row of `to` that children begin at */
 } Operators;
 
 static void some_pairs(void *what, int64_t begin, int64_t end) {
@@ -17,8 +19,8 @@ static void some_pairs(void *what, int64_t begin, int64_t end) {
     cross(c, pair, &child[0], &child[1]);
     for (int i = 0; i < 2; i++) {
       int64_t row = i * c->pairs + pair;
-      if (all->mutation.draws) mutate(&all->mutation, &child[i], row);
-      write_reached(&child[i], &all->to, c->shape, row);
+      if (all->mutation.has_edge) mutate(&all->mutation, &child[i], row);
+      write_reached(&child[i], &all->to, all->shape, all->first + row);
     }
   }
 }
@@ -29,15 +31,8 @@ static void some_individuals(void *what, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; row++) {
     read_graph(&graph, &all->from, all->mutation.shape, row);
     mutate(&all->mutation, &graph, row);
-    write_reached(&graph, &all->to, all->mutation.shape, row);
+    write_reached(&graph, &all->to, all->shape, row);
   }
-}
-
-static Mutation mutation_of(const int64_t *shape, const float *strategy, const int64_t *draws,
-                            int64_t width, const uint8_t *has_edge, int64_t actions) {
-  Shape of = {shape[0], shape[1]};
-  int64_t words = words_for(8 + of.outcomes + width * (2 + of.outcomes));
-  return (Mutation){of, strategy, draws, words, width, has_edge, actions};
 }
 
 static int64_t count_nodes(const int64_t *action, int64_t nodes) {
@@ -46,44 +41,43 @@ static int64_t count_nodes(const int64_t *action, int64_t nodes) {
   return count;
 }
 
-/* Which pairs are crossed, by draws (Q, 2): `chosen` numbers them, the others have -1; `totals` are
-   how many they are, and the nodes of the largest parent. */
-int paired(const int64_t *action, int64_t nodes, const int64_t *parents, int64_t pairs,
-           const float *strategy, int64_t columns, const float *draws, int64_t *chosen,
-           int64_t *sizes, int64_t *totals) {
-  totals[0] = totals[1] = 0;
-  for (int64_t i = 0; i < pairs; i++) {
-    int64_t first = count_nodes(action + parents[i] * nodes, nodes);
-    int64_t second = count_nodes(action + parents[pairs + i] * nodes, nodes);
-    int64_t least = first < second ? first : second, most = first < second ? second : first;
-    float both = strategy[i * columns] + strategy[(pairs + i) * columns];
-    chosen[i] = draws[2 * i] < both / 2 && least >= 2 ? totals[0]++ : -1;
-    sizes[i] = 1 + pick(draws[2 * i + 1], (int)(least / 2));
-    if (most > totals[1]) totals[1] = most;
+/* Nodes of the largest of some graphs. */
+int most_nodes(const int64_t *action, int64_t nodes, const int64_t *rows, int64_t count,
+               int64_t *most) {
+  *most = 0;
+  for (int64_t i = 0; i < count; i++) {
+    int64_t here = count_nodes(action + rows[i] * nodes, nodes);
+    if (here > *most) *most = here;
   }
   return 0;
 }
 
 /* Individuals mutated. */
 int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const float *strategy,
-            const int64_t *draws, int64_t width, const uint8_t *has_edge, int64_t actions,
-            int64_t rows, int64_t threads) {
-  Operators all = {.from = *from, .to = *to};
-  all.mutation = mutation_of(shape, strategy, draws, width, has_edge, actions);
+            int64_t key, int64_t width, const uint8_t *has_edge, int64_t actions, int64_t rows,
+            int64_t threads) {
+  Shape of = {shape[0], shape[1]};
+  Operators all = {.from = *from, .to = *to, .shape = of};
+  all.mutation = (Mutation){of, strategy, key, width, has_edge, actions};
   in_parallel(some_individuals, &all, rows, 64, (int)threads);
   return 0;
 }
 
-/* Children of pairs; they are mutated, too, if there are draws for it. */
-int bred(const Graphs *from, const int64_t *parents, const Graphs *to, const int64_t *shape,
-         const int64_t *chosen, const int64_t *sizes, const int64_t *pair_draws, int64_t pair_width,
-         const float *strategy, const int64_t *draws, int64_t width, const uint8_t *has_edge,
-         int64_t actions, int64_t pairs, int64_t threads) {
-  Shape of = {shape[0], shape[1]};
-  int64_t words = words_for(2 + 2 * pair_width * (1 + of.outcomes));
-  Operators all = {.to = *to};
-  all.crossover = (Crossover){*from, of, parents, chosen, sizes, pair_draws, pair_width, words, pairs};
-  all.mutation = mutation_of(shape, strategy, draws, width, has_edge, actions);
+/* Copies of the elite, then children of pairs; they are mutated, too, if `has_edge` says what nodes
+   can be. All have so many slots. */
+int bred(const Graphs *from, const int64_t *elite, int64_t copies, const int64_t *parents,
+         const Graphs *to, const int64_t *shape, const float *strategy, int64_t pair_key,
+         int64_t pair_width, int64_t key, int64_t slots, const uint8_t *has_edge, int64_t actions,
+         int64_t pairs, int64_t threads) {
+  Shape before = {shape[0], shape[1]}, after = {slots, shape[1]};
+  Operators all = {.to = *to, .shape = after, .first = copies};
+  for (int64_t row = 0; row < copies; row++) {
+    Graph graph;
+    read_graph(&graph, from, before, elite[row]);
+    write_reached(&graph, to, after, row);
+  }
+  all.crossover = (Crossover){*from, before, parents, strategy, pair_key, pair_width, pairs};
+  all.mutation = (Mutation){after, strategy, key, slots, has_edge, actions};
   in_parallel(some_pairs, &all, pairs, 32, (int)threads);
   return 0;
 }

@@ -18,7 +18,7 @@ from cgtorch.evolution.lexicase import deviation, lexicase
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.offspring import offspring
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import valid
+from cgtorch.graphs import trimmed, valid
 
 SETS = [paper_actions(), custom_actions(), nested_actions()]
 seeds, action_sets = st.integers(0, 2**31), st.sampled_from(SETS)
@@ -81,9 +81,22 @@ def test_mutation(seed: int, actions: ActionSet, capacity: int, double: bool) ->
 def test_offspring(seed: int, actions: ActionSet, capacity: int) -> None:
     whole = population(seed, actions, capacity)
     parents = torch.randint(len(whole), (14,), generator=seeded(seed))
-    children = offspring(whole, parents, actions, seeded(seed))
-    assert equal(children, in_torch(lambda: offspring(whole, parents, actions, seeded(seed))))
+    elite = torch.randperm(len(whole), generator=seeded(seed))[: seed % 3]
+
+    def made(room: int = 0) -> Population:
+        most = capacity + room
+        return offspring(whole, elite, parents, actions, seeded(seed), most)
+
+    children = made()
+    assert equal(children, in_torch(made))
+    assert len(children) == len(elite) + 14
     assert valid(children.graphs, actions).all()
+    assert len(elite) == 0 or same(
+        trimmed(children.graphs[: len(elite)]), trimmed(whole.graphs[elite])
+    )
+    assert torch.equal(children.strategy[: len(elite)], whole.strategy[elite])
+    if int(whole.graphs.num_nodes.max()) < capacity < compiled.MOST_NODES:
+        assert equal(children, made(room=64 - capacity))  # room that nobody needs changes nothing
 
 
 tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))

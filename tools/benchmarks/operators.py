@@ -81,7 +81,7 @@ def _compared(population: Population, actions: ActionSet, label: str, effort: Ef
 def children(population: Population, actions: ActionSet, generator: torch.Generator) -> Population:
     """Two children of each pair of one from the first half and one from the second."""
     parents = torch.arange(len(population) // 2 * 2)
-    return offspring(population, parents, actions, generator)
+    return offspring(population, parents[:0], parents, actions, generator, CAPACITY)
 
 
 def networkx_children(parents: list[Individual], kinds: Kinds, random: Random) -> list[Individual]:
