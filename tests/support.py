@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import Action, ActionSet, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
+from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
 from cgtorch.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
@@ -203,6 +203,11 @@ def is_valid(graphs: Graphs, actions: ActionSet, index: int = 0, connected: bool
 
 def all_valid(graphs: Graphs, actions: ActionSet, connected: bool = True) -> bool:
     return all(is_valid(graphs, actions, i, connected) for i in range(len(graphs)))
+
+
+def same_nodes(first: Graphs, second: Graphs) -> bool:
+    """Whether graphs have the same nodes in the same order, in whatever slots."""
+    return same(trimmed(first), trimmed(second))
 
 
 def same(first: Graphs, second: Graphs) -> bool:

@@ -13,7 +13,8 @@ from cgtorch.evolution import Population, compiled
 from cgtorch.evolution import crossover as module
 from cgtorch.evolution.crossover import crossover, graft, group, undirected_distance
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import NO_NODE, Graphs, to_networkx
+from cgtorch.evolution.sampling import key, keys, words
+from cgtorch.graphs import NO_NODE, Graphs, compacted, to_networkx
 
 ACTIONS = nested_actions()
 seeds = st.integers(0, 2**31)
@@ -24,8 +25,9 @@ def undirected(graphs: Graphs, index: int) -> "nx.MultiGraph[int | str]":
 
 
 def group_of(graphs: Graphs, generator: Generator) -> Tensor:
-    begin = torch.rand(len(graphs), 1, generator=generator)
-    return group(graphs, begin, torch.rand(graphs.action.shape, generator=generator))
+    own = keys(key(generator), len(graphs))[:, None]
+    places = torch.arange(1 + graphs.capacity)
+    return group(graphs, words(own, places[:1]), words(own, places[1:]))
 
 
 def grafted(
@@ -107,7 +109,7 @@ def test_a_graft_is_what_the_groups_say(seed: int, k: int) -> None:
 def test_edges_that_leave_a_group_go_to_random_nodes() -> None:
     host, donor = (random_graphs(s, 1, ACTIONS, nodes=(10, 10)) for s in (0, 3))
     many = torch.zeros(3000, dtype=torch.long)
-    group_a, group_b = (group_of(g, seeded(4)).expand(3000, -1) for g in (host, donor))
+    group_a, group_b = (group_of(g, seeded(1)).expand(3000, -1) for g in (host, donor))
     child = grafted(host[many], group_a, donor[many], group_b, torch.ones_like(many), seeded(0))
     taken, into = int(group_b[0, 0]), int(group_a[0, 0])
     leaves = [j for j, h in enumerate(donor.edges[0, taken].tolist()) if h not in (NO_NODE, taken)]
@@ -176,6 +178,7 @@ def test_pairs_cross_with_the_mean_of_their_probabilities() -> None:
     graphs = random_graphs(0, 1, ACTIONS, nodes=(10, 10))[which]
     other = random_graphs(1, 1, ACTIONS, nodes=(10, 10))[which]
     children = crossover(crossing(graphs, 0.9), crossing(other, 0.1), seeded(0)).graphs[:4000]
+    graphs = compacted(graphs)
     crossed = (children.parameters != graphs.parameters).flatten(1).any(1)
     crossed |= (children.action != graphs.action).any(1) | (children.edges != graphs.edges).any(
         2

@@ -4,7 +4,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import custom_actions, judged_by, model, nested_actions, same, seeded
+from support import custom_actions, judged_by, model, nested_actions, same_nodes, seeded
 from torch import Tensor
 
 from cgtorch.errors import DataError, GraphError, SettingsError
@@ -21,7 +21,7 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
-from cgtorch.evolution.sampling import BITS, nth_true, pick, uniform, words
+from cgtorch.evolution.sampling import BITS, nth_true, pick
 from cgtorch.graphs import compacted
 from cgtorch.simulation import rollout
 
@@ -29,12 +29,12 @@ ACTIONS = custom_actions()
 
 
 def same_population(first: Population, second: Population) -> bool:
-    return same(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
+    return same_nodes(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
 
 
 def test_choices_are_uniform_and_only_where_allowed() -> None:
     mask = torch.tensor([[False, True, True, False, True], [False] * 5]).repeat(3000, 1)
-    draws = uniform(words((6000, 1), seeded(0)), 3)
+    draws = torch.rand(6000, 3, generator=seeded(0))
     for column in range(3):
         picked = nth_true(mask, draws[:, column])
         counts = torch.bincount(picked[::2], minlength=5)
@@ -42,18 +42,6 @@ def test_choices_are_uniform_and_only_where_allowed() -> None:
         assert ((counts[[1, 2, 4]] - 1000).abs() < 5 * 1000**0.5).all()
         assert (picked[1::2] == 0).all()
     assert torch.equal(nth_true(mask, draws)[:, 1], nth_true(mask, draws[:, 1]))
-
-
-def test_numbers_of_one_word_are_uniform_and_independent() -> None:
-    draws = uniform(words((20_000, 2), seeded(0)), 6)
-    assert draws.min() >= 0
-    assert draws.max() < 1
-    assert (draws * 2**BITS == (draws * 2**BITS).round()).all()
-    for threshold in (0.001, 0.3, 0.9):
-        error = (threshold * (1 - threshold) / 20_000) ** 0.5
-        assert ((draws < threshold).float().mean(0) - threshold).abs().max() < 5 * error
-    assert (torch.corrcoef(draws.T) - torch.eye(6)).abs().max() < 5 / 20_000**0.5
-    assert torch.equal(uniform(words((20_000, 2), seeded(0)), 4), draws[:, :4])
 
 
 def test_a_pick_is_never_out_of_range() -> None:
@@ -127,7 +115,7 @@ def test_parents_are_chosen_by_their_scores() -> None:
     scores[7] = 1
     state = replace(state, population=still)
     after = tell(state, torch.zeros(30), settings, ACTIONS, seeded(1), scores).population
-    assert same(after.graphs, population.graphs[torch.full((30,), 7)])
+    assert same_nodes(after.graphs, population.graphs[torch.full((30,), 7)])
 
 
 def test_fitness_that_is_not_a_number_is_the_worst() -> None:

@@ -19,7 +19,7 @@ from cgtorch.evolution.islands import (
     generator_of,
     migrated,
 )
-from cgtorch.evolution.population import random_population
+from cgtorch.evolution.population import join, random_population, slim
 from cgtorch.evolution.search import Generation
 
 ACTIONS = custom_actions()
@@ -27,6 +27,7 @@ SETTINGS = EvolutionSettings(population=20, capacity=10, initial_nodes=(2, 8))
 
 
 def same(one: Population, other: Population) -> bool:
+    one, other = slim(one), slim(other)
     pairs = zip(
         [*vars(one.graphs).values(), one.strategy],
         [*vars(other.graphs).values(), other.strategy],
@@ -62,7 +63,7 @@ def generations(settings: EvolutionSettings, seed: int, count: int) -> list[Gene
 def test_the_best_tenth_leaves_and_the_worst_make_room(seed: int, fitness: list[float]) -> None:
     here = tried(seed, len(fitness), fitness)
     there = tried(seed + 1, len(fitness), [x + 1 for x in reversed(fitness)])
-    leaving = emigrants(there)
+    leaving = emigrants(there, there.population.graphs.capacity)
     count = max(1, len(fitness) // 10)
     assert sorted(leaving.fitness.tolist()) == sorted(there.fitness.tolist())[-count:]
     assert set(rows(leaving)) <= set(rows(there))
@@ -130,19 +131,7 @@ def plainly(count: int, migration: int, generations: int) -> list[list[Populatio
                 those, theirs = states[i - 1].population, results[i - 1]
                 fitness = torch.cat([fitness[stay], theirs.fitness[come]])
                 scores = torch.cat([scores[stay], theirs.scores[come]])
-                population = Population(
-                    type(those.graphs)(
-                        *(
-                            torch.cat([mine[stay], other[come]])
-                            for mine, other in zip(
-                                vars(population.graphs).values(),
-                                vars(those.graphs).values(),
-                                strict=True,
-                            )
-                        )
-                    ),
-                    torch.cat([population.strategy[stay], those.strategy[come]]),
-                )
+                population = join(population[stay], those[come])
             state = replace(s, population=population)
             new.append(tell(state, fitness, SETTINGS, ACTIONS, generators[i], scores))
         states = new

@@ -25,7 +25,7 @@ from cgtorch.evolution.structure import (
     new_start,
     replace_nodes,
 )
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, Graphs, compacted
 
 ACTIONS = custom_actions()
 seeds = st.integers(0, 2**31)
@@ -212,6 +212,7 @@ def test_drift_stays_within_its_bounds() -> None:
 def test_mutate_uses_each_individuals_own_rates() -> None:
     """One rate at a time is 1: only what it stands for changes."""
     many = random_graphs(2, 1, ACTIONS, nodes=(10, 10))[torch.zeros(200, dtype=torch.long)]
+    many = compacted(many)
     for name in STRATEGY[1:-1]:
         strategy = torch.zeros(200, len(STRATEGY))
         strategy[:100, STRATEGY.index(name)] = 1.0
