@@ -203,8 +203,8 @@ def fetched(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tens
     """A part that some rank holds, on the first rank; to be called by all.
 
     Args:
-        tensors: of the part on the rank that holds it; elsewhere any of the same names, shapes
-            and types, which come back as they are, but on the first rank.
+        tensors: of the part on the rank that holds it; elsewhere any of the same names, numbers of
+            dimensions and types, which come back as they are, but on the first rank.
         part: which one.
         parts: out of how many.
     """
@@ -213,11 +213,15 @@ def fetched(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tens
         return tensors
     if _index() == holder:
         for name in sorted(tensors):
+            torch.distributed.send(torch.tensor(tensors[name].shape, dtype=torch.long), 0)
             torch.distributed.send(tensors[name].contiguous(), 0)
         return tensors
-    found = {name: torch.empty_like(tensors[name]) for name in sorted(tensors)}
-    for tensor in found.values():
-        torch.distributed.recv(tensor, holder)
+    found = {}
+    for name in sorted(tensors):
+        shape = torch.empty(tensors[name].dim(), dtype=torch.long)
+        torch.distributed.recv(shape, holder)
+        found[name] = tensors[name].new_empty(shape.tolist())
+        torch.distributed.recv(found[name], holder)
     return found
 
 

@@ -126,7 +126,7 @@ def standing_of(found: Found, islands: Sequence[Island], count: int) -> Standing
         count: how many islands there are.
     """
     held = dict(zip(ranks.held(count), islands, strict=True))
-    own = islands[0]  # for its shapes, where the part is another rank's
+    own = islands[0]  # for its names and types, where the part is another rank's
 
     def part(number: int) -> dict[str, Tensor]:
         return ranks.fetched(island_tensors(held.get(number, own)), number, count)
