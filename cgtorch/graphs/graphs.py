@@ -141,7 +141,8 @@ def narrowed(graphs: Graphs, nodes: int) -> Graphs:
 def trimmed(graphs: Graphs) -> Graphs:
     """The same graphs, compacted, with no more slots than the largest needs."""
     nodes = int(graphs.num_nodes.max()) if len(graphs) else 1
-    return narrowed(compacted(graphs), nodes)
+    narrow = narrowed(compacted(graphs), nodes)
+    return Graphs(*(getattr(narrow, f.name).contiguous() for f in fields(narrow)))
 
 
 def widened(graphs: Graphs, nodes: int) -> Graphs:
