@@ -16,7 +16,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from benchmarks import paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
 from benchmarks.generation import INSIDE, MODELS, PARTS, generation_split, logger, rollout_shares
-from benchmarks.growth import widened
 from benchmarks.measure import DisagreementError
 from benchmarks.networkx_operators import individuals, kinds_of
 from benchmarks.operators import apart, as_graphs, children, networkx_children, statistics_of
@@ -27,7 +26,7 @@ from benchmarks.workload import Workload, first_population, workload_of
 
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.train import load_progress
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, Graphs, widened
 from cgtorch.simulation import Rollouts, rollout
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
@@ -159,7 +158,7 @@ def test_a_generation_is_split_into_all_its_parts() -> None:
 
 
 def test_more_room_changes_no_result() -> None:
-    wide = widened(graphs_to_run())
+    wide = widened(graphs_to_run(), 16)
     assert wide.capacity == 16
     found = rollout(wide, work().actions, work().environment, max_transitions=LIMIT)
     assert torch.equal(found.percept, runs().percept)

@@ -2,7 +2,6 @@
 
 import ctypes
 import itertools
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from benchmarks.workload import (
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.evolution.evolution import EvolutionState, tell
 from cgtorch.evolution.fitness import evaluate
-from cgtorch.graphs import Graphs, resized
+from cgtorch.graphs import Graphs, widened
 from cgtorch.simulation import rollout
 
 SIZES = (100, 1000, 10_000, 100_000)
@@ -103,9 +102,9 @@ def _generations(work: Workload, fewer: int, more: int, repeats: int) -> Compari
     )
 
 
-def generation(work: Workload, population: Population) -> EvolutionState:
-    """Evaluate a population and make the next one."""
-    settings = EvolutionSettings(population=len(population), capacity=population.graphs.capacity)
+def generation(work: Workload, population: Population, capacity: int = CAPACITY) -> EvolutionState:
+    """Evaluate a population and make the next one, whose graphs may have so many nodes."""
+    settings = EvolutionSettings(population=len(population), capacity=capacity)
     state = EvolutionState(population, 0, population[:1], 0.0)
     keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
     result = evaluate(population.graphs, work.actions, work.environment, keep)
@@ -116,10 +115,13 @@ def generation(work: Workload, population: Population) -> EvolutionState:
 def padding(effort: Effort) -> Line:
     """What twice the room for nodes costs graphs that do not need it: in rollouts, in all."""
     work, population = workload(), evolved_population()
-    wide = replace(population, graphs=widened(population.graphs))
+    graphs, capacities = population.graphs, (2 * CAPACITY, CAPACITY)
+    following = [generation(work, population, c).population for c in capacities]
+    if not equal(following[0].graphs, following[1].graphs):
+        raise DisagreementError("with more room other children come about; nothing was timed")
     with torch_threads(cores()):
-        parts = _padded_rollouts(work, population.graphs, wide.graphs, effort.repeats)
-        works: list[Work] = [partial(generation, work, each) for each in (wide, population)]
+        parts = _padded_rollouts(work, *(widened(graphs, c) for c in capacities), effort.repeats)
+        works: list[Work] = [partial(generation, work, population, c) for c in capacities]
         ours, other = in_turns(works, 2 * effort.repeats, WALL)
     label = f"generation, {POPULATION} x {work.environment.num_scenarios}"
     whole = Comparison(label, ours, other, ours.median / other.median, None)
@@ -135,13 +137,13 @@ def padding(effort: Effort) -> Line:
     )
 
 
-def widened(graphs: Graphs) -> Graphs:
-    """The same graphs with twice the node slots."""
-    outcomes, parameters = graphs.edges.shape[2], graphs.parameters.shape[2]
-    return resized(graphs, 2 * graphs.capacity, outcomes, parameters)
+def equal(first: Graphs, second: Graphs) -> bool:
+    """Whether graphs are the same to the last bit."""
+    pairs = zip(vars(first).values(), vars(second).values(), strict=True)
+    return all(torch.equal(a, b) for a, b in pairs)
 
 
-def _padded_rollouts(work: Workload, graphs: Graphs, wide: Graphs, repeats: int) -> Comparison:
+def _padded_rollouts(work: Workload, wide: Graphs, graphs: Graphs, repeats: int) -> Comparison:
     results = [rollout(g, work.actions, work.environment) for g in (wide, graphs)]
     pairs = zip(vars(results[0]).values(), vars(results[1]).values(), strict=True)
     if not all(torch.equal(a, b) for a, b in pairs):

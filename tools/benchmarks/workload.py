@@ -1,6 +1,6 @@
 """The work that all lines about rollouts share: real models, real scenarios, seeded populations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import torch
@@ -11,9 +11,10 @@ from cgtorch.data import collect
 from cgtorch.evolution import EvolutionSettings, Population, evolve
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.mutation import mutate
-from cgtorch.evolution.population import random_population
+from cgtorch.evolution.population import random_population, slim
 from cgtorch.experiments.run import tabletop_of
 from cgtorch.experiments.settings import RunSettings
+from cgtorch.graphs import widened
 from cgtorch.improvement.knowledge import Knowledge, fit_models, imagine
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.kinematics import Robot, load_robot
@@ -63,7 +64,7 @@ def workload_of(knowledge: Knowledge, robot: Robot, count: int, generator: Gener
 
 def first_population(size: int, actions: ActionSet) -> Population:
     """Random graphs, as evolution begins with."""
-    return random_population(size, actions, CAPACITY, NODES, _seeded(1))
+    return slim(random_population(size, actions, CAPACITY, NODES, _seeded(1)))
 
 
 @cache
@@ -78,10 +79,11 @@ def evolved_population() -> Population:
 
 def later_population(size: int) -> Population:
     """So many children of the evolved population: as much work each, however many there are."""
-    generator, parents = _seeded(3), evolved_population()
+    generator, evolved = _seeded(3), evolved_population()
+    parents = replace(evolved, graphs=widened(evolved.graphs, CAPACITY))  # room for new nodes
     pairs = torch.randint(len(parents), (2, (size + 1) // 2), generator=generator)
     children = crossover(parents[pairs[0]], parents[pairs[1]], generator)
-    return mutate(children, workload().actions, generator)[:size]
+    return slim(mutate(children, workload().actions, generator)[:size])
 
 
 def populations() -> dict[str, Population]:
