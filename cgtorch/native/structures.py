@@ -44,7 +44,7 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     program = structure(
         "Program",
         actions=POINTER, kind=POINTER, heads=POINTER, start=POINTER, entry=POINTER, limit=POINTER,
-        parameters=POINTER, primitives=WHOLE, outcomes=WHOLE, width=WHOLE, depth=WHOLE,
+        parameters=POINTER, primitives=WHOLE, outcomes=WHOLE, width=WHOLE, depth=WHOLE, nodes=WHOLE,
     )  # fmt: skip
     models = structure(
         "Models",
@@ -59,7 +59,7 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     )  # fmt: skip
     evaluation = structure(
         "Evaluation",
-        task=task, nodes=WHOLE, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
+        task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
         transitions=POINTER,
     )  # fmt: skip
     return SimpleNamespace(

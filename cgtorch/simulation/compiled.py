@@ -125,7 +125,7 @@ def compiled_evaluation(
     finite, transitions = torch.empty(p, dtype=torch.bool), torch.empty(p, dtype=torch.long)
     made = (score, succeeded, finite, transitions)
     evaluation = structures(score.dtype).Evaluation(
-        task.structure, program.nodes, int(keep.sum()), *(x.data_ptr() for x in made)
+        task.structure, int(keep.sum()), *(x.data_ptr() for x in made)
     )
     call(ctypes.addressof(evaluation), threads())
     return score.float(), succeeded, transitions, finite
@@ -191,7 +191,7 @@ def _program(program: Program, percept_size: int) -> Compiled | None:
     pointers = (tensor.data_ptr() for tensor in kept)
     structure = made.Program(
         ctypes.addressof(table), *pointers, len(actions), program.heads.shape[1],
-        program.parameters.shape[1], program.depth,
+        program.parameters.shape[1], program.depth, program.nodes,
     )  # fmt: skip
     structure.table = table  # it must live as long
     return Compiled(structure, kept)
