@@ -47,13 +47,13 @@ typedef struct {
 
 /* Up to WIDTH lanes of one graph. Each part of a vector is one lane's, and none meets another. */
 typedef struct {
-  vec percept[MOST_PERCEPT], message[MOST_MESSAGE];
-  vec moves, lost, chance; /* the state of `ModelEnvironment` */
-  vwhole spoken;           /* whether there is a message */
+  whole caller[MOST_DEPTH][WIDTH], outer[MOST_DEPTH][WIDTH]; /* what is left on the levels without */
+  vec message[MOST_MESSAGE], moves, lost, chance;            /* the state of `ModelEnvironment` */
+  vwhole spoken;                                             /* whether there is a message */
   vwhole scenario, step, node, level, left; /* `left`: transitions on this level */
   vwhole been; /* a bit for each node it was at since anything has changed, on this level */
   vwhole status;
-  whole caller[MOST_DEPTH][WIDTH], outer[MOST_DEPTH][WIDTH]; /* what is left on the levels without */
+  vec percept[MOST_PERCEPT];
 } Lanes;
 
 INLINE int64_t now(void) {
@@ -85,5 +85,10 @@ INLINE void begin_lanes(const Models *m, const int64_t *scenarios, int64_t count
   }
   for (int j = 0; j < MOST_MESSAGE; j++) lanes->message[j] = all(0);
   lanes->spoken = lanes->step = lanes->level = lanes->been = lanes->status = every(0);
+}
+/* The same once more; of the levels without nothing is known at the beginning. */
+INLINE void copy_lanes(const Lanes *from, int size, Lanes *to) {
+  size_t skipped = offsetof(Lanes, message), end = offsetof(Lanes, percept) + (size_t)size * BYTES;
+  memcpy((char *)to + skipped, (const char *)from + skipped, end - skipped);
 }
 #endif

@@ -43,7 +43,7 @@ static void run_graphs(void *what, int64_t begin, int64_t end) {
     for (int64_t graph = begin; graph < end; graph++) {
       int64_t row = graph * task->count + from;
       vec *state[3] = {&lanes.moves, &lanes.lost, &lanes.chance};
-      lanes = at;
+      copy_lanes(&at, layout.size, &lanes);
       run_lanes(task, layout, graph, count, &lanes);
       into_rows(lanes.percept, count, layout.size, task->percept + row * layout.size);
       for (int i = 0; i < count; i++) {
@@ -82,7 +82,8 @@ INLINE int all_finite(const real *x, int64_t count) {
 static int evaluate_lanes(const Evaluation *e, Layout layout, int64_t graph, int64_t count,
                           const Lanes *at) {
   const Task *task = &e->task;
-  Lanes lanes = *at;
+  Lanes lanes;
+  copy_lanes(at, layout.size, &lanes);
   run_lanes(task, layout, graph, count, &lanes);
   ask_chance(task, layout, &lanes, first_lanes(count));
   vwhole finite = finite_vec(lanes.chance);
