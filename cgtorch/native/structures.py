@@ -62,7 +62,13 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
         transitions=POINTER,
     )  # fmt: skip
+    tables = structure(
+        "Tables",
+        action=POINTER, edges=POINTER, kinds=POINTER, ends=POINTER, graphs=WHOLE, nodes=WHOLE,
+        seen=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER, heads=POINTER,
+    )  # fmt: skip
     return SimpleNamespace(
+        Tables=tables,
         Evaluation=evaluation,
         Machine=machine,
         Gamma=gamma,

@@ -1,4 +1,4 @@
-"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, one lane after the other.
+"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, graph after graph.
 
 It says what the batched engine in torch says, which runs everything else: actions, models and
 worlds of others, and other devices. `rollout` asks here first.
@@ -45,7 +45,9 @@ KINDS: Mapping[type, int] = {
         (MoveBase, Detect, Grasp, ContinuousNN, BranchingNN, EdgeNN, EdgeBranchingNN)
     )
 }
-"""What rollout.c knows, in the order of its enumeration."""
+"""What compiled code knows, in the order of its enumeration."""
+LARGEST = 2**30
+"""Nodes, transitions and scenarios that it can count."""
 
 
 def compiled_rollout(
@@ -64,8 +66,8 @@ def compiled_rollout(
         scenarios: (B,) long.
         max_transitions: see `cgtorch.simulation.rollout`.
         max_steps: likewise.
-        ticks: (4,) long to which ticks of the CPU's clock are added that Γ, C, networks and the
-            check of motions take; then one thread runs.
+        ticks: (2, 4) long to which ticks of the CPU's clock are added that Γ, C, networks and the
+            check of motions take, and how often each was timed; then one thread runs.
     """
     call = function("rollout", "rollouts", program.parameters.dtype, POINTER, WHOLE)
     task = _task(program, environment, scenarios, max_transitions, max_steps, ticks)
@@ -143,6 +145,9 @@ def _task(
     if not isinstance(environment, ModelEnvironment) or scenarios.device.type != "cpu":
         return None
     if program.parameters.dtype != environment.percepts.dtype:
+        return None
+    longest = max([max_transitions, *program.limit.tolist()])
+    if max(len(program.kind), longest, max_steps, environment.num_scenarios) > LARGEST:
         return None
     nodes, models = _program(program, environment.percept_size), _models(environment)
     if nodes is None or models is None:

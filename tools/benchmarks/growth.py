@@ -17,7 +17,7 @@ from benchmarks.measure import (
     Work,
     cores,
     in_turns,
-    torch_threads,
+    run_threads,
 )
 from benchmarks.workload import (
     CAPACITY,
@@ -44,7 +44,7 @@ def growth_10x(effort: Effort) -> Line:
     """
     work = workload()
     sizes = SIZES if effort.size == 1 else SIZES[:-1]
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = [_rollouts(work, *pair, effort.repeats) for pair in itertools.pairwise(sizes)]
         if effort.size == 1:
             parts.append(_generations(work, POPULATION, 10 * POPULATION, REPEATS))
@@ -117,7 +117,7 @@ def padding(effort: Effort) -> Line:
     """What twice the room for nodes costs graphs that do not need it: in rollouts, in all."""
     work, population = workload(), evolved_population()
     wide = replace(population, graphs=widened(population.graphs))
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = _padded_rollouts(work, population.graphs, wide.graphs, effort.repeats)
         works: list[Work] = [partial(generation, work, each) for each in (wide, population)]
         ours, other = in_turns(works, 2 * effort.repeats, WALL)
