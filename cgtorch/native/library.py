@@ -82,10 +82,14 @@ def threads() -> int:
     return _threads or torch.get_num_threads()
 
 
-def use_threads(count: int) -> None:
-    """Let compiled code use so many threads, whatever torch uses; no result depends on it."""
+def use_threads(count: int) -> int:
+    """Let compiled code use so many threads, whatever torch uses, or with 0 as many as torch.
+
+    No result depends on it. What was said before is returned.
+    """
     global _threads
-    _threads = count
+    before, _threads = _threads, count
+    return before
 
 
 _threads = 0

@@ -16,43 +16,74 @@ typedef struct {
 #define TILE 4 /* rows that share what is loaded of the centres */
 #define SMALL_TILE 2
 
-/* Values (rows, k) and squared scaled distances (rows,) to the nearest centre of `rows` rows, TILE
-   at most. Each row's numbers are made by the same steps in the same order however many come. */
-INLINE void machine_rows(const Machine *f, const real *x, int rows, int outputs, int features,
-                         real *values, real *nearest) {
-  real at[TILE][MOST_FEATURES];
-  vec total[TILE][MOST_OUTPUTS], near[TILE];
-  for (int r = 0; r < rows; r++) {
-    for (int i = 0; i < features; i++) at[r][i] = x[r * features + i] * f->scale;
-    for (int o = 0; o < outputs; o++) total[r][o] = all(0);
+/* Values (outputs, TILE), without bias, and squared scaled distances (TILE,) to the nearest centre of
+   `rows` rows that are scaled, TILE at most. Each row's numbers are made by the same steps in the same
+   order however many come. */
+INLINE void machine_tile(const Machine *f, const real at[TILE][MOST_FEATURES], int rows, int outputs,
+                         int features, real (*values)[TILE], real *nearest) {
+  vec total[MOST_OUTPUTS][TILE], near[TILE];
+  UNROLLED for (int r = 0; r < TILE; r++) {
+    for (int o = 0; o < outputs; o++) total[o][r] = all(0);
     near[r] = all((real)INFINITY);
   }
   for (int64_t j = 0; j < f->m; j += WIDTH) {
     vec distance[TILE];
-    for (int r = 0; r < rows; r++) distance[r] = all(0);
+    UNROLLED for (int r = 0; r < rows; r++) distance[r] = all(0);
     for (int i = 0; i < features; i++) {
       vec c = load(f->centres + i * f->m + j);
-      for (int r = 0; r < rows; r++) {
+      UNROLLED for (int r = 0; r < rows; r++) {
         vec gap = at[r][i] - c;
         distance[r] += gap * gap;
       }
     }
-    for (int r = 0; r < rows; r++) {
-      near[r] = vec_min(near[r], distance[r]);
-      distance[r] = exp2_vec(-distance[r]);
-    }
+    UNROLLED for (int r = 0; r < rows; r++) near[r] = vec_min(near[r], distance[r]);
+    exp2_minus(distance, rows);
     for (int o = 0; o < outputs; o++) {
       vec w = load(f->weights + o * f->m + j);
-      for (int r = 0; r < rows; r++) total[r][o] += w * distance[r];
+      UNROLLED for (int r = 0; r < rows; r++) total[o][r] += w * distance[r];
     }
   }
+  for (int o = 0; o < outputs; o++) sums(total[o], values[o]);
+  leasts(near, nearest);
+}
+
+/* Values (rows, k) and squared scaled distances (rows,) to the nearest centre of rows x (rows, d). */
+INLINE void machine_rows(const Machine *f, const real *x, int rows, int outputs, int features,
+                         real *values, real *nearest) {
+  real at[TILE][MOST_FEATURES], found[MOST_OUTPUTS][TILE], near[TILE];
+  for (int r = 0; r < rows; r++)
+    for (int i = 0; i < features; i++) at[r][i] = x[r * features + i] * f->scale;
+  machine_tile(f, at, rows, outputs, features, found, near);
   for (int r = 0; r < rows; r++) {
     int finite = 1;
     for (int i = 0; i < features; i++) finite &= isfinite(x[r * features + i]) != 0;
     for (int o = 0; o < outputs; o++)
-      values[r * outputs + o] = finite ? sum(total[r][o]) + f->bias[o] : (real)NAN;
-    nearest[r] = finite ? least(near[r]) : (real)NAN;
+      values[r * outputs + o] = finite ? found[o][r] + f->bias[o] : (real)NAN;
+    nearest[r] = finite ? near[r] : (real)NAN;
   }
 }
 
+/* The same of a machine with one value for those of a vector's rows that `bits` has; x (d,). */
+INLINE void tile_of_lanes(const Machine *f, const vec *x, const int *lanes, int rows, int features,
+                          vec *value, vec *nearest) {
+  real at[TILE][MOST_FEATURES], found[1][TILE], near[TILE];
+  for (int r = 0; r < rows; r++)
+    for (int i = 0; i < features; i++) at[r][i] = x[i][lanes[r]];
+  machine_tile(f, at, rows, 1, features, found, near);
+  for (int r = 0; r < rows; r++) (*value)[lanes[r]] = found[0][r], (*nearest)[lanes[r]] = near[r];
+}
+INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int features, vec *value,
+                          vec *nearest) {
+  vec scaled[MOST_FEATURES];
+  vwhole finite = every(-1);
+  int lanes[WIDTH], count = 0, i = 0;
+  for (; bits; bits &= bits - 1) lanes[count++] = __builtin_ctz(bits);
+  for (int k = 0; k < features; k++) scaled[k] = x[k] * f->scale, finite &= finite_vec(x[k]);
+  *value = *nearest = all(0);
+  for (; i + TILE <= count; i += TILE)
+    tile_of_lanes(f, scaled, lanes + i, TILE, features, value, nearest);
+  for (; i < count; i++) tile_of_lanes(f, scaled, lanes + i, 1, features, value, nearest);
+  *value = select_vec(finite, *value + f->bias[0], all((real)NAN));
+  *nearest = select_vec(finite, *nearest, all((real)NAN));
+}
 #endif

@@ -6,6 +6,9 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef __AVX512DQ__
+#include <immintrin.h>
+#endif
 
 typedef REAL real;
 #define BYTES 64
@@ -32,11 +35,40 @@ typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
 INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
 INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
 INLINE vec all(real x) { return x - (vec){0}; }
+INLINE vwhole every(whole x) { return x - (vwhole){0}; }
 INLINE vec select_vec(vwhole yes, vec a, vec b) {
   return (vec)(((vwhole)a & yes) | ((vwhole)b & ~yes));
 }
-INLINE vec vec_max(vec a, vec b) { return select_vec(a > b, a, b); }
-INLINE vec vec_min(vec a, vec b) { return select_vec(a < b, a, b); }
+INLINE vwhole select_whole(vwhole yes, vwhole a, vwhole b) { return (a & yes) | (b & ~yes); }
+
+/* One instruction each, once a compiler has seen the loop. */
+#define EACH(result, part)                           \
+  do {                                               \
+    _Pragma("omp simd") for (int i = 0; i < WIDTH; i++) result[i] = part; \
+  } while (0)
+/* The second of two where either is not a number. */
+INLINE vec vec_max(vec a, vec b) { EACH(a, a[i] > b[i] ? a[i] : b[i]); return a; }
+INLINE vec vec_min(vec a, vec b) { EACH(a, a[i] < b[i] ? a[i] : b[i]); return a; }
+INLINE vec vec_sqrt(vec a) { EACH(a, FN(sqrt)(a[i])); return a; }
+INLINE vec vec_floor(vec a) { EACH(a, FN(floor)(a[i])); return a; }
+INLINE vec vec_abs(vec a) { return (vec)((vwhole)a & ~(vwhole)all((real)-0.0)); }
+INLINE vec with_sign_of(vec a, vec b) {
+  return (vec)((vwhole)a | ((vwhole)b & (vwhole)all((real)-0.0)));
+}
+INLINE vwhole finite_vec(vec a) { return a * 0 == 0; }
+
+/* A bit for each part of what a comparison gave. */
+INLINE uint32_t bits_of(vwhole yes) {
+#if defined(__AVX512DQ__) && defined(REAL_IS_FLOAT)
+  return _mm512_movepi32_mask((__m512i)yes);
+#elif defined(__AVX512DQ__)
+  return _mm512_movepi64_mask((__m512i)yes);
+#else
+  uint32_t bits = 0;
+  for (int i = 0; i < WIDTH; i++) bits |= (uint32_t)(yes[i] < 0) << i;
+  return bits;
+#endif
+}
 
 /* The sum and the least of a vector's parts, the first half with the second and so on. */
 #ifdef REAL_IS_FLOAT
@@ -68,46 +100,84 @@ INLINE real least(vec v) {
   return v[0];
 }
 
-/* 2^x for x <= 0 to the last digit or two; what would be denormal is the smallest normal number. */
-INLINE vec exp2_vec(vec x) {
-  x = vec_max(x, all(SMALLEST));
-  vec big = x + MAGIC, f = x - (big - MAGIC);
-#ifdef REAL_IS_FLOAT /* near the best polynomial of its degree, 2.5e-9 off at most */
-  vec p = all(0.00015461445f);
-  p = p * f + 0.0013400428f;
-  p = p * f + 0.009618057f;
-  p = p * f + 0.055503272f;
-  p = p * f + 0.24022651f;
-  p = p * f + 0.6931472f;
-  p = p * f + 1.0f;
-#else /* Taylor's series */
-  f = f * 0.69314718055994530942;
-  vec p = all(1.0 / 6227020800.0);
-  p = p * f + 1.0 / 479001600;
-  p = p * f + 1.0 / 39916800;
-  p = p * f + 1.0 / 3628800;
-  p = p * f + 1.0 / 362880;
-  p = p * f + 1.0 / 40320;
-  p = p * f + 1.0 / 5040;
-  p = p * f + 1.0 / 720;
-  p = p * f + 1.0 / 120;
-  p = p * f + 1.0 / 24;
-  p = p * f + 1.0 / 6;
-  p = p * f + 0.5;
-  p = p * f + 1.0;
-  p = p * f + 1.0;
+/* sum() and least() of four vectors at once, to the bit: their halves side by side, then quarters. */
+#ifdef REAL_IS_FLOAT
+#define LEFT_HALVES(a, b) \
+  __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23)
+#define RIGHT_HALVES(a, b) \
+  __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31)
+#define LEFT_QUARTERS(a, b) \
+  __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27)
+#define RIGHT_QUARTERS(a, b) \
+  __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31)
+#else
+#define LEFT_HALVES(a, b) __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11)
+#define RIGHT_HALVES(a, b) __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15)
+#define LEFT_QUARTERS(a, b) __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13)
+#define RIGHT_QUARTERS(a, b) __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15)
 #endif
-  return (vec)((vwhole)p + ((vwhole)big << MANTISSA));
+INLINE void sums(const vec *v, real *out) {
+  vec ab = LEFT_HALVES(v[0], v[1]) + RIGHT_HALVES(v[0], v[1]);
+  vec cd = LEFT_HALVES(v[2], v[3]) + RIGHT_HALVES(v[2], v[3]);
+  vec all4 = LEFT_QUARTERS(ab, cd) + RIGHT_QUARTERS(ab, cd);
+#ifdef REAL_IS_FLOAT
+  all4 += EIGHTH(all4);
+#endif
+  all4 += LAST(all4);
+  for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];
+}
+INLINE void leasts(const vec *v, real *out) {
+  vec ab = vec_min(LEFT_HALVES(v[0], v[1]), RIGHT_HALVES(v[0], v[1]));
+  vec cd = vec_min(LEFT_HALVES(v[2], v[3]), RIGHT_HALVES(v[2], v[3]));
+  vec all4 = vec_min(LEFT_QUARTERS(ab, cd), RIGHT_QUARTERS(ab, cd));
+#ifdef REAL_IS_FLOAT
+  all4 = vec_min(all4, EIGHTH(all4));
+#endif
+  all4 = vec_min(all4, LAST(all4));
+  for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];
 }
 
-/* 1 / (1 + exp(-x)) of up to WIDTH numbers, in place; what is not a number stays so. */
-INLINE void sigmoids(real *x, int count) {
-  vec v = all(0);
-  memcpy(&v, x, (size_t)count * sizeof(real));
-  vec size = select_vec(v < 0, v, -v); /* -|x|, whose power of two is never large */
-  vec power = exp2_vec(size * (real)1.44269504088896340736);
-  vec p = select_vec(v < 0, power, all(1)) / (1 + power);
-  p = select_vec(v == v, p, v);
-  memcpy(x, &p, (size_t)count * sizeof(real));
+/* 2^-x for x >= 0 to the last digit or two; what would be denormal is the smallest normal number,
+   what is not a number stays so. Near the best polynomial of its degree, 2.5e-9 off at most, for
+   float; Taylor's series for double. */
+#ifdef REAL_IS_FLOAT
+#define UNIT 1
+static const real POWERS[] = {0.00015461445f, -0.0013400428f, 0.009618057f, -0.055503272f,
+                              0.24022651f,    -0.6931472f,    1.0f};
+#else
+#define UNIT 0.69314718055994530942
+static const real POWERS[] = {-1.0 / 6227020800, 1.0 / 479001600, -1.0 / 39916800, 1.0 / 3628800,
+                              -1.0 / 362880,     1.0 / 40320,     -1.0 / 5040,     1.0 / 720,
+                              -1.0 / 120,        1.0 / 24,        -1.0 / 6,        0.5,
+                              -1.0,              1.0};
+#endif
+#define EXP2_TERMS (int)(sizeof POWERS / sizeof *POWERS)
+#define UNROLLED _Pragma("GCC unroll 16") /* early, so that small arrays become registers */
+
+/* Of `count` vectors in place, step by step side by side: none waits for the step before. */
+INLINE void exp2_minus(vec *x, int count) {
+  vec big[4], p[4];
+  UNROLLED for (int r = 0; r < count; r++) {
+    x[r] = vec_min(x[r], all(-SMALLEST));
+    big[r] = MAGIC - x[r];
+    x[r] = (x[r] + (big[r] - MAGIC)) * UNIT;
+    p[r] = all(POWERS[0]);
+  }
+  UNROLLED for (int i = 1; i < EXP2_TERMS; i++)
+    UNROLLED for (int r = 0; r < count; r++) p[r] = p[r] * x[r] + POWERS[i];
+  UNROLLED for (int r = 0; r < count; r++)
+    x[r] = (vec)((vwhole)p[r] + ((vwhole)big[r] << MANTISSA));
+}
+INLINE vec exp2_vec(vec x) {
+  x = -x;
+  exp2_minus(&x, 1);
+  return x;
+}
+
+/* 1 / (1 + exp(-x)); what is not a number stays so. */
+INLINE vec sigmoid_vec(vec x) {
+  vec power = exp2_vec(vec_abs(x) * (real)-1.44269504088896340736); /* never large */
+  vec p = select_vec(x < 0, power, all(1)) / (1 + power);
+  return select_vec(x == x, p, x);
 }
 #endif

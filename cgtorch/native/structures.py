@@ -44,7 +44,7 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     program = structure(
         "Program",
         actions=POINTER, kind=POINTER, heads=POINTER, start=POINTER, entry=POINTER, limit=POINTER,
-        parameters=POINTER, primitives=WHOLE, outcomes=WHOLE, width=WHOLE, depth=WHOLE,
+        parameters=POINTER, primitives=WHOLE, outcomes=WHOLE, width=WHOLE, depth=WHOLE, nodes=WHOLE,
     )  # fmt: skip
     models = structure(
         "Models",
@@ -59,10 +59,16 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     )  # fmt: skip
     evaluation = structure(
         "Evaluation",
-        task=task, nodes=WHOLE, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
+        task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
         transitions=POINTER,
     )  # fmt: skip
+    tables = structure(
+        "Tables",
+        action=POINTER, edges=POINTER, kinds=POINTER, ends=POINTER, graphs=WHOLE, nodes=WHOLE,
+        seen=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER, heads=POINTER,
+    )  # fmt: skip
     return SimpleNamespace(
+        Tables=tables,
         Evaluation=evaluation,
         Machine=machine,
         Gamma=gamma,

@@ -9,14 +9,30 @@ typedef struct {
   unsigned char *free;
 } Rows;
 
+/* The k-th things of up to WIDTH rows. */
+INLINE Rectangle things_of(const Rows *r, int64_t begin, int64_t rows, int64_t k) {
+  vec thing[5];
+  for (int i = 0; i < WIDTH; i++) {
+    const real *one = r->things + ((begin + (i < rows ? i : 0)) * r->count + k) * 5;
+    for (int j = 0; j < 5; j++) thing[j][i] = one[j];
+  }
+  Rectangle found = {.x = thing[0], .y = thing[1], .sx = thing[3], .sy = thing[4]};
+  sine_cosine(thing[2], &found.s, &found.c);
+  return found;
+}
+
 static void some_motions(void *what, int64_t begin, int64_t end) {
   const Rows *r = what;
-  for (int64_t i = begin; i < end; i++) {
-    const real *u = r->motion + i * 3, *thing = r->things + i * r->count * 5;
-    int free = is_within(u, r->body);
-    for (int64_t k = 0; k < r->count && free; k++, thing += 5)
-      free = is_clear(u, (Rectangle){thing[0], thing[1], thing[2], thing[3], thing[4]}, r->body);
-    r->free[i] = (unsigned char)free;
+  for (int64_t row = begin; row < end; row += WIDTH) {
+    int64_t rows = end - row < WIDTH ? end - row : WIDTH;
+    vec u[3];
+    into_columns(r->motion + row * 3, rows, 3, u);
+    vwhole free = is_within(u, r->body);
+    for (int64_t k = 0; k < r->count; k++) {
+      Rectangle thing = things_of(r, row, rows, k);
+      free = clear_of(u, &thing, r->body, free);
+    }
+    for (int64_t i = 0; i < rows; i++) r->free[row + i] = free[i] != 0;
   }
 }
 

@@ -1,10 +1,9 @@
-/* The tabletop as percepts show it: cgtorch.world.{percepts,sweep,edge_frame} and motion_possible,
-   one row at a time. */
+/* The tabletop as percepts show it, a vector of rows at once: cgtorch.world.{percepts,sweep} and
+   motion_possible. */
 #ifndef CGTORCH_TABLETOP_H
 #define CGTORCH_TABLETOP_H
-#include "real.h"
+#include "angles.h"
 
-#define PI 3.14159265358979323846
 #define TURN_STEPS 12 /* of 15 degrees */
 #define MOST_PERCEPT 64
 
@@ -18,38 +17,44 @@ INLINE Layout layout_of(int64_t size) {
   return (Layout){(int)size, side, (int)(size - 7 - 2 * side) / 4};
 }
 
+/* The columns of `rows` rows (rows, size), WIDTH at most, as vectors; the first one fills up. */
+INLINE void into_columns(const real *x, int64_t rows, int size, vec *columns) {
+  for (int j = 0; j < size; j++)
+    for (int i = 0; i < WIDTH; i++) columns[j][i] = x[(i < rows ? i : 0) * size + j];
+}
+INLINE void into_rows(const vec *columns, int64_t rows, int size, real *x) {
+  for (int64_t i = 0; i < rows; i++)
+    for (int j = 0; j < size; j++) x[i * size + j] = columns[j][i];
+}
+
 typedef struct {
-  real x, y, yaw, sx, sy;
+  vec x, y, c, s, sx, sy; /* centre, cosine and sine of the yaw, sides */
 } Rectangle;
 
-INLINE real absolute(real x) { return FN(fabs)(x); }
-INLINE real positive(real x) { return x < 0 ? 0 : x; }
-INLINE real wrap(real angle) {
-  real turns = FN(floor)((angle + (real)PI) / (real)(2 * PI));
-  return angle - (real)(2 * PI) * turns;
-}
-INLINE void turn(real x, real y, real angle, real *tx, real *ty) {
-  real c = FN(cos)(angle), s = FN(sin)(angle);
+INLINE vec positive(vec x) { return vec_max(all(0), x); }
+INLINE void turn(vec x, vec y, vec c, vec s, vec *tx, vec *ty) {
   *tx = c * x - s * y;
   *ty = s * x + c * y;
 }
-INLINE Rectangle box_rectangle(const real *box) {
-  return (Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, 0, box[1] - box[0],
+INLINE Rectangle box_rectangle(const vec *box) {
+  return (Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, all(1), all(0), box[1] - box[0],
                      box[3] - box[2]};
 }
-INLINE const real *box_seen(const real *p, Layout layout, int k) {
+INLINE const vec *box_seen(const vec *p, Layout layout, int k) {
   return p + 7 + 2 * layout.side + 4 * k;
 }
-INLINE int there(const real *box) {
-  return box[0] != 0 || box[1] != 0 || box[2] != 0 || box[3] != 0;
+INLINE vwhole there(const vec *box) {
+  return (box[0] != 0) | (box[1] != 0) | (box[2] != 0) | (box[3] != 0);
 }
-INLINE Rectangle table_seen(const real *p, Layout layout) {
-  Rectangle box = box_rectangle(p);
-  if (!layout.side) return box;
-  real length = FN(sqrt)(p[7] * p[7] + p[8] * p[8]), yaw = FN(atan2)(p[8], p[7]) / 2;
-  real c = absolute(FN(cos)(yaw)), s = absolute(FN(sin)(yaw));
-  real other = s * (box.sx - length * c) + c * (box.sy - length * s);
-  return (Rectangle){box.x, box.y, yaw, length, positive(other)};
+INLINE Rectangle table_seen(const vec *p, Layout layout) {
+  Rectangle table = box_rectangle(p);
+  if (!layout.side) return table;
+  vec length = vec_sqrt(p[7] * p[7] + p[8] * p[8]);
+  half_angle(p[7], p[8], &table.c, &table.s);
+  vec c = vec_abs(table.c), s = vec_abs(table.s);
+  table.sy = positive(s * (table.sx - length * c) + c * (table.sy - length * s));
+  table.sx = length;
+  return table;
 }
 
 /* ---- Whether the base can drive: separating axes of two rectangles, as cgtorch.world.sweep ---- */
@@ -59,119 +64,66 @@ typedef struct {
   real farthest;       /* m that a motion may drive */
 } Body;
 
-INLINE int beyond(real place, real way, real reach) {
-  return place - positive(way) > reach || place - (way > 0 ? 0 : way) < -reach;
+INLINE vwhole beyond(vec place, vec way, vec reach) {
+  return (place - positive(way) > reach) | (place - vec_min(all(0), way) < -reach);
 }
-INLINE int drive_blocked(const real *u, Rectangle r, const Body *body) {
-  real x = r.x - body->bx, y = r.y - body->by, w = r.sx / 2, h = r.sy / 2;
-  real c = FN(cos)(r.yaw), s = FN(sin)(r.yaw), dx = u[0], dy = u[1];
-  real along = dx * c + dy * s, across = dy * c - dx * s, ac = absolute(c), as = absolute(s);
-  if (beyond(x, dx, body->hx + ac * w + as * h)) return 0;
-  if (beyond(y, dy, body->hy + as * w + ac * h)) return 0;
-  if (beyond(x * c + y * s, along, w + ac * body->hx + as * body->hy)) return 0;
-  if (beyond(y * c - x * s, across, h + as * body->hx + ac * body->hy)) return 0;
-  real reach = absolute(dy) * body->hx + absolute(dx) * body->hy + absolute(across) * w +
-               absolute(along) * h;
-  return !(absolute(y * dx - x * dy) > reach);
+INLINE vwhole drive_blocked(const vec *u, const Rectangle *r, const Body *body) {
+  vec x = r->x - body->bx, y = r->y - body->by, w = r->sx / 2, h = r->sy / 2, dx = u[0], dy = u[1];
+  vec c = r->c, s = r->s, along = dx * c + dy * s, across = dy * c - dx * s;
+  vec ac = vec_abs(c), as = vec_abs(s);
+  vwhole apart = beyond(x, dx, body->hx + ac * w + as * h);
+  apart |= beyond(y, dy, body->hy + as * w + ac * h);
+  apart |= beyond(x * c + y * s, along, w + ac * body->hx + as * body->hy);
+  apart |= beyond(y * c - x * s, across, h + as * body->hx + ac * body->hy);
+  vec reach = vec_abs(dy) * body->hx + vec_abs(dx) * body->hy + vec_abs(across) * w +
+              vec_abs(along) * h;
+  return ~(apart | (vec_abs(y * dx - x * dy) > reach));
 }
-INLINE int within_reach(const real *u, Rectangle r, const Body *body) {
-  real x = r.x - u[0], y = r.y - u[1], c = FN(cos)(r.yaw), s = FN(sin)(r.yaw);
-  real along = positive(absolute(x * c + y * s) - r.sx / 2);
-  real across = positive(absolute(y * c - x * s) - r.sy / 2);
-  real rx = absolute(body->bx) + body->hx, ry = absolute(body->by) + body->hy;
+INLINE vwhole within_reach(const vec *u, const Rectangle *r, const Body *body) {
+  vec x = r->x - u[0], y = r->y - u[1];
+  vec along = positive(vec_abs(x * r->c + y * r->s) - r->sx / 2);
+  vec across = positive(vec_abs(y * r->c - x * r->s) - r->sy / 2);
+  real rx = FN(fabs)(body->bx) + body->hx, ry = FN(fabs)(body->by) + body->hy;
   return along * along + across * across < rx * rx + ry * ry;
 }
-INLINE int turn_blocked(const real *u, Rectangle r, const Body *body) {
-  real x = r.x - u[0], y = r.y - u[1], w = r.sx / 2, h = r.sy / 2, whole_turn = wrap(u[2]);
-  real cy = FN(cos)(r.yaw), sy = FN(sin)(r.yaw);
+INLINE vwhole turn_blocked(const vec *u, const Rectangle *r, const Body *body) {
+  vec x = r->x - u[0], y = r->y - u[1], w = r->sx / 2, h = r->sy / 2, whole_turn = wrap(u[2]);
+  vwhole blocked = every(0);
   for (int i = 1; i <= TURN_STEPS; i++) {
-    real turned = whole_turn * ((real)i / TURN_STEPS);
-    real c = FN(cos)(turned), s = FN(sin)(turned);
-    real px = c * x + s * y - body->bx, py = c * y - s * x - body->by;
-    real ct = cy * c + sy * s; /* of the rectangle as seen from the turned body */
-    s = sy * c - cy * s, c = ct;
-    real ac = absolute(c), as = absolute(s);
-    if (!(absolute(px) > body->hx + ac * w + as * h || absolute(py) > body->hy + as * w + ac * h ||
-          absolute(px * c + py * s) > w + ac * body->hx + as * body->hy ||
-          absolute(py * c - px * s) > h + as * body->hx + ac * body->hy))
-      return 1;
+    vec c, s;
+    sine_cosine(whole_turn * ((real)i / TURN_STEPS), &s, &c);
+    vec px = c * x + s * y - body->bx, py = c * y - s * x - body->by;
+    vec ct = r->c * c + r->s * s; /* of the rectangle as seen from the turned body */
+    s = r->s * c - r->c * s, c = ct;
+    vec ac = vec_abs(c), as = vec_abs(s);
+    blocked |= ~((vec_abs(px) > body->hx + ac * w + as * h) |
+                 (vec_abs(py) > body->hy + as * w + ac * h) |
+                 (vec_abs(px * c + py * s) > w + ac * body->hx + as * body->hy) |
+                 (vec_abs(py * c - px * s) > h + as * body->hx + ac * body->hy));
   }
-  return 0;
+  return blocked;
 }
-INLINE int is_clear(const real *u, Rectangle r, const Body *body) {
-  if (!(r.sx > 0 && r.sy > 0)) return 1;
-  if (drive_blocked(u, r, body)) return 0;
-  return u[2] == 0 || !within_reach(u, r, body) || !turn_blocked(u, r, body);
+/* Those of `rows` whose motion stays clear of a thing. */
+INLINE vwhole clear_of(const vec *u, const Rectangle *r, const Body *body, vwhole rows) {
+  vwhole beside = rows & (r->sx > 0) & (r->sy > 0);
+  vwhole blocked = beside & drive_blocked(u, r, body);
+  vwhole near = beside & ~blocked & (u[2] != 0) & within_reach(u, r, body);
+  if (bits_of(near)) blocked |= near & turn_blocked(u, r, body);
+  return rows & ~blocked;
 }
-INLINE int is_within(const real *u, const Body *body) {
-  if (!(isfinite(u[0]) && isfinite(u[1]) && isfinite(u[2]))) return 0;
-  return FN(sqrt)(u[0] * u[0] + u[1] * u[1]) <= body->farthest;
+INLINE vwhole is_within(const vec *u, const Body *body) {
+  vwhole finite = finite_vec(u[0]) & finite_vec(u[1]) & finite_vec(u[2]);
+  return finite & (vec_sqrt(u[0] * u[0] + u[1] * u[1]) <= body->farthest);
 }
-INLINE int motion_possible(const real *p, const real *u, Layout layout, const Body *body) {
-  if (!is_within(u, body)) return 0;
-  if (!is_clear(u, table_seen(p, layout), body)) return 0;
-  for (int k = 0; k < layout.boxes; k++)
-    if (!is_clear(u, box_rectangle(box_seen(p, layout, k)), body)) return 0;
-  return 1;
-}
-
-/* ---- The edge nearest to the object, as cgtorch.world.edge_frame ---- */
-
-#define SCENE 9
-#define NOWHERE 3
-
-typedef struct {
-  real x, y, yaw, mirror, extent[4];
-} Edge;
-
-INLINE Edge edge_frame(const real *p, Layout layout) {
-  Rectangle table = table_seen(p, layout);
-  real ax, ay, rx, ry, hx = table.sx / 2, hy = table.sy / 2;
-  turn(p[4] - table.x, p[5] - table.y, -table.yaw, &ax, &ay);
-  real gaps[4] = {hx + ax, hy + ay, hx - ax, hy - ay};
-  int nearest = 0;
-  for (int i = 1; i < 4; i++) /* what is not a number is the least, as in torch */
-    if (gaps[i] < gaps[nearest] || (gaps[i] != gaps[i] && gaps[nearest] == gaps[nearest])) nearest = i;
-  Edge edge = {p[4], p[5], wrap(table.yaw + (real)(PI / 2) * nearest), 1, {0}};
-  turn(-p[4], -p[5], -edge.yaw, &rx, &ry);
-  edge.mirror = ry < 0 ? -1 : 1;
-  real right = gaps[(nearest + 1) % 4], left = gaps[(nearest + 3) % 4];
-  edge.extent[0] = gaps[nearest];
-  edge.extent[1] = gaps[(nearest + 2) % 4];
-  edge.extent[2] = edge.mirror > 0 ? left : right;
-  edge.extent[3] = edge.mirror > 0 ? right : left;
-  return edge;
-}
-INLINE void into(const Edge *edge, real x, real y, real *ex, real *ey) {
-  turn(x - edge->x, y - edge->y, -edge->yaw, ex, ey);
-  *ey *= edge->mirror;
-}
-INLINE void table_scene(const Edge *edge, const real *p, real *scene) {
-  into(edge, 0, 0, scene, scene + 1);
-  real heading = -edge->mirror * edge->yaw;
-  scene[2] = FN(cos)(heading);
-  scene[3] = FN(sin)(heading);
-  for (int i = 0; i < 4; i++) scene[4 + i] = edge->extent[i];
-  scene[8] = p[6];
-}
-INLINE void obstacle_scene(const Edge *edge, const real *p, Layout layout, real *scene) {
+/* Those of `rows` whose motion is possible. */
+INLINE vwhole motion_possible(const vec *p, const vec *u, Layout layout, const Body *body,
+                              vwhole rows) {
+  Rectangle thing = table_seen(p, layout);
+  rows = clear_of(u, &thing, body, rows & is_within(u, body));
   for (int k = 0; k < layout.boxes; k++) {
-    const real *box = box_seen(p, layout, k);
-    real *out = scene + 3 * k;
-    if (there(box)) {
-      into(edge, (box[0] + box[1]) / 2, (box[2] + box[3]) / 2, out, out + 1);
-      out[2] = ((box[1] - box[0]) + (box[3] - box[2])) / 2 / 2;
-    } else {
-      out[0] = -NOWHERE;
-      out[1] = out[2] = 0;
-    }
+    thing = box_rectangle(box_seen(p, layout, k));
+    rows = clear_of(u, &thing, body, rows);
   }
-}
-INLINE void motion_to(const Edge *edge, const real *pose, real *u) {
-  real wx, wy;
-  turn(pose[0], pose[1] * edge->mirror, edge->yaw, &wx, &wy);
-  u[0] = edge->x + wx;
-  u[1] = edge->y + wy;
-  u[2] = wrap(edge->yaw + pose[2] * edge->mirror);
+  return rows;
 }
 #endif

@@ -1,4 +1,4 @@
-"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, one lane after the other.
+"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, graph after graph.
 
 It says what the batched engine in torch says, which runs everything else: actions, models and
 worlds of others, and other devices. `rollout` asks here first.
@@ -45,7 +45,9 @@ KINDS: Mapping[type, int] = {
         (MoveBase, Detect, Grasp, ContinuousNN, BranchingNN, EdgeNN, EdgeBranchingNN)
     )
 }
-"""What rollout.c knows, in the order of its enumeration."""
+"""What compiled code knows, in the order of its enumeration."""
+LARGEST = 2**30
+"""Nodes, transitions and scenarios that it can count."""
 
 
 def compiled_rollout(
@@ -64,8 +66,8 @@ def compiled_rollout(
         scenarios: (B,) long.
         max_transitions: see `cgtorch.simulation.rollout`.
         max_steps: likewise.
-        ticks: (4,) long to which ticks of the CPU's clock are added that Γ, C, networks and the
-            check of motions take; then one thread runs.
+        ticks: (2, 4) long to which ticks of the CPU's clock are added that Γ, C, networks and the
+            check of motions take, and how often each was timed; then one thread runs.
     """
     call = function("rollout", "rollouts", program.parameters.dtype, POINTER, WHOLE)
     task = _task(program, environment, scenarios, max_transitions, max_steps, ticks)
@@ -125,7 +127,7 @@ def compiled_evaluation(
     finite, transitions = torch.empty(p, dtype=torch.bool), torch.empty(p, dtype=torch.long)
     made = (score, succeeded, finite, transitions)
     evaluation = structures(score.dtype).Evaluation(
-        task.structure, program.nodes, int(keep.sum()), *(x.data_ptr() for x in made)
+        task.structure, int(keep.sum()), *(x.data_ptr() for x in made)
     )
     call(ctypes.addressof(evaluation), threads())
     return score.float(), succeeded, transitions, finite
@@ -143,6 +145,9 @@ def _task(
     if not isinstance(environment, ModelEnvironment) or scenarios.device.type != "cpu":
         return None
     if program.parameters.dtype != environment.percepts.dtype:
+        return None
+    longest = max([max_transitions, *program.limit.tolist()])
+    if max(len(program.kind), longest, max_steps, environment.num_scenarios) > LARGEST:
         return None
     nodes, models = _program(program, environment.percept_size), _models(environment)
     if nodes is None or models is None:
@@ -191,7 +196,7 @@ def _program(program: Program, percept_size: int) -> Compiled | None:
     pointers = (tensor.data_ptr() for tensor in kept)
     structure = made.Program(
         ctypes.addressof(table), *pointers, len(actions), program.heads.shape[1],
-        program.parameters.shape[1], program.depth,
+        program.parameters.shape[1], program.depth, program.nodes,
     )  # fmt: skip
     structure.table = table  # it must live as long
     return Compiled(structure, kept)

@@ -1,5 +1,6 @@
 """What the engine runs: every node of every graph and sub-skill in one table."""
 
+import ctypes
 from dataclasses import dataclass
 
 import torch
@@ -9,8 +10,12 @@ from torch.nn.functional import pad
 from cgtorch.actions import Action, ActionSet
 from cgtorch.actions.memory import memory_parts
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill
+from cgtorch.native import function, threads
+from cgtorch.native.structures import POINTER, WHOLE, structures
 
 SUCCESS, FAILURE = -1, -2
+WORTH_SHARING = 2**16
+"""Nodes that are worth one more thread: about a quarter of a millisecond."""
 
 
 @dataclass(frozen=True)
@@ -114,15 +119,46 @@ def _table(
         [index[id(a.skill)] if isinstance(a, SubSkill) else order[id(a)] for a in actions.actions],
         device=device,
     )
-    p, n, o = graphs.edges.shape
-    action = graphs.action.clamp_min(0)
-    base = offset + torch.arange(p, device=device)[:, None, None] * n
+    o = graphs.edges.shape[2]
     ends = torch.where(actions.succeeds[:, :o], SUCCESS, FAILURE).to(device)
-    heads = torch.where(graphs.edges == NO_NODE, ends[action], graphs.edges + base)
+    given = graphs, kinds, ends, offset, outcomes
+    kind, heads = _laid_out(*given) or _laid_out_in_torch(*given)
     parameters = graphs.parameters.flatten(0, 1)
     # Slots that nothing of this graph uses: padding a population costs no more than this.
-    if more := outcomes - o:
-        heads = pad(heads, (0, more), value=FAILURE)
     if more := width - parameters.shape[1]:
         parameters = pad(parameters, (0, more))
-    return kinds[action].flatten(), heads.flatten(0, 1), parameters
+    return kind, heads, parameters
+
+
+def _laid_out_in_torch(
+    graphs: Graphs, kinds: Tensor, ends: Tensor, offset: int, outcomes: int
+) -> tuple[Tensor, Tensor]:
+    """Kinds and heads, given kinds (A,) of all actions and the ends (A, O) of their outcomes."""
+    p, n, o = graphs.edges.shape
+    action = graphs.action.clamp_min(0)
+    base = offset + torch.arange(p, device=action.device)[:, None, None] * n
+    heads = torch.where(graphs.edges == NO_NODE, ends[action], graphs.edges + base)
+    if more := outcomes - o:
+        heads = pad(heads, (0, more), value=FAILURE)
+    return kinds[action].flatten(), heads.flatten(0, 1)
+
+
+def _laid_out(
+    graphs: Graphs, kinds: Tensor, ends: Tensor, offset: int, outcomes: int
+) -> tuple[Tensor, Tensor] | None:
+    """The same, compiled, where that is possible."""
+    call = function("program", "lay_out", torch.float32, POINTER, WHOLE)
+    action, edges, ends = graphs.action.contiguous(), graphs.edges.contiguous(), ends.contiguous()
+    if call is None or not all(t.dtype == torch.long and t.is_cpu for t in (action, edges, ends)):
+        return None
+    p, n, o = edges.shape
+    if ends.shape[1] != o:
+        return None
+    kind = torch.empty(p * n, dtype=torch.long)
+    heads = kind.new_empty(p * n, outcomes)
+    pointers = (t.data_ptr() for t in (action, edges, kinds, ends))
+    tables = structures(torch.float32).Tables(
+        *pointers, p, n, o, outcomes, offset, kind.data_ptr(), heads.data_ptr()
+    )
+    call(ctypes.addressof(tables), max(1, min(threads(), p * n // WORTH_SHARING)))
+    return kind, heads

@@ -4,6 +4,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_models import first_percepts, random_classifier, random_gamma
 from support import FOOTPRINT, seeded
 
 from cgtorch.models.compiled import machine_structure, machine_values
@@ -58,6 +59,45 @@ def test_far_rows_and_rows_that_are_not_numbers() -> None:
     assert found is not None
     assert found[0][:3, 0].tolist() == pytest.approx([3.25, 0.25, 0.25])
     assert found[0][3:].isnan().all()
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+@pytest.mark.parametrize("percept", ["box", "yaw"])
+def test_motions_may_turn_by_any_angle(dtype: torch.dtype, percept: str) -> None:
+    generator, model = seeded(3), random_gamma(3)
+    first = first_percepts(3, 40, percept, 1).to(dtype)
+    turns = torch.logspace(-6, 5.5, 40).repeat(2)
+    turns[40:] *= -1
+    turns[[3, 43]] = torch.tensor([torch.pi, torch.pi / 2])
+    motion = torch.randn(80, 3, generator=generator)
+    motion[:, 2] = turns
+    motion, first = motion.to(dtype), first.repeat(2, 1)
+    given = first.double(), motion.double()
+    wanted = model.predict_in_torch(*given)
+    found = model.to(dtype).predict_with_novelty(first, motion)
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one.double(), other, atol=10 * FLOATS[dtype], rtol=0)
+
+
+@given(seed=st.integers(0, 2**31), count=st.integers(1, 60), dtype=st.sampled_from(list(FLOATS)))
+@settings(max_examples=40, deadline=None)
+def test_no_row_depends_on_others_to_the_bit(seed: int, count: int, dtype: torch.dtype) -> None:
+    generator, first = seeded(seed), first_percepts(3, 60, "box", 1)
+    gamma, classifier = random_gamma(3).to(dtype), random_classifier(4, first).to(dtype)
+    first, motion = first.to(dtype), torch.randn(60, 3, generator=generator).to(dtype)
+    motion[::7, 2] *= 1e6
+    motion[5] = torch.nan
+    some = torch.randperm(60, generator=generator)[:count]
+    pairs = [
+        *zip(
+            gamma.predict_with_novelty(first, motion),
+            gamma.predict_with_novelty(first[some], motion[some]),
+            strict=True,
+        ),
+        (classifier(first), classifier(first[some])),
+    ]
+    for whole, part in pairs:
+        torch.testing.assert_close(part, whole[some], atol=0, rtol=0, equal_nan=True)
 
 
 def test_there_is_no_room_for_machines_of_any_size() -> None:

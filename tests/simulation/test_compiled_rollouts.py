@@ -8,14 +8,27 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_models import random_models
-from support import as_double, as_double_actions, custom_actions, nested_actions, random_graphs
+from support import (
+    as_double,
+    as_double_actions,
+    custom_actions,
+    nested_actions,
+    random_graphs,
+    seeded,
+)
 
 from cgtorch.actions import ActionSet, edge_actions, paper_actions
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_rollout
-from cgtorch.simulation.program import Program, compile_graphs
+from cgtorch.simulation.program import (
+    Program,
+    _laid_out,
+    _laid_out_in_torch,
+    compile_graphs,
+)
 from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.world import ClearWay
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -113,6 +126,28 @@ def test_rollout_asks_compiled_code_first() -> None:
     assert equal(found, wanted)
 
 
+def test_what_cannot_be_counted_runs_in_torch() -> None:
+    environment, program = random_models(0, 4), program_of(0, sets_for(7)[0])
+    everything = torch.arange(4)
+    assert compiled_rollout(program, environment, everything, 2**30, 400) is not None
+    assert compiled_rollout(program, environment, everything, 2**30 + 1, 400) is None
+    assert compiled_rollout(program, environment, everything, 20, 2**31) is None
+
+
+@given(seed=st.integers(0, 2**31), which=st.integers(0, 3), count=st.integers(0, 12))
+@settings(max_examples=30, deadline=None)
+def test_graphs_are_laid_out_as_in_torch(seed: int, which: int, count: int) -> None:
+    actions = sets_for(7)[which]
+    graphs = random_graphs(seed, 12, actions)[:count]
+    kinds = torch.randperm(len(actions), generator=seeded(seed))
+    ends = torch.randint(-2, 0, (len(actions), graphs.edges.shape[2]), generator=seeded(seed))
+    for more in (0, 2):
+        given = graphs, kinds, ends, 1000, graphs.edges.shape[2] + more
+        found, wanted = _laid_out(*given), _laid_out_in_torch(*given)
+        assert found is not None
+        assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
+
+
 def test_what_others_plug_in_runs_in_torch() -> None:
     environment, everything = random_models(0, 4), torch.arange(4)
 
@@ -155,6 +190,55 @@ def test_no_number_of_threads_changes_anything() -> None:
     for other in results[1:]:
         assert other is not None
         assert equal(first, other)
+
+
+def as_single(environment: ModelEnvironment) -> ModelEnvironment:
+    """The same models in float32."""
+    gamma, classifier = environment.gamma.__self__.float(), environment.classifier.float()
+    possible = ClearWay(environment.possible.footprint.float())
+    return ModelEnvironment(
+        environment.percepts.float(),
+        gamma.predict_with_novelty,
+        classifier,
+        possible,
+        errors=None if environment.errors is None else environment.errors.float(),
+        most_novel=environment.most_novel,
+    )
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    scene=st.sampled_from(SCENES),
+    which=st.integers(0, 3),
+    single=st.booleans(),
+    count=st.integers(1, 37),
+)
+@settings(max_examples=60, deadline=None)
+def test_no_lane_depends_on_others_to_the_bit(
+    seed: int, scene: tuple[str, int], which: int, single: bool, count: int
+) -> None:
+    environment, generator = random_models(seed, 37, *scene), seeded(seed)
+    environment.percepts[3, 4], environment.percepts[5, 0] = torch.nan, torch.inf
+    actions = sets_for(environment.percept_size)[which]
+    graphs = as_double(random_graphs(seed, 9, actions))
+    if single:
+        if which == 3:
+            return  # sub-skills are in float64
+        environment, graphs = as_single(environment), random_graphs(seed, 9, actions)
+    some = torch.randperm(37, generator=generator)[:count]
+    rows = torch.randperm(9, generator=generator)[:4]
+    whole, part = (
+        compiled_rollout(compile_graphs(g, actions), environment, scenarios, 20, 400)
+        for g, scenarios in ((graphs, torch.arange(37)), (graphs[rows], some))
+    )
+    assert whole is not None
+    assert part is not None
+    for name, value in vars(whole).items():
+        wanted = value[rows][:, some]
+        same = (getattr(part, name) == wanted) | (
+            (wanted != wanted) & (getattr(part, name) != wanted)
+        )
+        assert bool(same.all()), name
 
 
 def test_percepts_that_are_not_numbers_end_as_in_torch() -> None:

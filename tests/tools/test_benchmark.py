@@ -21,8 +21,11 @@ from benchmarks.measure import (
     Timing,
     difference,
     in_turns,
+    run_threads,
     torch_threads,
 )
+
+from cgtorch import native
 
 
 def a_line(_) -> Line:
@@ -111,3 +114,9 @@ def test_threads_are_as_before_afterwards() -> None:
     with torch_threads(2):
         assert torch.get_num_threads() == 2
     assert torch.get_num_threads() == before
+    with run_threads(3):
+        assert (torch.get_num_threads(), native.threads()) == (1, 3)
+        with run_threads(2):
+            assert native.threads() == 2
+        assert (torch.get_num_threads(), native.threads()) == (1, 3)
+    assert (torch.get_num_threads(), native.threads()) == (before, before)

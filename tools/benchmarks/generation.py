@@ -2,13 +2,15 @@
 
 import statistics
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from benchmarks.measure import Comparison, Effort, Line, cores, timing, torch_threads
+from benchmarks.measure import Comparison, Effort, Line, cores, run_threads, timing
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.workload import Workload, populations, workload
 from cgtorch.evolution import EvolutionSettings, Generation, Island, Population
@@ -17,7 +19,7 @@ from cgtorch.evolution.fitness import evaluate
 from cgtorch.evolution.selection import ranking
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.native import function
-from cgtorch.native.structures import POINTER
+from cgtorch.native.structures import POINTER, WHOLE
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
 from cgtorch.simulation.compiled import compiled_evaluation
@@ -28,13 +30,15 @@ MODELS = ("Γ", "C", "networks")
 INSIDE = (*MODELS, "possible motions")
 """What compiled code counts the ticks of, in the order of rollout.c."""
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
+READINGS = 100_000
+"""Of the clock with nothing in between."""
 LOGGED = 20  # generations that are logged for each that is timed; one in 20 has histograms
 
 
 def overhead_share(effort: Effort) -> Line:
     """What part of a generation is neither Γ, C nor the networks."""
     work = workload()
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = tuple(
             _split(work, population, label, effort.repeats)
             for label, population in populations().items()
@@ -112,9 +116,7 @@ def generation_split(
             )
             log(GenerationDone("S0", "S0", done, 150, 0, 0, int(solved.sum()), len(keep), 1.0))
     logged = watch.taken()["logging"] / LOGGED
-    inside = {
-        name: share * rollouts for name, share in rollout_shares(work, population, keep).items()
-    }
+    inside = dict(zip(INSIDE, rollout_parts(work, population, keep), strict=True))
     return inside | {
         "rest of rollouts": rollouts - sum(inside.values()),
         "selection": after["selection"],
@@ -123,18 +125,48 @@ def generation_split(
     }
 
 
-def rollout_shares(work: Workload, population: Population, keep: Tensor) -> dict[str, float]:
-    """What share of the evaluation of a population Γ, C, networks and checks of motions take.
+def rollout_parts(work: Workload, population: Population, keep: Tensor) -> list[float]:
+    """Seconds that Γ, C, networks and checks of motions take of an evaluation on all cores.
 
-    Compiled code counts the ticks of the CPU's clock around each of them, on one thread. Counting
-    takes time itself, some hundredths, which go to the rest.
+    Compiled code counts the ticks of the CPU's clock around each of them, on one thread. What it
+    reads where there is nothing to time is what reading takes, and does not count. These parts are
+    compared with the time of the same call that counts nothing, on one thread and on all, less what
+    it takes for no graphs: all of the time outside of the compiled loops is overhead.
     """
-    program = compile_graphs(population.graphs, work.actions)
-    ticks, ends = torch.zeros(4, dtype=torch.long), torch.zeros(2, dtype=torch.long)
-    clock = function("rollout", "clock_now", torch.float32, POINTER)
+    program, none = (
+        compile_graphs(g, work.actions) for g in (population.graphs, population.graphs[:0])
+    )
+    call = partial(
+        compiled_evaluation,
+        environment=work.environment,
+        keep=keep,
+        max_transitions=MAX_TRANSITIONS,
+        max_steps=MAX_STEPS,
+    )
+    ticks, nothing, ends = (torch.zeros(2, size, dtype=torch.long) for size in (4, 4, 1))
+    empty = _seconds(lambda: call(none))
+    together = _seconds(lambda: call(program)) - empty
+    with run_threads(1):
+        _clock("clock_now", ends[0])
+        begin = time.perf_counter()
+        alone = _seconds(lambda: call(program))
+        lapse = time.perf_counter() - begin
+        _clock("clock_now", ends[1])
+        call(program, ticks=ticks)
+        _clock("clock_alone", nothing, READINGS)
+    reading = nothing[0].sum() / nothing[1].sum()
+    inside = (ticks[0] - reading * ticks[1]) * (lapse / float(ends[1] - ends[0]))
+    return (inside * together / (alone - empty)).tolist()
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def _clock(name: str, ticks: Tensor, *times: int) -> None:
+    """Let compiled code read its clock."""
+    clock = function("rollout", name, torch.float32, POINTER, *[WHOLE] * len(times))
     assert clock is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
-    clock(ends[:1].data_ptr())
-    compiled_evaluation(program, work.environment, keep, MAX_TRANSITIONS, MAX_STEPS, ticks)
-    clock(ends[1:].data_ptr())
-    whole = int(ends[1] - ends[0])
-    return dict(zip(INSIDE, (ticks / whole).tolist(), strict=True))
+    clock(ticks.data_ptr(), *times)

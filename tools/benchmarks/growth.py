@@ -16,7 +16,7 @@ from benchmarks.measure import (
     Work,
     cores,
     in_turns,
-    torch_threads,
+    run_threads,
 )
 from benchmarks.workload import (
     CAPACITY,
@@ -43,7 +43,7 @@ def growth_10x(effort: Effort) -> Line:
     """
     work = workload()
     sizes = SIZES if effort.size == 1 else SIZES[:-1]
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = [_rollouts(work, *pair, effort.repeats) for pair in itertools.pairwise(sizes)]
         if effort.size == 1:
             parts.append(_generations(work, POPULATION, 10 * POPULATION, REPEATS))
@@ -119,7 +119,7 @@ def padding(effort: Effort) -> Line:
     following = [generation(work, population, c).population for c in capacities]
     if not equal(following[0].graphs, following[1].graphs):
         raise DisagreementError("with more room other children come about; nothing was timed")
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = _padded_rollouts(work, *(widened(graphs, c) for c in capacities), effort.repeats)
         works: list[Work] = [partial(generation, work, population, c) for c in capacities]
         ours, other = in_turns(works, 2 * effort.repeats, WALL)

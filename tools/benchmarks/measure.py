@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import torch
 
+from cgtorch import native
 from cgtorch.errors import CgtorchError
 
 Work = Callable[[], object]
@@ -118,6 +119,20 @@ def torch_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextmanager
+def run_threads(count: int) -> Iterator[None]:
+    """Threads as in a run of `cgtorch-train` on so many cores: one for torch, all for our own.
+
+    After each operation torch's own threads spin for a while, and take cores from compiled code's.
+    """
+    with torch_threads(1):
+        before = native.use_threads(count)
+        try:
+            yield
+        finally:
+            native.use_threads(before)
 
 
 def in_turns(

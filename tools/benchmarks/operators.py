@@ -14,7 +14,7 @@ from benchmarks.measure import (
     Line,
     cores,
     in_turns,
-    torch_threads,
+    run_threads,
 )
 from benchmarks.networkx_operators import Individual, Kinds, individuals, kinds_of
 from benchmarks.networkx_operators import offspring as networkx_offspring
@@ -32,7 +32,7 @@ ERRORS = 5.0  # standard errors that the means of two samples of children may di
 def operators_vs_networkx(effort: Effort) -> Line:
     """Children per second, crossover and mutation together."""
     work = workload()
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = tuple(
             _compared(population, work.actions, label, effort)
             for label, population in {**populations(), "later": later_population(MANY)}.items()

@@ -18,6 +18,7 @@ from benchmarks.measure import (
     Timing,
     cores,
     in_turns,
+    run_threads,
     torch_threads,
 )
 from benchmarks.plain_models import plain_models
@@ -77,7 +78,7 @@ def tensor_way(effort: Effort) -> Line:
 
 def _line(name: str, compared: str, target: float, case: Case, effort: Effort) -> Line:
     work = workload()
-    with torch_threads(cores()):
+    with run_threads(cores()):
         parts = tuple(
             case(work, population.graphs, label, effort)
             for label, population in populations().items()
@@ -126,7 +127,11 @@ def _sampled(
 
 def _tensor_way(work: Workload, graphs: Graphs, label: str, effort: Effort) -> Comparison:
     engine = partial(rollout, graphs, work.actions, work.environment)
-    everything = partial(tensor_rollout, graphs, work.actions, work.environment, MAX_TRANSITIONS)
+
+    def everything() -> Rollouts:
+        with torch_threads(cores()):
+            return tensor_rollout(graphs, work.actions, work.environment, MAX_TRANSITIONS)
+
     runs, others = engine(), everything()
     gap, differ = alike(runs, others.succeeded, others.percept, others.transitions)
     ours, other = in_turns([engine, everything], effort.repeats, WALL, warm_up=0)
