@@ -11,18 +11,21 @@ typedef struct {
   vwhole second, changed;
 } Done;
 
-/* The errors of Γ in the moves that `here` have just made, which are counted later. */
-INLINE void add_errors(const Models *m, Lanes *lanes, int size, vwhole here) {
-  for (uint32_t bits = bits_of(here); bits; bits &= bits - 1) {
-    int i = __builtin_ctz(bits);
-    int64_t look = (int64_t)lanes->moves[i] % m->turns;
-    const real *error = m->errors + (lanes->scenario[i] * m->turns + look) * size;
-    for (int j = 0; j < size; j++) lanes->percept[j][i] += error[j];
+/* The errors of Γ in the moves that `here` have just made, which are counted later: those of each
+   number of moves before for the lanes that have made so many. */
+INLINE void add_errors(const Models *m, const vec *errors, Lanes *lanes, int size, vwhole here) {
+  for (uint32_t bits = bits_of(here); bits; bits = bits_of(here)) {
+    real moves = lanes->moves[__builtin_ctz(bits)];
+    const vec *error = errors + (int64_t)moves % m->turns * size;
+    vwhole same = here & (lanes->moves == moves);
+    for (int i = 0; i < size; i++)
+      lanes->percept[i] = select_vec(same, lanes->percept[i] + error[i], lanes->percept[i]);
+    here &= ~same;
   }
 }
 
 /* `ModelEnvironment.step` */
-INLINE Done move_base(const Task *task, Layout layout, Lanes *lanes, vwhole here) {
+INLINE Done move_base(const Task *task, Layout layout, const vec *errors, Lanes *lanes, vwhole here) {
   const Models *m = task->models;
   vec u[3], after[MOST_PERCEPT], novelty;
   vwhole ready = here & lanes->spoken & ~(lanes->lost > 0), moves = ready;
@@ -36,7 +39,7 @@ INLINE Done move_base(const Task *task, Layout layout, Lanes *lanes, vwhole here
           gamma_vec(&m->gamma, layout, lanes->percept, u, bits, after, &novelty));
     for (int i = 0; i < layout.size; i++)
       lanes->percept[i] = select_vec(moves, after[i], lanes->percept[i]);
-    if (m->errors) add_errors(m, lanes, layout.size, moves);
+    if (m->errors) add_errors(m, errors, lanes, layout.size, moves);
     vwhole lost = moves & (novelty > m->most_novel);
     lanes->moves = select_vec(moves, lanes->moves + 1, lanes->moves);
     lanes->lost = select_vec(lost, all(1), lanes->lost);
@@ -87,13 +90,14 @@ APART void answer(const Action *a, const real *weights, Layout layout, const vec
 }
 
 /* The action of the node that lanes `here` are at. */
-INLINE Done act(const Task *task, Layout layout, Lanes *lanes, int64_t node, vwhole here) {
+INLINE Done act(const Task *task, Layout layout, const vec *errors, Lanes *lanes, int64_t node,
+                vwhole here) {
   const Program *program = task->program;
   const Action *action = program->actions + program->kind[node];
   vec out[MOST_MESSAGE];
   vwhole asked;
   switch (action->kind) {
-  case MOVE_BASE: return move_base(task, layout, lanes, here);
+  case MOVE_BASE: return move_base(task, layout, errors, lanes, here);
   case GRASP:
     asked = ask_chance(task, layout, lanes, here);
     return (Done){lanes->chance <= (real)0.5, asked};

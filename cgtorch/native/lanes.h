@@ -1,6 +1,8 @@
 /* What rollouts are made of: programs, models, and a vector of lanes that run one graph. */
 #ifndef CGTORCH_LANES_H
 #define CGTORCH_LANES_H
+#include <stdlib.h>
+
 #include "models.h"
 
 #define MOST_DEPTH 16
@@ -74,17 +76,45 @@ INLINE int64_t now(void) {
     if (ticks) (ticks)[part] += now() - before, (ticks)[PARTS + (part)]++; \
   } while (0)
 
-/* Lanes at the beginning of scenarios, as many as there are and WIDTH at most. */
-INLINE void begin_lanes(const Models *m, const int64_t *scenarios, int64_t count, Lanes *lanes) {
+/* Some scenarios, WIDTH at most: the lanes at their beginnings, and as many errors of Γ (T, D). */
+typedef struct {
+  int64_t from, count;
+  const vec *errors;
+  Lanes lanes;
+} Chunk;
+
+INLINE void fill_chunk(const Models *m, const int64_t *scenarios, Chunk *chunk, vec *errors) {
+  Lanes *lanes = &chunk->lanes;
   vec *state[3] = {&lanes->moves, &lanes->lost, &lanes->chance};
+  int64_t each = m->errors ? m->turns * m->size : 0;
+  memset(lanes, 0, sizeof *lanes);
   for (int i = 0; i < WIDTH; i++) {
-    int64_t scenario = scenarios[i < count ? i : 0];
+    int64_t scenario = scenarios[chunk->from + (i < chunk->count ? i : 0)];
     lanes->scenario[i] = (whole)scenario;
-    for (int j = 0; j < m->size; j++) lanes->percept[j][i] = m->percepts[scenario * m->size + j];
+    for (int64_t j = 0; j < m->size; j++) lanes->percept[j][i] = m->percepts[scenario * m->size + j];
     for (int j = 0; j < 3; j++) (*state[j])[i] = m->state[scenario * 3 + j];
+    for (int64_t j = 0; j < each; j++) errors[j][i] = m->errors[scenario * each + j];
   }
-  for (int j = 0; j < MOST_MESSAGE; j++) lanes->message[j] = all(0);
-  lanes->spoken = lanes->step = lanes->level = lanes->been = lanes->status = every(0);
+  chunk->errors = errors;
+}
+
+/* The first `keep` of a task's scenarios in chunks, and then the others; NULL without memory for it,
+   else to be freed. */
+static Chunk *chunks_of(const Task *task, int64_t keep, int64_t *count) {
+  const Models *m = task->models;
+  int64_t rest = task->count - keep, each = m->errors ? m->turns * m->size : 0;
+  *count = (keep + WIDTH - 1) / WIDTH + (rest + WIDTH - 1) / WIDTH;
+  size_t head = (size_t)*count * sizeof(Chunk);
+  Chunk *chunks = malloc(head + (size_t)(*count * each) * BYTES + 1);
+  if (!chunks) return NULL;
+  int64_t from = 0;
+  for (int64_t c = 0; c < *count; c++) {
+    int64_t left = (from < keep ? keep : task->count) - from;
+    chunks[c].from = from, chunks[c].count = left < WIDTH ? left : WIDTH;
+    fill_chunk(m, task->scenarios, chunks + c, (vec *)((char *)chunks + head) + c * each);
+    from += chunks[c].count;
+  }
+  return chunks;
 }
 /* The same once more; of the levels without nothing is known at the beginning. */
 INLINE void copy_lanes(const Lanes *from, int size, Lanes *to) {

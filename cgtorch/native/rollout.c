@@ -12,11 +12,13 @@ INLINE vwhole first_lanes(int64_t count) {
   return lanes;
 }
 
-/* Lanes that wait at the same node go on together, until the last of `count` has ended. */
-static void run_lanes(const Task *task, Layout layout, int64_t graph, int64_t count, Lanes *lanes) {
+/* Runs a graph on a chunk's scenarios: lanes that wait at the same node go on together, until the last
+   one has ended. */
+static void run_lanes(const Task *task, Layout layout, int64_t graph, const Chunk *chunk, Lanes *lanes) {
   const Program *program = task->program;
   int64_t first = graph * program->nodes;
-  vwhole active = first_lanes(count);
+  vwhole active = first_lanes(chunk->count);
+  copy_lanes(&chunk->lanes, layout.size, lanes);
   lanes->node = every((whole)program->start[graph]);
   lanes->left = every((whole)task->max_transitions);
   if (program->depth > 1)
@@ -24,39 +26,46 @@ static void run_lanes(const Task *task, Layout layout, int64_t graph, int64_t co
   for (uint32_t waiting = bits_of(active); waiting; waiting = bits_of(active)) {
     int64_t node = lanes->node[__builtin_ctz(waiting)];
     vwhole here = active & (lanes->node == (whole)node);
-    Done done = act(task, layout, lanes, node, here);
+    Done done = act(task, layout, chunk->errors, lanes, node, here);
     vwhole second = here & done.second, other = here & ~done.second;
     if (bits_of(other)) active &= ~follow(task, lanes, first, node, 0, other, done.changed);
     if (bits_of(second)) active &= ~follow(task, lanes, first, node, 1, second, done.changed);
   }
 }
 
-static int64_t at_most(int64_t count) { return count < WIDTH ? count : WIDTH; }
+typedef struct {
+  const Task *task;
+  const Chunk *chunks;
+  int64_t count;
+} Rollouts;
 
 static void run_graphs(void *what, int64_t begin, int64_t end) {
-  const Task *task = what;
+  const Rollouts *r = what;
+  const Task *task = r->task;
   Layout layout = layout_of(task->models->size);
-  Lanes at, lanes;
-  for (int64_t from = 0; from < task->count; from += WIDTH) {
-    int64_t count = at_most(task->count - from);
-    begin_lanes(task->models, task->scenarios + from, count, &at);
-    for (int64_t graph = begin; graph < end; graph++) {
-      int64_t row = graph * task->count + from;
-      vec *state[3] = {&lanes.moves, &lanes.lost, &lanes.chance};
-      copy_lanes(&at, layout.size, &lanes);
-      run_lanes(task, layout, graph, count, &lanes);
-      into_rows(lanes.percept, count, layout.size, task->percept + row * layout.size);
-      for (int i = 0; i < count; i++) {
+  Lanes lanes;
+  vec *state[3] = {&lanes.moves, &lanes.lost, &lanes.chance};
+  for (int64_t graph = begin; graph < end; graph++)
+    for (const Chunk *chunk = r->chunks; chunk < r->chunks + r->count; chunk++) {
+      int64_t row = graph * task->count + chunk->from;
+      run_lanes(task, layout, graph, chunk, &lanes);
+      into_rows(lanes.percept, chunk->count, layout.size, task->percept + row * layout.size);
+      for (int i = 0; i < chunk->count; i++) {
         task->status[row + i] = lanes.status[i];
         task->transitions[row + i] = lanes.step[i];
         for (int j = 0; j < 3; j++) task->state[(row + i) * 3 + j] = (*state[j])[i];
       }
     }
-  }
 }
 
+/* 0, or 1 where there is no memory for it. */
 int rollouts(Task *task, int64_t threads) {
-  in_parallel(run_graphs, task, task->graphs, PIECE, task->ticks ? 1 : (int)threads);
+  Rollouts r = {task, NULL, 0};
+  Chunk *chunks = chunks_of(task, 0, &r.count);
+  if (!chunks) return 1;
+  r.chunks = chunks;
+  in_parallel(run_graphs, &r, task->graphs, PIECE, task->ticks ? 1 : (int)threads);
+  free(chunks);
   return 0;
 }
 
@@ -69,6 +78,8 @@ typedef struct {
   unsigned char *succeeded; /* (P, B) */
   unsigned char *finite;    /* (P,) */
   int64_t *transitions;     /* (P,) */
+  const Chunk *chunks;
+  int64_t count; /* of chunks */
 } Evaluation;
 
 INLINE int all_finite(const real *x, int64_t count) {
@@ -78,21 +89,18 @@ INLINE int all_finite(const real *x, int64_t count) {
   return total == 0;
 }
 
-/* Runs a graph on `count` scenarios; whether it has succeeded on all of them. */
-static int evaluate_lanes(const Evaluation *e, Layout layout, int64_t graph, int64_t count,
-                          const Lanes *at) {
+/* Runs a graph on a chunk's scenarios; whether it has succeeded on all of them. */
+static int evaluate_chunk(const Evaluation *e, Layout layout, int64_t graph, const Chunk *chunk) {
   const Task *task = &e->task;
   Lanes lanes;
-  copy_lanes(at, layout.size, &lanes);
-  run_lanes(task, layout, graph, count, &lanes);
-  ask_chance(task, layout, &lanes, first_lanes(count));
-  vwhole finite = finite_vec(lanes.chance);
+  run_lanes(task, layout, graph, chunk, &lanes);
+  ask_chance(task, layout, &lanes, first_lanes(chunk->count));
+  vwhole finite = finite_vec(lanes.chance), success = lanes.status == SUCCESS;
   for (int i = 0; i < layout.size; i++) finite &= finite_vec(lanes.percept[i]);
   vec c = vec_max(all(0), vec_min(all(1), lanes.chance));
-  vwhole success = lanes.status == SUCCESS;
   c = select_vec(finite, select_vec(success, c, c / 2), all(0));
   int solved = 1;
-  for (int i = 0; i < count; i++) {
+  for (int i = 0; i < chunk->count; i++) {
     int64_t place = graph * task->count + lanes.scenario[i];
     e->score[place] = c[i];
     e->succeeded[place] = success[i] != 0;
@@ -105,32 +113,28 @@ static int evaluate_lanes(const Evaluation *e, Layout layout, int64_t graph, int
 
 static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
   const Evaluation *e = what;
-  const Task *task = &e->task;
-  Layout layout = layout_of(task->models->size);
-  int64_t numbers = task->program->nodes * task->program->width;
-  unsigned char lost[PIECE] = {0};
-  Lanes at;
+  const Program *program = e->task.program;
+  Layout layout = layout_of(e->task.models->size);
+  int64_t numbers = program->nodes * program->width;
   for (int64_t graph = begin; graph < end; graph++) {
+    int lost = 0;
     e->transitions[graph] = 0;
-    e->finite[graph] = (unsigned char)all_finite(task->program->parameters + graph * numbers, numbers);
+    e->finite[graph] = (unsigned char)all_finite(program->parameters + graph * numbers, numbers);
+    for (const Chunk *chunk = e->chunks; chunk < e->chunks + e->count; chunk++)
+      if (chunk->from < e->keep) lost |= !evaluate_chunk(e, layout, graph, chunk);
+      else if (!lost) evaluate_chunk(e, layout, graph, chunk);
+    if (lost)
+      memset(e->score + graph * e->task.count, 0, (size_t)e->task.count * sizeof(real));
   }
-  for (int64_t from = 0, to = 0; from < task->count; from = to) {
-    int64_t limit = from < e->keep ? e->keep : task->count, count = at_most(limit - from);
-    to = from + count;
-    begin_lanes(task->models, task->scenarios + from, count, &at);
-    for (int64_t graph = begin; graph < end; graph++)
-      if (from < e->keep)
-        lost[graph - begin] |= !evaluate_lanes(e, layout, graph, count, &at);
-      else if (!lost[graph - begin])
-        evaluate_lanes(e, layout, graph, count, &at);
-  }
-  for (int64_t graph = begin; graph < end; graph++)
-    if (lost[graph - begin])
-      memset(e->score + graph * task->count, 0, (size_t)task->count * sizeof(real));
 }
 
+/* 0, or 1 where there is no memory for it. */
 int evaluations(Evaluation *e, int64_t threads) {
+  Chunk *chunks = chunks_of(&e->task, e->keep, &e->count);
+  if (!chunks) return 1;
+  e->chunks = chunks;
   in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : (int)threads);
+  free(chunks);
   return 0;
 }
 

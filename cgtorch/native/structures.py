@@ -60,7 +60,7 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     evaluation = structure(
         "Evaluation",
         task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
-        transitions=POINTER,
+        transitions=POINTER, chunks=POINTER, count=WHOLE,
     )  # fmt: skip
     tables = structure(
         "Tables",

@@ -48,6 +48,7 @@ KINDS: Mapping[type, int] = {
 """What compiled code knows, in the order of its enumeration."""
 LARGEST = 2**30
 """Nodes, transitions and scenarios that it can count."""
+NO_MEMORY = "there is no memory for the first percepts of {} scenarios; give fewer"
 
 
 def compiled_rollout(
@@ -78,7 +79,8 @@ def compiled_rollout(
     status, transitions = torch.empty(2, p, b, dtype=torch.long).unbind()
     given, made = task.structure, (percept, state, status, transitions)
     given.percept, given.state, given.status, given.transitions = (x.data_ptr() for x in made)
-    call(task.address, threads())
+    if call(task.address, threads()):
+        raise MemoryError(NO_MEMORY.format(len(scenarios)))
     succeeded = status == SUCCESS
     return Rollouts(
         succeeded=succeeded,
@@ -129,7 +131,8 @@ def compiled_evaluation(
     evaluation = structures(score.dtype).Evaluation(
         task.structure, int(keep.sum()), *(x.data_ptr() for x in made)
     )
-    call(ctypes.addressof(evaluation), threads())
+    if call(ctypes.addressof(evaluation), threads()):
+        raise MemoryError(NO_MEMORY.format(b))
     return score.float(), succeeded, transitions, finite
 
 
