@@ -18,8 +18,8 @@ static void some_transitions(void *what, int64_t begin, int64_t end) {
   vec p[MOST_PERCEPT], u[3], after[MOST_PERCEPT], novelty;
   for (int64_t i = begin; i < end; i += WIDTH) {
     int64_t rows = end - i < WIDTH ? end - i : WIDTH;
-    into_columns(r->percept + i * size, rows, size, p);
-    into_columns(r->motion + i * 3, rows, 3, u);
+    into_columns(r->percept + i * size, rows, size, size, p);
+    into_columns(r->motion + i * 3, rows, 3, 3, u);
     gamma_vec(r->gamma, r->layout, p, u, (1u << rows) - 1, after, &novelty);
     into_rows(after, rows, size, r->out + i * size);
     into_rows(&novelty, rows, 1, r->novelty + i);
@@ -31,7 +31,7 @@ static void some_successes(void *what, int64_t begin, int64_t end) {
   vec p[MOST_PERCEPT], chance;
   for (int64_t i = begin; i < end; i += WIDTH) {
     int64_t rows = end - i < WIDTH ? end - i : WIDTH;
-    into_columns(r->percept + i * size, rows, size, p);
+    into_columns(r->percept + i * size, rows, size, size, p);
     chance = success_vec(r->classifier, r->layout, p, (1u << rows) - 1);
     into_rows(&chance, rows, 1, r->out + i);
   }

@@ -12,10 +12,7 @@ typedef struct {
 /* The k-th things of up to WIDTH rows. */
 INLINE Rectangle things_of(const Rows *r, int64_t begin, int64_t rows, int64_t k) {
   vec thing[5];
-  for (int i = 0; i < WIDTH; i++) {
-    const real *one = r->things + ((begin + (i < rows ? i : 0)) * r->count + k) * 5;
-    for (int j = 0; j < 5; j++) thing[j][i] = one[j];
-  }
+  into_columns(r->things + (begin * r->count + k) * 5, rows, r->count * 5, 5, thing);
   Rectangle found = {.x = thing[0], .y = thing[1], .sx = thing[3], .sy = thing[4]};
   sine_cosine(thing[2], &found.s, &found.c);
   return found;
@@ -26,7 +23,7 @@ static void some_motions(void *what, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; row += WIDTH) {
     int64_t rows = end - row < WIDTH ? end - row : WIDTH;
     vec u[3];
-    into_columns(r->motion + row * 3, rows, 3, u);
+    into_columns(r->motion + row * 3, rows, 3, 3, u);
     vwhole free = is_within(u, r->body);
     for (int64_t k = 0; k < r->count; k++) {
       Rectangle thing = things_of(r, row, rows, k);

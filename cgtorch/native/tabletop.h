@@ -17,10 +17,10 @@ INLINE Layout layout_of(int64_t size) {
   return (Layout){(int)size, side, (int)(size - 7 - 2 * side) / 4};
 }
 
-/* The columns of `rows` rows (rows, size), WIDTH at most, as vectors; the first one fills up. */
-INLINE void into_columns(const real *x, int64_t rows, int size, vec *columns) {
+/* The columns of `rows` rows of `size`, WIDTH at most, as vectors; the first row fills up. */
+INLINE void into_columns(const real *x, int64_t rows, int64_t stride, int size, vec *columns) {
   for (int j = 0; j < size; j++)
-    for (int i = 0; i < WIDTH; i++) columns[j][i] = x[(i < rows ? i : 0) * size + j];
+    for (int i = 0; i < WIDTH; i++) columns[j][i] = x[(i < rows ? i : 0) * stride + j];
 }
 INLINE void into_rows(const vec *columns, int64_t rows, int size, real *x) {
   for (int64_t i = 0; i < rows; i++)
