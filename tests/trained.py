@@ -20,7 +20,7 @@ from cgtorch.improvement.events import Event, WorldTested
 from cgtorch.models.storage import notes_of
 
 SMALL = RunSettings(
-    seed=2,
+    seed=6,
     population=60,
     generations=15,
     attempts=3,
