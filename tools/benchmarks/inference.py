@@ -26,7 +26,7 @@ PADDED_OUTPUTS = 16
 
 def inference_vs_sklearn(effort: Effort) -> Line:
     """Seven outputs in float32 on one thread against seven SVRs of scikit-learn, in batches."""
-    rows = int(20_000 * effort.size)
+    rows = int(10_000 * effort.size)
     with torch_threads(1):
         parts = tuple(_against_sklearn(centres, rows, effort.repeats) for centres in (300, 1000))
     return Line(
