@@ -124,9 +124,7 @@ class FileJournal:
         Who ends early does so alone, so what other ranks hold cannot be had any more.
         """
         if kind is None and ranks.first():
-            shutil.rmtree(self._folder, ignore_errors=True)
-            with suppress(OSError):
-                self._folder.parent.rmdir()  # of all stages, if this was the only one
+            _forget(self._folder)
         elif kind is not None and not issubclass(kind, RunError):
             self._write_what_is_here()
 
@@ -241,6 +239,21 @@ def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) 
     if journal.damaged:
         watch(JournalDamaged(name, tuple(str(path) for path in journal.damaged)))
     return journal
+
+
+def forget(folder: Path, name: str) -> None:
+    """Remove the journal of a stage that the run in `folder` has; the first rank does it.
+
+    Who is killed after the stage was written and before its journal was removed leaves one.
+    """
+    if ranks.first() and (folder / FOLDER / name).is_dir():
+        _forget(folder / FOLDER / name)
+
+
+def _forget(journal: Path) -> None:
+    shutil.rmtree(journal, ignore_errors=True)
+    with suppress(OSError):
+        journal.parent.rmdir()  # of all stages, if this was the only one
 
 
 def recalled_generations(folder: Path) -> int:

@@ -16,7 +16,7 @@ from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, lexicase, tournament
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
-from cgtorch.experiments.journal import SECONDS, journal_of
+from cgtorch.experiments.journal import SECONDS, forget, journal_of
 from cgtorch.experiments.ledger import Entry, enter, entry_of
 from cgtorch.experiments.perception import networks_of
 from cgtorch.experiments.run import Run, whole_folder
@@ -131,6 +131,7 @@ def train(
     for name in names:
         if name in run.stages:
             progress = load_progress(run, run.folder / name)
+            forget(run.folder, name)
         else:
             progress = _stage(
                 run, name, names, progress, watch, working, device, checkpoint_seconds

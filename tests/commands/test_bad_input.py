@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from command_line import Shell, in_a_shell, listing
-from trained import Trained, copied
+from trained import SMALL, Trained, copied
 
 from cgtorch.kinematics import robots_folder
 
@@ -212,7 +212,10 @@ def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -
 def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
     message = shell.refuses(TRAIN, "--run-dir", run_folder, "--seed", 3)
-    assert "has --seed 2, not 3, and cannot change it, as all that is there was drawn" in message
+    assert (
+        f"has --seed {SMALL.seed}, not 3, and cannot change it, as all that is there was drawn"
+        in message
+    )
     assert "choose another --run-dir" in message
     assert "has its robot already" in shell.refuses(
         TRAIN, "--run-dir", run_folder, "--urdf", PR2 / "pr2.urdf"
@@ -220,7 +223,7 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     for words in (["--run-dir", "x"], ["--urdf", "x"]):
         message = shell.refuses(TRAIN, "--resume", run_folder, *words)
         assert f"{words[0]} cannot change in a run that has begun; leave it out" in message
-    message = shell.refuses(TRAIN, "--resume", run_folder, "--seed", 2, "--population", 80)
+    message = shell.refuses(TRAIN, "--resume", run_folder, "--seed", SMALL.seed, "--population", 80)
     assert "has --population 60, not 80; leave it out, or take it over with" in message
     assert f"--resume {run_folder} --override population=80" in message
     assert listing(run_folder) == before
@@ -229,12 +232,15 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["seed=3"], "--seed 2 of run .* cannot become 3, as all that is there was drawn from it"),
+        (
+            ["seed=3"],
+            f"--seed {SMALL.seed} of run .* cannot become 3, as all that is there",
+        ),
         (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
         (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
         (["percept=yaw"], "--percept auto of run .* as the data and models that are there have it"),
         (["method=paper"], "neither method goes on with what the other has made"),
-        (["population=80", "seed=3"], "--seed 2 of run"),
+        (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),
         (["colour=red"], "--override 'colour=red' names no setting"),
         (["actions=x:Y"], "--actions .* as the graphs that are there are made of them"),

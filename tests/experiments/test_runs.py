@@ -282,3 +282,13 @@ def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: P
         train(open_run(folder), "S0", lambda event: None, quietly)
     assert "\n" not in str(caught.value)
     assert listing(folder) == before
+
+
+def test_a_journal_that_a_finished_stage_has_left_goes(trained: Trained, tmp_path: Path) -> None:
+    """As after a kill between the end of a stage and that of its journal."""
+    run = open_run(copied(trained, tmp_path / "run"))
+    left = run.folder / "journal" / "S1"
+    left.mkdir(parents=True)
+    (left / "00001.safetensors").write_bytes(b"x")
+    train(run, "S1", lambda event: None, quietly)
+    assert not left.parent.exists()

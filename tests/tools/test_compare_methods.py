@@ -20,6 +20,8 @@ from comparison.table import LABELS, cost_of, spread, table
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.train import make_setup
 
+SEED = f"seed-{SMALL.seed}"
+
 HASTY = replace(SMALL, transitions=100, labels=120, attempts=2, generations=4, practice=0)
 
 
@@ -37,12 +39,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def begun(tmp_path: Path, folder: Path) -> Path:
     """A comparison with data and models of the seed, but no method yet."""
-    shutil.copytree(folder / "seed-2" / "begin", tmp_path / "seed-2" / "begin")
+    shutil.copytree(folder / SEED / "begin", tmp_path / SEED / "begin")
     return tmp_path
 
 
 def result(folder: Path, method: str) -> Result:
-    return json.loads((folder / f"seed-2-{method}.json").read_text())
+    return json.loads((folder / f"{SEED}-{method}.json").read_text())
 
 
 def check_costs(found: Result) -> None:
@@ -52,7 +54,7 @@ def check_costs(found: Result) -> None:
         assert [c[cost] for c in costs] == sorted(c[cost] for c in costs)
     assert found["search_seconds"] <= found["seconds"]
     assert all(0 <= p["succeeded"] <= 20 for p in found["points"])
-    assert found["settings"]["seed"] == 2
+    assert found["settings"]["seed"] == SMALL.seed
     assert found["settings"]["method"] == ("compose" if found["method"] == "stages" else "paper")
 
 
@@ -68,14 +70,14 @@ def test_every_skill_of_the_default_is_measured(folder: Path) -> None:
 @pytest.mark.parametrize("method", ["paper", "paper-here"])
 def test_the_paper_gets_what_the_default_took(begun: Path, method: str) -> None:
     for default, spent in (("stages", 150_000), ("auto", 60_000)):
-        (begun / f"seed-2-{default}.json").write_text(json.dumps({"transitions": spent}))
+        (begun / f"{SEED}-{default}.json").write_text(json.dumps({"transitions": spent}))
     compare(begun, HASTY, (method,), 0, 20)
     found = result(begun, method)
     check_costs(found)
     assert found["budget"] == 150_000
     assert found["transitions"] >= 150_000 or found["failure"] is not None
     assert found["transitions"] <= 150_000 + 200 * 20 * 20  # a generation on 20 scenarios
-    models = [(begun / "seed-2" / m / "start" / "gamma.safetensors") for m in ("begin", method)]
+    models = [(begun / SEED / m / "start" / "gamma.safetensors") for m in ("begin", method)]
     assert models[0].read_bytes() == models[1].read_bytes()
 
 
@@ -96,7 +98,7 @@ def test_what_is_there_is_not_made_again(folder: Path) -> None:
 
 
 def test_the_published_settings(folder: Path) -> None:
-    setup = published(make_setup(open_run(folder / "seed-2" / "begin")))
+    setup = published(make_setup(open_run(folder / SEED / "begin")))
     assert (setup.evolution.population, setup.evolution.elite, setup.evolution.tau) == (
         200,
         1,
