@@ -129,7 +129,7 @@ def _train(
     with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
         if native.to_be_compiled():
             with display.working("compiling for this CPU, once"):
-                native.prepare()
+                native.available()
         missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])

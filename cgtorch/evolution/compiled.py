@@ -35,17 +35,8 @@ _TYPES: dict[str, tuple[Any, ...]] = {
     "bred": (_G, _P, _I, _P, _G, _P, _P, *[_I] * 4, _P, _I, _I, _I),
     "mark_new": (_P, _P, _I, _I, _P, _P),
     "parameters_of": (_P, _P, _I, *[_P] * 3, _I, _I, *[_P] * 3, _I, _P, _I, _I),
-    "deviation": (_P, _I, _I, _P),
+    "deviation": (_P, _I, _I, _P, _I),
     "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
-}
-_SOURCE = {
-    "most_nodes": "operators",
-    "mutated": "operators",
-    "bred": "operators",
-    "mark_new": "parameters",
-    "parameters_of": "parameters",
-    "deviation": "lexicase",
-    "lexicase": "lexicase",
 }
 _GRAPHS = ("mutated", "bred", "parameters_of")
 
@@ -161,7 +152,7 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
 
 
 def _function(name: str, dtype: torch.dtype) -> Any:
-    return native.function(_SOURCE[name], name, dtype, *_TYPES[name])
+    return native.function(name, dtype, *_TYPES[name])
 
 
 def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:

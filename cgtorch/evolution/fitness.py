@@ -88,12 +88,13 @@ def evaluate(
         for i in range(0, max(1, len(mine)), size)
     ]
     scores, succeeded, transitions, finite = (
-        ranks.gathered(torch.cat(column), p, crew) for column in zip(*parts, strict=True)
+        ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
+        for column in zip(*parts, strict=True)
     )
-    scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
+    if lost := p - int(finite.sum()):
+        scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
     # The mean of all at once: that of some rows may round otherwise.
-    mean, lost = scores.mean(1), int((~finite).sum())
-    return Evaluation(mean, scores, succeeded, int(transitions.sum()), lost)
+    return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()), lost)
 
 
 def _evaluate_at_once(

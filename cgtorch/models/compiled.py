@@ -71,7 +71,7 @@ def machine_values(
     None where nothing is compiled or there is no room for the machine.
     """
     call = function(
-        "rbf", "rbf_values", x.dtype, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE
+        "rbf_values", x.dtype, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE
     )  # fmt: skip
     machine = machine_structure(centres, weights, bias, gamma) if call else None
     if call is None or machine is None:
@@ -107,7 +107,7 @@ def gamma_structure(
 def transitions(gamma: Compiled, percept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor] | None:
     """Next percepts (n, D) and novelties (n,) of percepts (n, D) and motions (n, 3), or None."""
     call = function(
-        "models", "transitions", percept.dtype,
+        "transitions", percept.dtype,
         POINTER, WHOLE, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE,
     )  # fmt: skip
     n, size = percept.shape
@@ -138,9 +138,7 @@ def classifier_structure(
 
 def successes(classifier: Compiled, percept: Tensor) -> Tensor | None:
     """Probabilities (n,) of success at percepts (n, D), or None."""
-    call = function(
-        "models", "successes", percept.dtype, POINTER, WHOLE, POINTER, WHOLE, POINTER, WHOLE
-    )
+    call = function("successes", percept.dtype, POINTER, WHOLE, POINTER, WHOLE, POINTER, WHOLE)
     n, size = percept.shape
     if call is None or size > MOST_PERCEPT:
         return None

@@ -74,7 +74,7 @@ def compiled_gram(
         SettingsError: The kernel is unknown.
         DataError: It gave another shape or values that are not finite.
     """
-    call = function("gram", "rbf_gram", torch.float32, POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE)
+    call = function("rbf_gram", torch.float32, POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE)
     if call is None or x.device.type != "cpu":
         return None
     n, d = x.shape
@@ -102,7 +102,7 @@ def smo_steps(
         worth: Kernel values that each may take; a thousand million take about a quarter second.
         threads: How many share out the problems, which changes no result.
     """
-    call = function("smo", "smo_problems", torch.float32, POINTER, WHOLE)
+    call = function("smo_problems", torch.float32, POINTER, WHOLE)
     if call is None:
         return start
     given = problems.z, problems.lower, problems.upper, problems.epsilon

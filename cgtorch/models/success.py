@@ -108,13 +108,17 @@ class SuccessClassifier(nn.Module):
 
     def compiled(self, percept: Tensor) -> Compiled | None:
         """C as compiled code knows it, where that can be asked about percepts (n, D)."""
-        machine, platt = self.machine._machine, self.machine.platt
-        suited = suits(percept, *machine, platt, self.mean, self.scale)
+        machine, mean, scale, platt = self.machine._machine, *self.tensors()[4:]
+        suited = suits(percept, *self.tensors())
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
             return None
-        if not compiled_features(percept.shape[-1], len(self.mean)):
+        if not compiled_features(percept.shape[-1], len(mean)):
             return None
-        return classifier_structure(machine, self.mean, self.scale, platt)
+        return classifier_structure(machine, mean, scale, platt)
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Centres, weights, bias and γ of the machine, mean and scale of features, Platt's numbers."""
+        return *self.machine._machine, self.mean, self.scale, self.machine.platt
 
     def decision_function(self, percept: Tensor) -> Tensor:
         """Signed decision value (...), positive for success."""

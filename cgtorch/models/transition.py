@@ -99,12 +99,15 @@ class TransitionModel(nn.Module):
             DataError: Wrong shapes.
         """
         geometry.check_percept(percept, motion)
-        numbers = {name: getattr(self, name) for name in _NUMBERS}
-        machine = self.machine._machine
+        machine, numbers = self.machine._machine, self.tensors()[4:]
         suited = suits(percept, motion, *machine)
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
             return None
-        return gamma_structure(machine, numbers)
+        return gamma_structure(machine, dict(zip(_NUMBERS, numbers, strict=True)))
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All buffers: centres, weights, bias and γ of the machine, then those of the features."""
+        return *self.machine._machine, *(getattr(self, name) for name in _NUMBERS)
 
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., 4) that the machine sees; no motion changes them."""

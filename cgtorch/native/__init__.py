@@ -2,7 +2,6 @@
 
 from cgtorch.native.library import available as available
 from cgtorch.native.library import function as function
-from cgtorch.native.library import prepare as prepare
 from cgtorch.native.library import threads as threads
 from cgtorch.native.library import to_be_compiled as to_be_compiled
 from cgtorch.native.library import use_threads as use_threads

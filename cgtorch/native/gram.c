@@ -34,6 +34,6 @@ static void some_rows(void *what, int64_t begin, int64_t end) {
 int rbf_gram(const double *columns, int64_t n, int64_t d, int64_t stride, real *matrix,
              int64_t threads) {
   Rows rows = {columns, n, d, stride, matrix};
-  in_parallel(some_rows, &rows, n, 16, (int)threads);
+  in_parallel(some_rows, &rows, n, 16, threads);
   return 0;
 }

@@ -29,19 +29,36 @@ static real ranked(real *x, int64_t count, int64_t k) {
   return x[k];
 }
 
+typedef struct {
+  const real *scores;
+  int64_t people, scenarios;
+  real *out;
+  _Atomic int failed; /* for want of memory */
+} Deviation;
+
+static void some_scenarios(void *what, int64_t begin, int64_t end) {
+  Deviation *d = what;
+  int64_t n = d->people, half = (n - 1) / 2;
+  real *column = malloc((size_t)n * 2 * sizeof *column), *x = column + n;
+  if (!column) {
+    d->failed = 1;
+    return;
+  }
+  for (int64_t j = begin; j < end; j++) {
+    for (int64_t i = 0; i < n; i++) column[i] = x[i] = d->scores[i * d->scenarios + j];
+    real middle = ranked(x, n, half);
+    for (int64_t i = 0; i < n; i++) x[i] = distance(column[i], middle);
+    d->out[j] = ranked(x, n, half);
+  }
+  free(column);
+}
+
 /* Median absolute deviation of each scenario's scores, the lower one of two medians; 1 for want of
    memory. */
-int deviation(const real *scores, int64_t people, int64_t scenarios, real *out) {
-  real *x = malloc((size_t)people * sizeof *x);
-  if (!x) return 1;
-  for (int64_t j = 0; j < scenarios; j++) {
-    for (int64_t i = 0; i < people; i++) x[i] = scores[i * scenarios + j];
-    real middle = ranked(x, people, (people - 1) / 2);
-    for (int64_t i = 0; i < people; i++) x[i] = distance(scores[i * scenarios + j], middle);
-    out[j] = ranked(x, people, (people - 1) / 2);
-  }
-  free(x);
-  return 0;
+int deviation(const real *scores, int64_t people, int64_t scenarios, real *out, int64_t threads) {
+  Deviation d = {scores, people, scenarios, out, 0};
+  in_parallel(some_scenarios, &d, scenarios, 2, threads);
+  return d.failed;
 }
 
 typedef struct {
@@ -197,7 +214,7 @@ int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *
   Lexicase l = {scenarios, rows, cases, epsilon, members, first, good, good_first, key,
                 chosen, 0};
   stand_after_one(&l, all);
-  in_parallel(some_parents, &l, count, 64, (int)threads);
+  in_parallel(some_parents, &l, count, 64, threads);
   free(memory);
   free(cases);
   return l.failed;

@@ -24,9 +24,11 @@ import torch
 
 SOURCES = Path(__file__).parent
 FLAGS = (
-    "-O3", "-march=native", "-std=c11", "-fPIC", "-shared", "-pthread",
-    "-fopenmp-simd", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math",
+    "-O3", "-march=native", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd",
+    "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
+LINK = ("-shared", "-pthread")
+LONGEST = ("rollout", "rbf", "models")
 SECONDS = 120
 """A compiler that has not ended by then is taken for none."""
 REALS = {torch.float32: "float", torch.float64: "double"}
@@ -36,40 +38,31 @@ Function = Any
 
 
 def available() -> bool:
-    """Whether hot paths run compiled; compiles one of them the first time, which takes seconds."""
-    return _library("rbf", "float") is not None
+    """Whether hot paths run compiled; compiles them the first time, which takes seconds."""
+    return _library("float") is not None
 
 
 def to_be_compiled() -> bool:
-    """Whether `prepare` has work to do: a compiler is there, but not yet what it makes."""
+    """Whether `available` will take seconds: a compiler is there, but not yet what it makes."""
     compiler = _compiler()
     try:
-        return compiler is not None and any(
-            not _kept(path.stem, "float", compiler).exists() for path in SOURCES.glob("*.c")
-        )
+        return compiler is not None and not _kept("float", compiler).exists()
     except (OSError, subprocess.SubprocessError):
         return False
 
 
-def prepare() -> None:
-    """Compile all sources, side by side, so that nobody waits for it later."""
-    with ThreadPoolExecutor() as pool:
-        list(pool.map(lambda path: _library(path.stem, "float"), SOURCES.glob("*.c")))
-
-
 @cache
-def function(source: str, name: str, dtype: torch.dtype, *types: Any) -> Function | None:
-    """A function of `source`.c for numbers of a type, or None where nothing can be compiled.
+def function(name: str, dtype: torch.dtype, *types: Any) -> Function | None:
+    """A function of the sources for numbers of a type, or None where nothing can be compiled.
 
     Args:
-        source: which file, without ".c".
         name: of the function.
         dtype: float32 or float64, which is `REAL` in C.
         types: ctypes of its arguments; it returns an int.
     """
     if dtype not in REALS:
         return None
-    library = _library(source, REALS[dtype])
+    library = _library(REALS[dtype])
     if library is None:
         return None
     found = getattr(library, name)
@@ -96,15 +89,15 @@ _threads = 0
 
 
 @cache
-def _library(source: str, real: str) -> ctypes.CDLL | None:
-    """The compiled source, from the cache or made now."""
+def _library(real: str) -> ctypes.CDLL | None:
+    """The compiled sources, from the cache or made now."""
     compiler = _compiler()
     if compiler is None:
         return None
     try:
-        path = _kept(source, real, compiler)
+        path = _kept(real, compiler)
         if not path.exists():
-            _compile(source, real, compiler, path)
+            _compile(real, compiler, path)
         return ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError):
         return None
@@ -116,20 +109,28 @@ def _compiler() -> str | None:
     return shutil.which(os.environ.get("CC") or "cc")
 
 
-def _kept(source: str, real: str, compiler: str) -> Path:
-    """Where the compiled source lies, named by all that it depends on."""
+def _kept(real: str, compiler: str) -> Path:
+    """Where the compiled sources lie, named by all that they depend on."""
     text = b"".join(path.read_bytes() for path in sorted(SOURCES.glob("*.[ch]")))
-    about = "\0".join([source, platform.machine(), *_command(real, compiler), _target(compiler)])
+    about = "\0".join([platform.machine(), *_command(real, compiler), _target(compiler)])
     name = hashlib.sha256(about.encode() + text).hexdigest()[:32]
-    return _folder() / f"{source}-{real}-{name}.so"
+    return _folder() / f"{real}-{name}.so"
 
 
-def _compile(source: str, real: str, compiler: str, path: Path) -> None:
-    """Make the file whole or not at all, whoever else is at it."""
-    with TemporaryDirectory(dir=path.parent) as folder:
-        made = Path(folder) / path.name
-        _run([*_command(real, compiler), str(SOURCES / f"{source}.c"), "-o", str(made), "-lm"])
-        made.replace(path)
+def _compile(real: str, compiler: str, path: Path) -> None:
+    """Make the file whole or not at all, whoever else is at it, from sources side by side."""
+    with TemporaryDirectory(dir=path.parent) as folder, ThreadPoolExecutor() as pool:
+
+        def compiled(source: Path) -> str:
+            made = str(Path(folder) / f"{source.stem}.o")
+            _run([*_command(real, compiler), "-c", str(source), "-o", made])
+            return made
+
+        # Those that take longest go first.
+        sources = sorted(SOURCES.glob("*.c"), key=lambda source: source.stem not in LONGEST)
+        whole = Path(folder) / path.name
+        _run([compiler, *LINK, *pool.map(compiled, sources), "-o", str(whole), "-lm"])
+        whole.replace(path)
 
 
 def _command(real: str, compiler: str) -> list[str]:

@@ -41,7 +41,7 @@ static void some_successes(void *what, int64_t begin, int64_t end) {
 int transitions(const Gamma *gamma, int64_t size, const real *percept, const real *motion, int64_t n,
                 real *after, real *novelty, int64_t threads) {
   Rows rows = {gamma, NULL, layout_of(size), percept, motion, after, novelty};
-  in_parallel(some_transitions, &rows, n, PIECE, (int)threads);
+  in_parallel(some_transitions, &rows, n, PIECE, threads);
   return 0;
 }
 
@@ -49,6 +49,6 @@ int transitions(const Gamma *gamma, int64_t size, const real *percept, const rea
 int successes(const Classifier *classifier, int64_t size, const real *percept, int64_t n, real *out,
               int64_t threads) {
   Rows rows = {NULL, classifier, layout_of(size), percept, NULL, out, NULL};
-  in_parallel(some_successes, &rows, n, PIECE, (int)threads);
+  in_parallel(some_successes, &rows, n, PIECE, threads);
   return 0;
 }

@@ -59,7 +59,7 @@ int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const fl
   Shape of = {shape[0], shape[1]};
   Operators all = {.from = *from, .to = *to, .shape = of};
   all.mutation = (Mutation){of, strategy, key, width, has_edge, actions};
-  in_parallel(some_individuals, &all, rows, 64, (int)threads);
+  in_parallel(some_individuals, &all, rows, 64, threads);
   return 0;
 }
 
@@ -78,6 +78,6 @@ int bred(const Graphs *from, const int64_t *elite, int64_t copies, const int64_t
   }
   all.crossover = (Crossover){*from, before, parents, strategy, pair_key, pair_width, pairs};
   all.mutation = (Mutation){after, strategy, key, slots, has_edge, actions};
-  in_parallel(some_pairs, &all, pairs, 32, (int)threads);
+  in_parallel(some_pairs, &all, pairs, 32, threads);
   return 0;
 }

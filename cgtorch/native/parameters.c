@@ -120,6 +120,6 @@ int parameters_of(const float *rate, const float *sigma, int64_t key, const floa
   Nodes of = {action, num_parameters, actions, nodes};
   large_pages(parameters, (size_t)(rows * nodes * most) * sizeof(real));
   Children c = {rate, sigma, key, quantiles, of, marks, old, fresh, parameters, most};
-  in_parallel(some_children, &c, rows, 64, (int)threads);
+  in_parallel(some_children, &c, rows, 64, threads);
   return 0;
 }

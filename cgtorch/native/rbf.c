@@ -36,6 +36,6 @@ static void some_rows(void *what, int64_t begin, int64_t end) {
 int rbf_values(const Machine *machine, const real *x, int64_t n, real *values, real *nearest,
                int64_t threads) {
   Rows rows = {*machine, x, values, nearest};
-  in_parallel(some_rows, &rows, n, 256, (int)threads);
+  in_parallel(some_rows, &rows, n, 256, threads);
   return 0;
 }

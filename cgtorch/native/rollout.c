@@ -64,7 +64,7 @@ int rollouts(Task *task, int64_t threads) {
   Chunk *chunks = chunks_of(task, 0, &r.count);
   if (!chunks) return 1;
   r.chunks = chunks;
-  in_parallel(run_graphs, &r, task->graphs, PIECE, task->ticks ? 1 : (int)threads);
+  in_parallel(run_graphs, &r, task->graphs, PIECE, task->ticks ? 1 : threads);
   free(chunks);
   return 0;
 }
@@ -133,7 +133,7 @@ int evaluations(Evaluation *e, int64_t threads) {
   Chunk *chunks = chunks_of(&e->task, e->keep, &e->count);
   if (!chunks) return 1;
   e->chunks = chunks;
-  in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : (int)threads);
+  in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : threads);
   free(chunks);
   return 0;
 }

@@ -247,6 +247,6 @@ static void some_problems(void *what, int64_t begin, int64_t end) {
 
 /* Takes problems on from their coefficients and gradients; fills in biases and violations. */
 int smo_problems(const Problems *problems, int64_t threads) {
-  in_parallel(some_problems, (void *)problems, problems->count, 1, (int)threads);
+  in_parallel(some_problems, (void *)problems, problems->count, 1, threads);
   return 0;
 }

@@ -64,8 +64,9 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     )  # fmt: skip
     tables = structure(
         "Tables",
-        action=POINTER, edges=POINTER, kinds=POINTER, ends=POINTER, graphs=WHOLE, nodes=WHOLE,
-        seen=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER, heads=POINTER,
+        action=POINTER, edges=POINTER, start=POINTER, kinds=POINTER, ends=POINTER, graphs=WHOLE,
+        nodes=WHOLE, seen=WHOLE, actions=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER,
+        heads=POINTER, first=POINTER, wrong=WHOLE,
     )  # fmt: skip
     return SimpleNamespace(
         Tables=tables,

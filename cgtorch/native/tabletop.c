@@ -37,6 +37,6 @@ static void some_motions(void *what, int64_t begin, int64_t end) {
 int motions_possible(const real *motion, const real *things, const Body *body, int64_t n, int64_t count,
                      unsigned char *free, int64_t threads) {
   Rows rows = {motion, things, body, count, free};
-  in_parallel(some_motions, &rows, n, 1024, (int)threads);
+  in_parallel(some_motions, &rows, n, 1024, threads);
   return 0;
 }

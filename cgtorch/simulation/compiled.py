@@ -6,6 +6,8 @@ worlds of others, and other devices. `rollout` asks here first.
 
 import ctypes
 from collections.abc import Mapping
+from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -70,7 +72,7 @@ def compiled_rollout(
         ticks: (2, 4) long to which ticks of the CPU's clock are added that Γ, C, networks and the
             check of motions take, and how often each was timed; then one thread runs.
     """
-    call = function("rollout", "rollouts", program.parameters.dtype, POINTER, WHOLE)
+    call = function("rollouts", program.parameters.dtype, POINTER, WHOLE)
     task = _task(program, environment, scenarios, max_transitions, max_steps, ticks)
     if call is None or task is None:
         return None
@@ -116,7 +118,7 @@ def compiled_evaluation(
         (P, B); actions executed (P,); whether all numbers were finite (P,). Or None, where it has
         to be done in torch.
     """
-    call = function("rollout", "evaluations", program.parameters.dtype, POINTER, WHOLE)
+    call = function("evaluations", program.parameters.dtype, POINTER, WHOLE)
     if call is None or keep.device.type != "cpu":
         return None
     order = (~keep).long().argsort(stable=True)
@@ -219,22 +221,52 @@ def _known(action: Action, percept_size: int) -> bool:
 
 
 def _models(environment: ModelEnvironment) -> Compiled | None:
-    """Γ, C, errors and first percepts, if compiled code knows these models."""
-    e, percepts = environment, environment.percepts.contiguous()
-    gamma, known = getattr(e.gamma, "__self__", None), type(e) is ModelEnvironment
-    if not (known and type(gamma) is TransitionModel and type(e.classifier) is SuccessClassifier):
+    """Γ, C, errors and first percepts, if compiled code knows these models.
+
+    An evolution asks for the same ones in every generation, so the last are remembered for as long
+    as none of their numbers is written to.
+    """
+    e, gamma = environment, getattr(environment.gamma, "__self__", None)
+    classifier, possible = e.classifier, e.possible
+    if not (type(gamma) is TransitionModel and type(classifier) is SuccessClassifier):
         return None
-    if e.gamma != gamma.predict_with_novelty or type(e.possible) is not ClearWay:
+    if type(e) is not ModelEnvironment or type(possible) is not ClearWay:
         return None
+    if e.gamma != gamma.predict_with_novelty:
+        return None
+    mine = (e.percepts, e.first_state, e.errors, possible.footprint)
+    tensors = [t for t in (*mine, *gamma.tensors(), *classifier.tensors()) if t is not None]
+    state = (torch.is_grad_enabled(), e.most_novel, e.control_size, *map(_state, tensors))
+    last = _LAST.get(e)
+    if last is None or last[0] != state:
+        _LAST[e] = last = state, tensors, _models_now(e, gamma, classifier, possible)
+    return last[2]
+
+
+_Known: TypeAlias = tuple[object, list[Tensor], Compiled | None]
+_LAST: WeakKeyDictionary[ModelEnvironment, _Known] = WeakKeyDictionary()
+"""Of each environment its tensors' state, these tensors, so that no others can be mistaken for
+them, and what compiled code knows of them."""
+
+
+def _state(tensor: Tensor) -> tuple[int, int, int]:
+    """What is another where a tensor is another, or has been written to."""
+    return id(tensor), tensor.data_ptr(), 0 if tensor.is_inference() else tensor._version
+
+
+def _models_now(
+    e: ModelEnvironment, gamma: TransitionModel, classifier: SuccessClassifier, possible: ClearWay
+) -> Compiled | None:
+    percepts = e.percepts.contiguous()
     errors = None if e.errors is None else e.errors.contiguous()
-    given = (percepts, e.first_state, e.possible.footprint, *([] if errors is None else [errors]))
+    given = (percepts, e.first_state, possible.footprint, *([] if errors is None else [errors]))
     if not suits(*given) or e.control_size != 3 or percepts.shape[1] > MOST_PERCEPT:
         return None
-    first, second = gamma.compiled(percepts, percepts[:, :3]), e.classifier.compiled(percepts)
+    first, second = gamma.compiled(percepts, percepts[:, :3]), classifier.compiled(percepts)
     if first is None or second is None:
         return None
     structure = structures(percepts.dtype).Models(
-        first.structure, second.structure, body_structure(e.possible.footprint),
+        first.structure, second.structure, body_structure(possible.footprint),
         percepts.data_ptr(), e.first_state.data_ptr(),
         None if errors is None else errors.data_ptr(),
         percepts.shape[1], 1 if errors is None else errors.shape[1], e.most_novel,

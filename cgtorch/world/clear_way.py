@@ -75,7 +75,7 @@ def body_structure(footprint: Tensor) -> Any:
 
 def _possible_compiled(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor | None:
     call = function(
-        "tabletop", "motions_possible", motion.dtype,
+        "motions_possible", motion.dtype,
         POINTER, POINTER, POINTER, WHOLE, WHOLE, POINTER, WHOLE,
     )  # fmt: skip
     if call is None:
