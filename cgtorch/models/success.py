@@ -117,7 +117,7 @@ class SuccessClassifier(nn.Module):
         return classifier_structure(machine, mean, scale, platt)
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """Centres, weights, bias and γ of the machine, mean and scale of features, Platt's numbers."""
+        """The numbers of machine (centres, weights, bias, γ), features (mean, scale) and Platt."""
         return *self.machine._machine, self.mean, self.scale, self.machine.platt
 
     def decision_function(self, percept: Tensor) -> Tensor:
