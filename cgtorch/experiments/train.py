@@ -14,6 +14,7 @@ from cgtorch import ranks
 from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, lexicase, tournament
+from cgtorch.evolution.islands import generator_of
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.journal import SECONDS, forget, journal_of
@@ -52,10 +53,17 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.knowledge import fit_models, learn, with_footprint
+from cgtorch.improvement.knowledge import fit_models_meanwhile, learn, with_footprint
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.standing import Budget
-from cgtorch.models import success_quality, transition_quality
+from cgtorch.models import (
+    FreshLabels,
+    TransitionModel,
+    TransitionQuality,
+    fresh_labels,
+    success_quality,
+    transition_quality,
+)
 from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
 
 FRESH, AROUND, FRESH_SEED = 40, 40, 7_000_001
@@ -144,7 +152,10 @@ def train(
 
 
 def beginning(run: Run, watch: Watch, working: Working) -> Progress[Scenarios]:
-    """Data, labels and models before the first stage, made once and kept in the run."""
+    """Data, labels and models before the first stage, made once and kept in the run.
+
+    What can be done side by side is, where compiled code may use more than one thread.
+    """
     start = run.folder / "start"
     if start.is_dir():
         return load_progress(run, start)
@@ -152,17 +163,21 @@ def beginning(run: Run, watch: Watch, working: Working) -> Progress[Scenarios]:
     generator = Generator().manual_seed(settings.seed)
     with working("driving at random and trying grasps"):
         dataset = collect(run.world_of, settings.transitions, settings.labels, generator, domain)
+    count, own = min(FRESH_LABELS, settings.labels), generator_of(generator, FRESH)
+
+    def fresh(gamma: TransitionModel) -> tuple[TransitionQuality, FreshLabels]:
+        world_of, rows = run.world_of, FRESH_TRANSITIONS
+        quality = transition_quality(world_of, gamma, rows, generator, domain)
+        return quality, fresh_labels(world_of, count, generator, domain)
+
     began = time.perf_counter()
-    with working("fitting the transition model and the success classifier"):
-        knowledge = fit_models(dataset, settings.seed)
+    with working("fitting the transition model and the success classifier, trying the former"):
+        # Several ranks share out grasps, which forked processes cannot.
+        alone = ranks.count() > 1
+        knowledge, (quality, labels) = fit_models_meanwhile(dataset, settings.seed, fresh, alone)
     seconds = time.perf_counter() - began
-    with working("trying the transition model on fresh transitions"):
-        quality = transition_quality(
-            run.world_of, knowledge.gamma, FRESH_TRANSITIONS, generator, domain
-        )
     with working("trying the success classifier on fresh labels"):
-        count = min(FRESH_LABELS, settings.labels)
-        judged = success_quality(run.world_of, knowledge.classifier, count, generator, domain)
+        judged = success_quality(run.world_of, knowledge.classifier, labels, own, domain)
     watch(ModelsFitted("start", knowledge, seconds, quality, judged))
     nothing = stage_scenarios("near", 0)
     progress = Progress(None, nothing, nothing, knowledge)

@@ -1,11 +1,14 @@
 """What the robot before a table knows: its experience, and the Γ and C learned from it."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import torch
 from torch import Generator, Tensor
 
+from cgtorch import native
 from cgtorch.data import Dataset
 from cgtorch.evolution.islands import generator_of
 from cgtorch.improvement.domain import Imagine
@@ -24,6 +27,7 @@ from cgtorch.models import (
     update_success_classifier,
     update_transition_model,
 )
+from cgtorch.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.world import ClearWay
 from cgtorch.world.percepts import BOX
@@ -32,6 +36,8 @@ from cgtorch.world.percepts import parted as parts_of
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
 LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
+Found = TypeVar("Found")
+
 CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
@@ -67,12 +73,35 @@ class Knowledge:
 
 def fit_models(dataset: Dataset, seed: int) -> Knowledge:
     """Γ and C from nine tenths of the data, hyper-parameters chosen by cross-validation."""
+    return fit_models_meanwhile(dataset, seed, lambda _: None)[0]
+
+
+def fit_models_meanwhile(
+    dataset: Dataset, seed: int, more: Callable[[TransitionModel], Found], alone: bool = False
+) -> tuple[Knowledge, Found]:
+    """`fit_models`, and what else can be found out once Γ is fitted.
+
+    C takes longest, so where compiled code may use more than one thread all else is done beside it.
+
+    Args:
+        dataset: what is known.
+        seed: of all random choices.
+        more: from Γ to anything; it must not draw from a generator that is used later.
+        alone: in this process only, as what has to do with other ranks must be.
+    """
     data, aside = parted(dataset)
-    gamma, gamma_report = fit_transition_model(
-        data.percept, data.motion, data.next_percept, seed=seed
-    )
-    classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, seed=seed)
-    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, gamma_report, report, aside)
+
+    def part(number: int) -> Any:
+        if number == 0:
+            return fit_success_classifier(data.grasp_percept, data.graspable, seed=seed)
+        gamma, report = fit_transition_model(
+            data.percept, data.motion, data.next_percept, seed=seed
+        )
+        return gamma, swift_gamma(gamma, data), report, more(gamma)
+
+    fitted = in_processes(part, 2, 1 if alone else native.threads())
+    (classifier, report), (gamma, swift, gamma_report, found) = fitted
+    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside), found
 
 
 def parted(dataset: Dataset) -> tuple[Dataset, Dataset]:

@@ -20,7 +20,9 @@ from cgtorch.models.storage import save_model as save_model
 from cgtorch.models.success import SuccessClassifier as SuccessClassifier
 from cgtorch.models.success import SuccessReport as SuccessReport
 from cgtorch.models.success import fit_success_classifier as fit_success_classifier
+from cgtorch.models.success_quality import FreshLabels as FreshLabels
 from cgtorch.models.success_quality import SuccessQuality as SuccessQuality
+from cgtorch.models.success_quality import fresh_labels as fresh_labels
 from cgtorch.models.success_quality import success_quality as success_quality
 from cgtorch.models.svc import SVC as SVC
 from cgtorch.models.svr import SVR as SVR

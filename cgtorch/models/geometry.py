@@ -144,7 +144,7 @@ def boxes_moved(boxes: Tensor, motion: Tensor) -> Tensor:
 def side_turned(side: Tensor, motion: Tensor) -> Tensor:
     """Sides of tables (..., 2 or 0), at twice their angle, after motions (..., 3)."""
     if not side.shape[-1]:
-        return side.expand(*torch.broadcast_shapes(side.shape[:-1], motion.shape[:-1]), 0)
+        return side.expand(*torch.broadcast_tensors(side[..., :0], motion[..., :0])[0].shape)
     c, s = torch.cos(2 * motion[..., 2]), torch.sin(2 * motion[..., 2])
     x, y = side[..., 0], side[..., 1]
     return side_by_side(c * x + s * y, c * y - s * x)

@@ -7,9 +7,13 @@ import torch
 from torch import Tensor
 
 from cgtorch.models.kernels import Kernel, kernel_matrix, make_kernel
+from cgtorch.native import function, threads
+from cgtorch.native.structures import POINTER, WHOLE, suits
 
 _FEW_FEATURES = 32
 _FAINT = 2.0**-40
+_SPARSE = 2  # where fewer than one coefficient in so many is not zero, the others are left out
+_TYPES = (POINTER, WHOLE, POINTER, WHOLE, WHOLE, POINTER, WHOLE)
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,26 @@ class Gram:
 
     def times(self, d: Tensor) -> Tensor:
         """D K (P, n) of coefficients d (P, n) of which often few columns are not zero."""
+        filled = int(d.count_nonzero())
+        if _SPARSE * filled < d.numel() and (found := self._times_compiled(d, filled)) is not None:
+            return found
         columns = d.any(0).nonzero().flatten()
         if 4 * len(columns) > len(self):
             return d @ self.matrix
         return d[:, columns] @ self.matrix[columns]
+
+    def _times_compiled(self, d: Tensor, filled: int) -> Tensor | None:
+        """The same, where it can be compiled, in a time that grows as the coefficients but zero."""
+        call = function("gram_times", torch.float32, *_TYPES)  # in double precision in each library
+        if call is None or not self.matrix.is_contiguous() or not suits(d, self.matrix):
+            return None
+        d, out = d.contiguous(), torch.empty_like(d)
+        if call(
+            self.matrix.data_ptr(), len(self), d.data_ptr(), len(d), filled, out.data_ptr(),
+            threads(),
+        ):  # fmt: skip
+            raise MemoryError(f"no memory for {filled} coefficients")
+        return out
 
     def part(self, index: Tensor) -> "Gram":
         """The same for the rows of `index` only."""

@@ -22,11 +22,11 @@ from cgtorch.errors import SettingsError
 from cgtorch.models import inputs
 from cgtorch.models.cells import Task, solve_width
 from cgtorch.models.folds import given_folds, plain_folds, stratified_folds, training_masks
-from cgtorch.models.processes import in_processes
 from cgtorch.models.scores import SCORES
 from cgtorch.models.svc import SVC, row_weights
 from cgtorch.models.svr import SVR, units
 from cgtorch.models.threads import one_thread_each
+from cgtorch.processes import in_processes
 
 Progress = Callable[[int, int], None]
 """Called with the number of cells done and of all cells."""
@@ -214,7 +214,8 @@ def _choices(
     def pick(scores: Tensor, fixed: int | None) -> Choice:
         if fixed is not None:
             scores = scores[fixed : fixed + 1]
-        g, e, c = torch.unravel_index(scores.argmax(), scores.shape)
+        rest, c = divmod(int(scores.argmax()), scores.shape[2])
+        g, e = divmod(rest, scores.shape[1])
         return Choice(
             C=float(costs[c]),
             gamma=float(widths[int(g) + (fixed or 0)]),

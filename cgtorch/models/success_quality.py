@@ -60,10 +60,38 @@ class SuccessQuality:
     reliability: Reliability
 
 
+@dataclass(frozen=True)
+class FreshLabels:
+    """What is seen from three draws of `count` poses each, and whether a grasp succeeds there.
+
+    Attributes:
+        percept: (3 · count, D) near the object, each of these displaced, and anywhere.
+        graspable: (3 · count,) bool.
+        beside: (k,) long, the displaced ones that have crossed the boundary.
+    """
+
+    percept: Tensor
+    graspable: Tensor
+    beside: Tensor
+
+
+def fresh_labels(
+    world_of: WorldOf, count: int, generator: Generator, domain: Domain = PERIMETER
+) -> FreshLabels:
+    """Labels of the world that tell how good C is; see `success_quality`."""
+    poses = poses_at_object(world_of, count, generator, domain)
+    moved, around = displaced(poses, generator), poses_around(world_of, count, generator, domain)
+    # One batch of labels costs far less than three.
+    percept, graspable = label(world_of, concatenate_scenarios([poses, moved, around]))
+    crossed = graspable[:count] != graspable[count : 2 * count]
+    crossed &= ~in_table(moved, world_of(moved[:0]).footprint)
+    return FreshLabels(percept, graspable, count + crossed.nonzero()[:, 0])
+
+
 def success_quality(
     world_of: WorldOf,
     classifier: Callable[[Tensor], Tensor],
-    count: int,
+    labels: FreshLabels,
     generator: Generator,
     domain: Domain = PERIMETER,
 ) -> SuccessQuality:
@@ -72,24 +100,19 @@ def success_quality(
     Args:
         world_of: makes the world of given scenarios.
         classifier: percepts (n, D) to probabilities (n,).
-        count: labels near the object, as many displaced ones and as many overall; 500 take
-            about 3 s with the PR2.
+        labels: fresh ones; 500 near the object, as many displaced and as many anywhere take about
+            2 s to draw and to judge by with the PR2.
         generator: of all random choices.
         domain: the scenes.
     """
-    poses = poses_at_object(world_of, count, generator, domain)
-    moved, around = displaced(poses, generator), poses_around(world_of, count, generator, domain)
-    # One batch of labels costs far less than three.
-    percept, graspable = label(world_of, concatenate_scenarios([poses, moved, around]))
+    count = len(labels.graspable) // 3
     with torch.no_grad():
-        chance = classifier(percept)
-    truth = graspable.to(percept)
-    best = _best_chance(world_of, percept, chance, truth, generator, domain)
-    near, beside, overall = torch.arange(3 * count).view(3, count)
-    crossed = graspable[near] != graspable[beside]
-    beside = beside[crossed & ~in_table(moved, world_of(moved[:0]).footprint)]
+        chance = classifier(labels.percept)
+    truth = labels.graspable.to(labels.percept)
+    best = _best_chance(world_of, labels.percept, chance, truth, generator, domain)
+    near, overall = torch.arange(count), torch.arange(2 * count, 3 * count)
     first, second, third = (
-        _judged(chance[rows], truth[rows], best[rows]) for rows in (near, overall, beside)
+        _judged(chance[rows], truth[rows], best[rows]) for rows in (near, overall, labels.beside)
     )
     return SuccessQuality(first, second, third, calibration(chance[near], truth[near])[1])
 

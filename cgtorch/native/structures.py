@@ -68,7 +68,14 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         nodes=WHOLE, seen=WHOLE, actions=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER,
         heads=POINTER, first=POINTER, wrong=WHOLE,
     )  # fmt: skip
+    collision = structure(
+        "Collision",
+        start=POINTER, end=POINTER, radius=POINTER, centre=POINTER, rotation=POINTER, half=POINTER,
+        postures=WHOLE, capsules=WHOLE, boxes=WHOLE, same=WHOLE, bisections=WHOLE,
+        rounding=ctypes.c_double, hit=POINTER,
+    )  # fmt: skip
     return SimpleNamespace(
+        Collision=collision,
         Tables=tables,
         Evaluation=evaluation,
         Machine=machine,

@@ -9,7 +9,7 @@ from support import FOOTPRINT, graspable, seeded
 from cgtorch.data import label
 from cgtorch.data.poses import WorldOf, in_table, poses_at_object
 from cgtorch.models.success_floor import chance_of_success, scenes_behind
-from cgtorch.models.success_quality import success_quality
+from cgtorch.models.success_quality import SuccessQuality, fresh_labels, success_quality
 from cgtorch.world import Noise, Scenarios, TabletopWorld
 from cgtorch.world.tabletop import percept_of
 
@@ -18,6 +18,11 @@ BLUR = 0.03
 
 def world_of(blur: float = BLUR) -> WorldOf:
     return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, Noise(blur, 0.0))
+
+
+def quality(world_of: WorldOf, count: int, seed: int) -> SuccessQuality:
+    generator = seeded(seed)
+    return success_quality(world_of, knows, fresh_labels(world_of, count, generator), generator)
 
 
 def knows(percept: torch.Tensor) -> torch.Tensor:
@@ -52,7 +57,7 @@ def test_the_chance_is_how_often_the_same_percept_succeeds() -> None:
 
 
 def test_a_classifier_that_knows_the_world_is_as_good_as_is_possible() -> None:
-    found = success_quality(world_of(), knows, 800, seeded(3))
+    found = quality(world_of(), 800, 3)
     for one, few in ((found.near, 0.02), (found.overall, 0.02), (found.beside, 0.1)):
         assert one.accuracy == pytest.approx(one.possible, abs=few)
         assert one.possible <= 1
@@ -63,7 +68,7 @@ def test_a_classifier_that_knows_the_world_is_as_good_as_is_possible() -> None:
 
 
 def test_without_noise_all_is_possible_where_the_object_decides() -> None:
-    found = success_quality(world_of(0.0), knows, 300, seeded(4))
+    found = quality(world_of(0.0), 300, 4)
     for one in (found.near, found.overall, found.beside):
         assert one.accuracy == one.balanced == 1
         assert one.possible > 0.98
@@ -76,11 +81,11 @@ def test_poses_beside_the_boundary_are_fresh_and_free() -> None:
         asked.append(scenarios)
         return world_of()(scenarios)
 
-    found = success_quality(watched, knows, 400, seeded(5))
+    found = quality(watched, 400, 5)
     assert 10 < found.beside.rows < 400
     assert 0.2 < found.beside.positive < 0.8
 
 
 def test_the_generator_decides() -> None:
-    one, same, other = (success_quality(world_of(), knows, 100, seeded(s)) for s in (6, 6, 7))
+    one, same, other = (quality(world_of(), 100, s) for s in (6, 6, 7))
     assert one == same != other

@@ -26,6 +26,7 @@ from cgtorch.improvement.trial import try_skill
 from cgtorch.models import (
     fit_success_classifier,
     fit_transition_model,
+    fresh_labels,
     success_quality,
     transition_quality,
 )
@@ -66,7 +67,8 @@ def events() -> list[Event]:
     world, keep = _world_of(scenarios), ~targets
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
     knowledge = _knowledge()
-    judged = success_quality(_world_of, knowledge.classifier, 60, seeded(1))
+    labels, own = fresh_labels(_world_of, 60, seeded(1)), seeded(4)
+    judged = success_quality(_world_of, knowledge.classifier, labels, own)
     tried = transition_quality(_world_of, knowledge.gamma, 40, seeded(2))
     told.append(ModelsFitted("S1", knowledge, 1.5, tried, judged))
     members: list[Skill] = []

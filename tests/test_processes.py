@@ -9,7 +9,7 @@ from tabletop import labelled
 
 from cgtorch.errors import DataError, SettingsError
 from cgtorch.models import SVC, grid_search
-from cgtorch.models.processes import in_processes
+from cgtorch.processes import in_processes
 
 
 @pytest.mark.parametrize("processes", [1, 2, 3])

@@ -5,6 +5,7 @@ process has all data at once and one thread inside torch, as PyTorch's own data 
 """
 
 import multiprocessing
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -12,36 +13,55 @@ from typing import Any, TypeVar
 
 import torch
 
+from cgtorch import native
 from cgtorch.errors import DataError
 
 Result = TypeVar("Result")
 
 _work: Callable[[int], Any]
+_forked = False
 
 
 def in_processes(
-    work: Callable[[int], Result], times: int, processes: int, done: Callable[[Result], None]
+    work: Callable[[int], Result],
+    times: int,
+    processes: int,
+    done: Callable[[Result], None] | None = None,
 ) -> list[Result]:
     """The results of work(0) ... work(times - 1), in this order.
 
     Args:
         work: Must not draw from a generator that it shares; its results are sent by pickle.
         times: How often to call it; the first are begun first.
-        processes: How many to use; one, or a system that cannot fork, calls it here.
+        processes: How many to use; one, or a system that cannot fork, calls it here, and so does a
+            process that was forked itself.
         done: Called here with each result as it comes.
 
     Raises:
         DataError: A process was killed, as a rule for want of memory.
         Exception: Whatever `work` raised.
     """
-    if min(processes, times) < 2 or "fork" not in multiprocessing.get_all_start_methods():
-        return [_told(work(number), done) for number in range(times)]
+    results: dict[int, Result] = {}
+
+    def keep(number: int, result: Result) -> None:
+        results[number] = result
+        if done is not None:
+            done(result)
+
+    if (
+        _forked
+        or min(processes, times) < 2
+        or "fork" not in multiprocessing.get_all_start_methods()
+    ):
+        for number in range(times):
+            keep(number, work(number))
+        return list(results.values())
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(min(processes, times), context, _begin, (work,)) as pool:
-        results = [pool.submit(_call, number) for number in range(times)]
+        numbers = {pool.submit(_call, number): number for number in range(times)}
         try:
-            for result in as_completed(results):
-                done(result.result())
+            for sent in as_completed(numbers):
+                keep(numbers[sent], pickle.loads(sent.result()))  # noqa: S301  of our own process
         except BrokenProcessPool as e:
             raise DataError(
                 f"one of {processes} processes was killed, as a rule for want of memory; use "
@@ -49,19 +69,16 @@ def in_processes(
             ) from e
         finally:
             pool.shutdown(cancel_futures=True)
-    return [result.result() for result in results]
-
-
-def _told(result: Result, done: Callable[[Result], None]) -> Result:
-    done(result)
-    return result
+    return [results[number] for number in range(times)]
 
 
 def _begin(work: Callable[[int], Any]) -> None:
-    global _work
+    global _work, _forked
     torch.set_num_threads(1)
-    _work = work
+    native.use_threads(1)
+    _work, _forked = work, True
 
 
-def _call(number: int) -> Any:
-    return _work(number)
+def _call(number: int) -> bytes:
+    # Tensors would be left in shared memory, for which their process has to stay.
+    return pickle.dumps(_work(number))
