@@ -14,21 +14,20 @@ import torch
 from torch import Generator
 
 from cgtorch import ranks
+from cgtorch.experiments.beginning import Working, beginning
 from cgtorch.experiments.evaluate import Score
 from cgtorch.experiments.goal import Goal, holds, worth_deciding
 from cgtorch.experiments.journal import SECONDS, journal_of
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import Run
 from cgtorch.experiments.stages import round_name, stage_generator
 from cgtorch.experiments.storage import load_result
 from cgtorch.experiments.train import (
     METHODS,
     Tally,
-    Working,
-    beginning,
     counts,
     evidence,
     keep_stage,
-    load_progress,
     make_setup,
     not_improved,
 )

@@ -1,25 +1,21 @@
 """Algorithm 1 over the four experiments: from a robot to a skill that has been tested."""
 
-import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Generator
 
 from cgtorch import ranks
-from cgtorch.data import collect, domain_of
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, lexicase, tournament
-from cgtorch.evolution.islands import generator_of
+from cgtorch.experiments.beginning import Working, beginning
 from cgtorch.experiments.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.experiments.goal import AUTO
 from cgtorch.experiments.journal import SECONDS, forget, journal_of
 from cgtorch.experiments.ledger import Entry, enter, entry_of
 from cgtorch.experiments.perception import networks_of
+from cgtorch.experiments.progress import load_progress, save_progress
 from cgtorch.experiments.run import Run, whole_folder
 from cgtorch.experiments.settings import RunSettings
 from cgtorch.experiments.stages import (
@@ -31,21 +27,14 @@ from cgtorch.experiments.stages import (
     stages_up_to,
 )
 from cgtorch.experiments.storage import (
-    load_knowledge,
-    load_population,
     load_result,
-    load_scenarios,
-    save_knowledge,
-    save_population,
-    save_scenarios,
 )
 from cgtorch.files import write_json
-from cgtorch.graphs import Skill, load_skill, save_skill
+from cgtorch.graphs import Skill
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
     GenerationDone,
-    ModelsFitted,
     SkillAccepted,
     StageStarted,
     Watch,
@@ -53,26 +42,14 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.knowledge import fit_models_meanwhile, learn, with_footprint
+from cgtorch.improvement.knowledge import learn, with_footprint
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.standing import Budget
-from cgtorch.models import (
-    FreshLabels,
-    TransitionModel,
-    TransitionQuality,
-    fresh_labels,
-    success_quality,
-    transition_quality,
-)
-from cgtorch.world import Scenarios, random_scenarios, stage_scenarios
+from cgtorch.world import Scenarios, random_scenarios
 
 FRESH, AROUND, FRESH_SEED = 40, 40, 7_000_001
-FRESH_TRANSITIONS = 1500  # which tell the models' errors
-FRESH_LABELS = 500  # at most, as many as were learnt from
 
 METHODS = {"compose": improve, "paper": grow}
-
-Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 
 
 class NotImprovedError(CgtorchError, RuntimeError):
@@ -149,42 +126,6 @@ def train(
     if ranks.first():
         write_json(run.folder / "summary.json", {"stages": results, **run.settings.to_dict()})
     return results
-
-
-def beginning(run: Run, watch: Watch, working: Working) -> Progress[Scenarios]:
-    """Data, labels and models before the first stage, made once and kept in the run.
-
-    What can be done side by side is, where compiled code may use more than one thread.
-    """
-    start = run.folder / "start"
-    if start.is_dir():
-        return load_progress(run, start)
-    settings, domain = run.settings, domain_of(run.settings.scenarios)
-    generator = Generator().manual_seed(settings.seed)
-    with working("driving at random and trying grasps"):
-        dataset = collect(run.world_of, settings.transitions, settings.labels, generator, domain)
-    count, own = min(FRESH_LABELS, settings.labels), generator_of(generator, FRESH)
-
-    def fresh(gamma: TransitionModel) -> tuple[TransitionQuality, FreshLabels]:
-        world_of, rows = run.world_of, FRESH_TRANSITIONS
-        quality = transition_quality(world_of, gamma, rows, generator, domain)
-        return quality, fresh_labels(world_of, count, generator, domain)
-
-    began = time.perf_counter()
-    with working("fitting the transition model and the success classifier, trying the former"):
-        # Several ranks share out grasps, which forked processes cannot.
-        alone = ranks.count() > 1
-        knowledge, (quality, labels) = fit_models_meanwhile(dataset, settings.seed, fresh, alone)
-    seconds = time.perf_counter() - began
-    with working("trying the success classifier on fresh labels"):
-        judged = success_quality(run.world_of, knowledge.classifier, labels, own, domain)
-    watch(ModelsFitted("start", knowledge, seconds, quality, judged))
-    nothing = stage_scenarios("near", 0)
-    progress = Progress(None, nothing, nothing, knowledge)
-    if ranks.first():
-        with whole_folder(start) as folder:
-            save_progress(folder, progress, settings.seed)
-    return progress
 
 
 def _stage(
@@ -332,25 +273,3 @@ def finished_generations(run: Run) -> int:
 def counts(placement: str, score: Score) -> dict[str, Any]:
     """A score as a result.json holds it."""
     return {"placement": placement, "tried": score.tried, "succeeded": score.successes}
-
-
-def save_progress(folder: Path, progress: Progress[Scenarios], seed: int) -> None:
-    """Write all that the next stage needs into a folder."""
-    if progress.skill is not None:
-        save_skill(folder / "skill.json", progress.skill)
-    save_scenarios(folder / "scenarios.json", {"W": progress.solved, "M": progress.missed})
-    save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
-    if progress.specialists is not None:
-        save_population(folder / "specialists.safetensors", progress.specialists)
-
-
-def load_progress(run: Run, folder: Path) -> Progress[Scenarios]:
-    """Read what `save_progress` wrote."""
-    solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
-    progress = Progress(None, solved, missed, load_knowledge(folder))
-    if (folder / "skill.json").is_file():
-        progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
-    if (folder / "specialists.safetensors").is_file():
-        population = load_population(folder / "specialists.safetensors", run.actions)
-        progress = replace(progress, specialists=population)
-    return progress

@@ -17,9 +17,10 @@ from cgtorch.errors import RunError, SettingsError
 from cgtorch.experiments.auto import act, reached, train_until
 from cgtorch.experiments.evaluate import check_percepts
 from cgtorch.experiments.goal import Goal
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import Run, create_run, last_skill, open_run
 from cgtorch.experiments.storage import load_result
-from cgtorch.experiments.train import NotImprovedError, load_progress, train
+from cgtorch.experiments.train import NotImprovedError, train
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
 

@@ -14,9 +14,10 @@ from trained import Trained, copied
 
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, evolve
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import Run, open_run
 from cgtorch.experiments.storage import load_population, load_result, load_tensors, save_tensors
-from cgtorch.experiments.train import finished_generations, load_progress
+from cgtorch.experiments.train import finished_generations
 from cgtorch.graphs import load_skill
 from cgtorch.report import final_table
 

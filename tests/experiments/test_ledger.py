@@ -14,8 +14,8 @@ from trained import Trained
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.experiments.evaluate import under_other_noise
 from cgtorch.experiments.ledger import WAS, enter, read_entry, read_index
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import open_run
-from cgtorch.experiments.train import load_progress
 from cgtorch.graphs import skill_to_dict
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.trial import try_skill

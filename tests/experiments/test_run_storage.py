@@ -11,6 +11,7 @@ from support import seeded
 from trained import Trained
 
 from cgtorch.errors import CgtorchError, RunError
+from cgtorch.experiments.progress import load_progress, save_progress
 from cgtorch.experiments.run import open_run
 from cgtorch.experiments.storage import (
     load_dataset,
@@ -21,7 +22,6 @@ from cgtorch.experiments.storage import (
     scenarios_from_list,
     scenarios_to_list,
 )
-from cgtorch.experiments.train import load_progress, save_progress
 from cgtorch.graphs import skill_to_dict
 from cgtorch.improvement.trial import try_skill
 from cgtorch.world import Scenarios, cluttered_scenarios, random_scenarios

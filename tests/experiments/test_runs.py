@@ -16,8 +16,9 @@ from trained import SMALL, Trained, copied
 from cgtorch.actions import paper_actions
 from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.experiments.perception import NETWORKS
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import create_run, last_skill, lone_skill, open_run, whole_folder
-from cgtorch.experiments.train import NotImprovedError, load_progress, train
+from cgtorch.experiments.train import NotImprovedError, train
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.improvement.events import (
     Event,

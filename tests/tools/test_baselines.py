@@ -24,8 +24,8 @@ from benchmarks.rollouts import alike, taken
 from benchmarks.tensor_way import tensor_rollout
 from benchmarks.workload import Workload, first_population, workload_of
 
+from cgtorch.experiments.progress import load_progress
 from cgtorch.experiments.run import open_run
-from cgtorch.experiments.train import load_progress
 from cgtorch.graphs import NO_NODE, Graphs, widened
 from cgtorch.simulation import Rollouts, rollout
 
