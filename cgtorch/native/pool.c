@@ -1,7 +1,9 @@
 /* Threads that are kept from one call to the next: making one takes as long as a hundred rollouts. */
+#define _POSIX_C_SOURCE 200809L /* of sigset_t */
 #include "parallel.h"
 
 #include <pthread.h>
+#include <signal.h>
 #include <stdatomic.h>
 
 #define MOST_THREADS 256
@@ -70,15 +72,20 @@ static void in_child(void) {
 
 static void once_only(void) { pthread_atfork(NULL, NULL, in_child); }
 
-/* `count` workers, or as many as there can be; the lock is held. */
+/* `count` workers, or as many as there can be; the lock is held. Signals are for other threads. */
 static void hire(int64_t count) {
   static pthread_once_t once = PTHREAD_ONCE_INIT;
+  if (pool.workers >= count) return;
+  sigset_t every, before;
   pthread_once(&once, once_only);
+  sigfillset(&every);
+  pthread_sigmask(SIG_BLOCK, &every, &before);
   for (; pool.workers < count; pool.workers++) {
     pthread_t thread;
-    if (pthread_create(&thread, NULL, worker, (void *)(intptr_t)atomic_load(&pool.turn))) return;
+    if (pthread_create(&thread, NULL, worker, (void *)(intptr_t)atomic_load(&pool.turn))) break;
     pthread_detach(thread);
   }
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
 }
 
 void in_parallel(Piece piece, void *what, int64_t total, int64_t size, int64_t threads) {
