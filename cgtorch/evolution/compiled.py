@@ -38,7 +38,6 @@ _TYPES: dict[str, tuple[Any, ...]] = {
     "deviation": (_P, _I, _I, _P, _I),
     "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
 }
-_GRAPHS = ("mutated", "bred", "parameters_of")
 
 
 def takes(graphs: Graphs, parameters: Tensor) -> bool:
@@ -49,7 +48,8 @@ def takes(graphs: Graphs, parameters: Tensor) -> bool:
         n <= MOST_NODES
         and o <= MOST_OUTCOMES
         and all(x.device.type == "cpu" and x.dtype == torch.long for x in whole)
-        and all(_function(name, parameters.dtype) is not None for name in _GRAPHS)
+        and _function("parameters_of", parameters.dtype) is not None
+        and _function("bred", torch.float32) is not None
     )
 
 

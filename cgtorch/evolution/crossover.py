@@ -39,26 +39,26 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     graphs = concatenate([first.graphs, second.graphs])
     strategy = torch.cat([first.strategy, second.strategy])
     every = torch.arange(len(graphs))
-    pairs = pairs_of(graphs, every[:0], every, strategy, generator)
+    pairs = pairs_of(graphs, every, 0, strategy, generator)
     way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
     return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
 
 
 def pairs_of(
-    graphs: Graphs, others: Tensor, parents: Tensor, strategy: Tensor, generator: Generator
+    graphs: Graphs, rows: Tensor, first: int, strategy: Tensor, generator: Generator
 ) -> Pairs:
     """Choices for pairs of graphs.
 
     Args:
         graphs: P of them.
-        others: (n,) long, those besides parents that are to have room in `Pairs.width`.
-        parents: (2 Q,) long, the first of all pairs and then the second.
-        strategy: (2 Q, S) theirs.
+        rows: (first + 2 Q,) long, those that are to have room in `Pairs.width`: some others, then
+            the first of all pairs and then the second.
+        first: how many others.
+        strategy: (2 Q, S) that of the parents.
         generator: of all choices.
     """
     way = compiled.most_nodes if compiled.takes(graphs, graphs.parameters) else most_nodes
-    most = way(graphs, torch.cat([others, parents]))
-    return Pairs(parents, strategy.float(), key(generator), most)
+    return Pairs(rows[first:], strategy.float(), key(generator), way(graphs, rows))
 
 
 def most_nodes(graphs: Graphs, rows: Tensor) -> int:

@@ -1,6 +1,7 @@
 """Mutation of graphs, parameters and strategy (section IV-B and eq. 2)."""
 
 import math
+from functools import cache
 
 import torch
 from torch import Generator, Tensor
@@ -42,8 +43,14 @@ def mutate(
 
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:
     """Eq. 2, s ← s exp(N(0, τ)) with variance τ, within bounds that keep every rate alive."""
-    noise = torch.randn(strategy.shape, generator=generator) * (tau**0.5 / math.log(2))
-    drifted = strategy * noise.exp2()  # exp of so few numbers already goes to all threads
-    upper = torch.full((strategy.shape[1],), PROBABILITY_MAX)
+    noise = torch.randn(strategy.shape, generator=generator).mul_(tau**0.5 / math.log(2))
+    drifted = noise.exp2_() * strategy  # exp of so few numbers already goes to all threads
+    return drifted.clamp_(min=STRATEGY_MIN).minimum(_upper())
+
+
+@cache
+def _upper() -> Tensor:
+    """(S,) the most that each strategy parameter may be."""
+    upper = torch.full((len(STRATEGY),), PROBABILITY_MAX)
     upper[STRATEGY.index("sigma")] = SIGMA_MAX
-    return drifted.clamp_(min=STRATEGY_MIN).minimum(upper)
+    return upper

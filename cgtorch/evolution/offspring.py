@@ -13,6 +13,8 @@ from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs, compacted, concatenate, narrowed
 
+RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
+
 
 def offspring(
     population: Population,
@@ -41,19 +43,18 @@ def offspring(
         with their nodes in the first slots. There are as many slots as the largest may need,
         however many there could be.
     """
-    graphs, strategy = population.graphs, population.strategy.index_select(0, parents)
-    pairs = pairs_of(graphs, elite, parents, strategy, generator)
-    choices = choices_for(strategy, pairs.width, capacity, generator)
+    graphs, rows, first = population.graphs, torch.cat([elite, parents]), len(elite)
+    strategy = population.strategy.index_select(0, rows)
+    theirs = strategy[first:]
+    pairs = pairs_of(graphs, rows, first, theirs, generator)
+    choices = choices_for(theirs, pairs.width, capacity, generator)
     way = compiled.bred if compiled.takes(graphs, graphs.parameters) else bred
     children = way(graphs, elite, pairs, choices, actions)
-    rate, sigma = (
-        torch.cat([strategy.new_zeros(len(elite)), strategy[:, STRATEGY.index(name)]]).float()
-        for name in ("mutate_parameter", "sigma")
-    )
-    return Population(
-        changed(children, graphs.parameters, actions, rate, sigma, generator),
-        torch.cat([population.strategy[elite], drift(strategy, tau, generator)]),
-    )
+    rate, sigma = strategy[:, RATE].float().clone(), strategy[:, SIGMA].float()
+    rate[:first] = 0
+    made = changed(children, graphs.parameters, actions, rate, sigma, generator)
+    strategy[first:] = drift(theirs, tau, generator)
+    return Population(made, strategy)
 
 
 def bred(
