@@ -7,6 +7,9 @@ A scenario was in "W", in "M" or "new" when the skill was tried on it; `succeede
 went. Eq. 1a holds if none that was in W failed, eq. 1b if one that was in M succeeded. Noise is
 part of a scenario (`cgtorch.improvement.trial`), so this holds exactly. What it is worth when the
 same scenarios are met by other noise is counted beside it: `w_other_noise`.
+
+A stage whose skill misses fresh placements improves it again (`Setup.rounds`) and enters its last
+skill only. W is then what that had to keep: the stage's W and all that its own first skill solved.
 """
 
 import json
