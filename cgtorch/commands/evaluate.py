@@ -42,11 +42,10 @@ PICTURED = 24
 @run_or_skill
 @click.option(
     "--scenarios",
-    default="perimeter",
-    show_default=True,
     shell_complete=one_of(SCENARIOS),
     help="near, left, right, far or perimeter of the paper's table; general: any table, from any "
-    "side; general-clutter: half of them with a box in the way.",
+    "side; general-clutter: half of them with a box in the way.  [those of the run; perimeter for "
+    "a skill file]",
 )
 @click.option(
     "--count",
@@ -72,7 +71,7 @@ PICTURED = 24
 )
 @quiet_option
 @common_options
-def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **rest: Any) -> None:
+def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
     Of a run it also prints how often the skill succeeded where the run's models promise it, and
@@ -89,7 +88,8 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
-    skill, world_of, stage = _chosen(path, rest["name"], rest["actions"], scenarios)
+    chosen = _chosen(path, rest["name"], rest["actions"], rest["scenarios"])
+    skill, world_of, stage, scenarios = chosen
     quiet = rest["quiet"]
     with waiting(f"trying {skill.name} on {scenarios} scenarios", quiet, count) as done:
         score = evaluate_skill(skill, world_of, scenarios, count, seed, done)
@@ -131,23 +131,27 @@ def command(path: Path, scenarios: str, count: int, seed: int, as_json: bool, **
 
 
 def _chosen(
-    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str
-) -> tuple["Skill", "Callable[[Scenarios], TabletopWorld]", Path | None]:
-    """The skill to try, its world, and the folder of the stage that made it, if that is known."""
+    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None
+) -> tuple["Skill", "Callable[[Scenarios], TabletopWorld]", Path | None, str]:
+    """The skill to try, its world, the stage that made it, if that is known, and the scenarios."""
     from cgtorch.experiments.ledger import read_entry
     from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
+    from cgtorch.experiments.settings import RunSettings
     from cgtorch.kinematics import load_robot
     from cgtorch.world import LAB_NOISE
 
     if name is not None:
         run = open_run(path, actions)
         skill = read_entry(path, name, run.actions).skill
-        return skill, run.world_of, path / name if (path / name).is_dir() else None
+        stage = path / name if (path / name).is_dir() else None
+        return skill, run.world_of, stage, scenarios or run.settings.scenarios
     if path.is_file():
-        percept, skill = lone_skill(path, actions, scenarios)
-        return skill, tabletop_of(load_robot(), LAB_NOISE, percept), None
+        kind = scenarios or RunSettings.scenarios
+        percept, skill = lone_skill(path, actions, kind)
+        return skill, tabletop_of(load_robot(), LAB_NOISE, percept), None, kind
     run, skill = last_skill(path, actions)
-    return skill, run.world_of, path if (path / "skill.json").is_file() else path / run.stages[-1]
+    stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
+    return skill, run.world_of, stage, scenarios or run.settings.scenarios
 
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:

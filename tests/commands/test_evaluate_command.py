@@ -127,6 +127,19 @@ def test_tables_of_any_size(shell: Shell, trained: Trained) -> None:
     assert "'S1' reads percepts of 7 numbers, those of general-clutter have 11; use" in ended.err
 
 
+def test_scenarios_are_those_of_the_run_unless_others_are_named(
+    shell: Shell, trained: Trained, tmp_path: Path
+) -> None:
+    run = copied(trained, tmp_path / "run")
+    about = json.loads((run / "run.json").read_text())
+    for kind in ("perimeter", "general"):
+        about["settings"] |= {"scenarios": kind, "percept": "box"}
+        (run / "run.json").write_text(json.dumps(about))
+        ended = shell(EVALUATE, run, "--count", 2, "--json")
+        assert (ended.code, ended.err) == (0, "")
+        assert json.loads(ended.out)["scenarios"] == kind
+
+
 def test_a_picture_of_the_scenes(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     path = tmp_path / "scenes.png"
     words = (trained.folder, "--count", 3, "--scenarios", "general", "--picture")
