@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import click
+from benchmarks.cold_start import cold_start
 from benchmarks.gamma import gamma_ceiling
 from benchmarks.generation import overhead_share
 from benchmarks.grid import (
@@ -51,10 +52,11 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "overhead_share": overhead_share,
     "growth_10x": growth_10x,
     "padding": padding,
+    "cold_start": cold_start,
 }
 
-LONG = {"svc_grid_search_large", "svr_grid_search_large"}
-"""Lines that take minutes even with --quick, where they run only by name."""
+LONG = {"svc_grid_search_large", "svr_grid_search_large", "cold_start"}
+"""Lines that take a minute or more even with --quick, where they run only by name."""
 
 PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")
 
