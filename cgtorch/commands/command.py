@@ -1,9 +1,11 @@
 """What all commands share: options from a dataclass, and errors of one line."""
 
+import gc
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from types import FrameType, MappingProxyType
 from typing import Any, NoReturn, TypeVar
@@ -51,6 +53,20 @@ def import_from_here(specs: Sequence[str]) -> None:
     """Let "module:Class" name a module in the current folder, as `python -m` would."""
     if any(":" in spec for spec in specs) and "" not in sys.path:
         sys.path.insert(0, "")
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """For imports that take a second, a sixth of it collecting garbage that is none.
+
+    What has been loaded stays, so it is not looked at afterwards either.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def run_command(command: click.Command) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.command import import_from_here, importing, run_command
 from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     actions_option,
@@ -80,11 +80,12 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
     skill file, which is tried on the built-in PR2 with the default noise.
     """
-    import torch
+    with importing():
+        import torch
 
-    from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
-    from cgtorch.experiments.ledger import read_index
-    from cgtorch.experiments.storage import holds_models, load_knowledge
+        from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
+        from cgtorch.experiments.ledger import read_index
+        from cgtorch.experiments.storage import holds_models, load_knowledge
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])

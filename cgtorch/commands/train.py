@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands.command import import_from_here, options_of, run_command
+from cgtorch.commands.command import import_from_here, importing, options_of, run_command
 from cgtorch.commands.completion import DEVICES, STAGES, one_of, runs
 from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
 from cgtorch.errors import RunError, SettingsError
@@ -89,8 +89,9 @@ def command(context: click.Context, /, **options: Any) -> None:
     missed, round by round, until the target holds on fresh placements.
     """
     # Torch takes a second to import, so that help and usage errors come without it.
-    from cgtorch.commands.training import begin, carry_on
-    from cgtorch.ranks import together
+    with importing():
+        from cgtorch.commands.training import begin, carry_on
+        from cgtorch.ranks import together
 
     of_goal = {f.name for f in fields(Goal)}
     of_run = {f.name for f in fields(RunSettings)} - {"actions"}

@@ -49,10 +49,11 @@ def begin(
     """
     _check(stage, settings)
     where = device_of(device)
+    run = None
     if not (folder / "run.json").is_file() and ranks.first():
-        create_run(folder, settings, urdf, robot)
+        run = create_run(folder, settings, urdf, robot)
     ranks.wait()
-    run = open_run(folder, settings.actions)
+    run = run or open_run(folder, settings.actions)
     refuse_others(run, vars(settings), "choose another --run-dir")
     _train(run, settings, stage, goal, where, quiet, checkpoint_seconds)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.command import import_from_here, importing, run_command
 from cgtorch.commands.completion import SCENARIOS, one_of, runs_or_skills
 from cgtorch.commands.options import (
     actions_option,
@@ -80,10 +80,11 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     """
     if find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")
-    import torch
+    with importing():
+        import torch
 
-    from cgtorch.viewer.page import Wish, open_page, play_for_ever
-    from cgtorch.world import draw_of
+        from cgtorch.viewer.page import Wish, open_page, play_for_ever
+        from cgtorch.world import draw_of
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
