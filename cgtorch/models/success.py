@@ -117,7 +117,7 @@ class SuccessClassifier(nn.Module):
         return classifier_structure(machine, mean, scale, platt)
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """The numbers of machine (centres, weights, bias, γ), features (mean, scale) and Platt."""
+        """Centres (m, F), weights (m, 1), bias (1,), γ (), mean (F,), scale (F,), Platt's (2,)."""
         return *self.machine._machine, self.mean, self.scale, self.machine.platt
 
     def decision_function(self, percept: Tensor) -> Tensor:

@@ -106,7 +106,7 @@ class TransitionModel(nn.Module):
         return gamma_structure(machine, dict(zip(_NUMBERS, numbers, strict=True)))
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """All buffers: centres, weights, bias and γ of the machine, then those of the features."""
+        """Centres (m, 4), weights (m, 1), bias (1,) and γ () of the machine, then other buffers."""
         return *self.machine._machine, *(getattr(self, name) for name in _NUMBERS)
 
     def features(self, percept: Tensor) -> Tensor:
