@@ -18,7 +18,7 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## Install everything into .venv
 
-train: setup  ## Evolve a skill up to stage S2 (a few minutes)
+train: setup  ## Evolve a skill up to stage S2 (a minute)
 	$(BIN)/cgtorch-train --stage S2
 
 test: setup  ## Run all tests

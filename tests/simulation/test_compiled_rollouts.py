@@ -1,6 +1,7 @@
 """Compiled rollouts against the batched engine, which the plain interpreter checks."""
 
 import copy
+import itertools
 
 import pytest
 import reference
@@ -258,3 +259,34 @@ def test_percepts_that_are_not_numbers_end_as_in_torch() -> None:
         )
         for name in ("succeeded", "timed_out", "transitions"):
             assert torch.equal(getattr(found, name)[finite], getattr(wanted, name)[finite]), name
+
+
+def test_models_that_change_between_two_rollouts_are_looked_at_again() -> None:
+    """What compiled code knows of models is remembered, but not beyond any change of them."""
+    environment, some = random_models(3, 10, errors=True), torch.arange(10)
+    program = program_of(2, sets_for(7)[2], 60)
+
+    def check() -> Rollouts:
+        found = compiled_rollout(program, environment, some, 20, 400)
+        assert_same(found, rollout_in_torch(program, environment, some, 20, 400))
+        assert found is not None
+        return found
+
+    seen = [check(), check()]
+    assert equal(*seen)
+    gamma = environment.gamma.__self__  # type: ignore[attr-defined]
+    classifier = environment.classifier
+    assert environment.errors is not None
+    environment.errors *= -3  # in place
+    seen.append(check())
+    gamma.most = gamma.most * 0.01  # another tensor
+    seen.append(check())
+    classifier.machine.weights.neg_()
+    environment.first_state[:, 2] = classifier(environment.percepts)
+    seen.append(check())
+    environment.most_novel = 2.0
+    seen.append(check())
+    environment.percepts = environment.percepts + 0.05
+    seen.append(check())
+    changed = [not equal(a, b) for a, b in itertools.pairwise(seen[1:])]
+    assert all(changed), changed
