@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 
+from cgtorch import native
 from cgtorch.errors import CgtorchError
 from hostile.formats import FORMATS, prepare
 from hostile.mutations import CANARY, damaged
@@ -74,6 +75,8 @@ def main(name: str, seed: int, first: int, end: int, folder: Path) -> None:
     """Read the inputs from `first` up to `end`."""
     torch.set_num_threads(1)
     sys.dont_write_bytecode = True
+    for dtype in (torch.float32, torch.float64):  # a file's numbers say which, the first compiles
+        native.function("rbf_values", dtype)
     kind, run = FORMATS[name], folder / "run"
     actions = prepare(run)
     sources, path = kind.sources(run, actions), run / kind.file
