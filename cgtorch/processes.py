@@ -5,7 +5,10 @@ process has all data at once and one thread inside torch, as PyTorch's own data 
 """
 
 import multiprocessing
+import os
 import pickle
+import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -77,6 +80,14 @@ def _begin(work: Callable[[int], Any]) -> None:
     torch.set_num_threads(1)
     native.use_threads(1)
     _work, _forked = work, True
+    threading.Thread(target=_follow, args=(os.getppid(),), daemon=True).start()
+
+
+def _follow(parent: int) -> None:
+    """End with the parent, which may be killed and tell nobody."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)
 
 
 def _call(number: int) -> bytes:
