@@ -60,7 +60,8 @@ def in_processes(
             keep(number, work(number))
         return list(results.values())
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(processes, times), context, _begin, (work,)) as pool:
+    about = work, os.getpid()
+    with ProcessPoolExecutor(min(processes, times), context, _begin, about) as pool:
         numbers = {pool.submit(_call, number): number for number in range(times)}
         try:
             for sent in as_completed(numbers):
@@ -75,12 +76,12 @@ def in_processes(
     return [results[number] for number in range(times)]
 
 
-def _begin(work: Callable[[int], Any]) -> None:
+def _begin(work: Callable[[int], Any], parent: int) -> None:
     global _work, _forked
     torch.set_num_threads(1)
     native.use_threads(1)
     _work, _forked = work, True
-    threading.Thread(target=_follow, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_follow, args=(parent,), daemon=True).start()
 
 
 def _follow(parent: int) -> None:

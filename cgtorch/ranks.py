@@ -12,14 +12,20 @@ all ranks where there is one island. Rows of an island are shared out within its
 """
 
 import os
+import time
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import cache
 
 import torch
 import torch.distributed
 from torch import Tensor
+from torch.distributed.constants import default_pg_timeout
+from torch.distributed.distributed_c10d import PrefixStore, Store
+from torch.distributed.rendezvous import rendezvous
 
 
 @contextmanager
@@ -32,12 +38,44 @@ def together() -> Iterator[None]:
         yield
         return
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
-    torch.distributed.init_process_group(backend)
+    store, rank, size = next(rendezvous("env://"))
+    mine = PrefixStore(name_of_start(store, rank, size), store)
+    torch.distributed.init_process_group(backend, store=mine, rank=rank, world_size=size)
     try:
         yield
     finally:
         _groups.cache_clear()
         torch.distributed.destroy_process_group()
+
+
+def name_of_start(store: Store, rank: int, size: int) -> str:
+    """What this start of all ranks is called, on each of them: as no start before.
+
+    After a restart torchrun keeps the store with what the ranks before have left in it, their
+    addresses among it, so ranks of now would look for those of then and never meet
+    (https://github.com/pytorch/pytorch/issues/135712). How often it has restarted is no name, as
+    each machine counts for itself. So every rank makes a word up, and all are agreed as soon as
+    each has seen the words of all others: words from before are not seen by everyone.
+
+    Raises:
+        torch.distributed.DistStoreError: a rank has not come within the time torch allows.
+    """
+    latest = time.monotonic() + default_pg_timeout.total_seconds()
+    store.set(f"word of {rank}", uuid.uuid4().hex)
+    while True:
+        words = store.multi_get([f"word of {each}" for each in range(size)])
+        name = uuid.uuid5(uuid.NAMESPACE_OID, b" ".join(words).decode()).hex
+        store.set(f"{name} seen by {rank}", "")
+        try:
+            store.wait([f"{name} seen by {each}" for each in range(size)], LOOK_AGAIN)
+        except torch.distributed.DistStoreError:
+            if time.monotonic() > latest:
+                raise
+        else:
+            return name
+
+
+LOOK_AGAIN = timedelta(seconds=0.1)
 
 
 def cores() -> int:

@@ -1,10 +1,24 @@
 """Settings shared by every test."""
 
+from collections.abc import Iterator
+
 import hypothesis
+import pytest
 import torch
+
+from cgtorch import native
 
 torch.set_num_threads(1)
 hypothesis.settings.register_profile(
     "cgtorch", deadline=None, derandomize=True, print_blob=True, max_examples=50
 )
 hypothesis.settings.load_profile("cgtorch")
+
+
+@pytest.fixture(autouse=True)
+def threads_as_before() -> Iterator[None]:
+    """A command that was called in this process keeps its threads until the process ends."""
+    before = torch.get_num_threads(), native.use_threads(0)
+    yield
+    torch.set_num_threads(before[0])
+    native.use_threads(before[1])

@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import islands_on_ranks
 import pytest
 import torch
 from islands_on_ranks import everything
+from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
 
 from cgtorch import ranks
@@ -56,6 +59,22 @@ with ranks.together():
 """
 
 
+RESTARTED = """
+import os, signal, sys
+import torch
+from cgtorch import ranks
+
+with ranks.together():
+    if int(os.environ["TORCHELASTIC_RESTART_COUNT"]) < 2:
+        ranks.wait()
+        if ranks.first():
+            os.kill(os.getpid(), signal.SIGKILL)
+        ranks.wait()
+    if ranks.first():
+        print("met again")
+"""
+
+
 def torchrun(count: int, *words: str) -> str:
     """What so many ranks print."""
     program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
@@ -68,6 +87,24 @@ def torchrun(count: int, *words: str) -> str:
     )
     assert ended.returncode == 0, ended.stderr[-3000:]
     return ended.stdout + ended.stderr
+
+
+def test_ranks_that_were_started_again_meet(tmp_path: Path) -> None:
+    script = tmp_path / "restarted.py"
+    script.write_text(RESTARTED)
+    assert "met again" in torchrun(3, "--max-restarts=2", str(script))
+
+
+def test_no_start_of_ranks_is_called_as_one_before() -> None:
+    store = HashStore()
+    names = [ranks.name_of_start(store, 0, 1) for _ in range(3)]
+    assert len(set(names)) == 3
+    store.set("word of 1", "left by a rank that is gone")
+    with ThreadPoolExecutor(3) as pool:
+        late = pool.submit(ranks.name_of_start, store, 0, 3)
+        time.sleep(0.3)
+        others = [pool.submit(ranks.name_of_start, store, rank, 3) for rank in (1, 2)]
+        assert len({each.result(30) for each in [late, *others]} - set(names)) == 1
 
 
 def test_alone_everything_is_ones_own() -> None:

@@ -37,6 +37,7 @@ FITNESS = ("fitness/best", "fitness/mean", "solved/W", "solved/M")
 def command(folder: Path, kills: int, stage: str, seed: int) -> None:
     """Kill a training at random moments and compare it with one left alone."""
     draw = random.Random(seed)  # noqa: S311  of moments, not of secrets
+    shutil.rmtree(folder / "alone", ignore_errors=True)
     began = time.monotonic()
     train(folder / "alone", stage, seed)
     usual = time.monotonic() - began

@@ -53,7 +53,7 @@ def beginning(run: Run, watch: Watch, working: Working) -> Progress[Scenarios]:
         return quality, fresh_labels(world_of, count, generator, domain)
 
     began = time.perf_counter()
-    with working("fitting the transition model and the success classifier, trying the former"):
+    with working("fitting both models, trying the transition model"):
         # Several ranks share out grasps, which forked processes cannot.
         alone = ranks.count() > 1
         knowledge, (quality, labels) = fit_models_meanwhile(dataset, settings.seed, fresh, alone)

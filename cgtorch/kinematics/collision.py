@@ -118,6 +118,8 @@ def _collide_compiled(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) 
     given = [start, end, radius, boxes.centre, boxes.rotation, boxes.half]
     if call is None or start.dtype != torch.float32 or not suits(*given):
         return None
+    if len(boxes.half) not in (1, len(start)):
+        return None
     given = [x.contiguous() for x in given]
     hit = torch.empty(len(start), dtype=torch.bool)
     task = structures(torch.float32).Collision(

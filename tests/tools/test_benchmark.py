@@ -110,7 +110,7 @@ def test_results_are_compared_by_their_range() -> None:
 
 
 def test_threads_are_as_before_afterwards() -> None:
-    before = torch.get_num_threads()
+    before, compiled = torch.get_num_threads(), native.threads()
     with torch_threads(2):
         assert torch.get_num_threads() == 2
     assert torch.get_num_threads() == before
@@ -119,4 +119,4 @@ def test_threads_are_as_before_afterwards() -> None:
         with run_threads(2):
             assert native.threads() == 2
         assert (torch.get_num_threads(), native.threads()) == (1, 3)
-    assert (torch.get_num_threads(), native.threads()) == (before, before)
+    assert (torch.get_num_threads(), native.threads()) == (before, compiled)
