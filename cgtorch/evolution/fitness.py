@@ -91,7 +91,8 @@ def evaluate(
         ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
         for column in zip(*parts, strict=True)
     )
-    if lost := p - int(finite.sum()):
+    lost = 0 if finite.all() else p - int(finite.sum())
+    if lost:
         scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
     # The mean of all at once: that of some rows may round otherwise.
     return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()), lost)

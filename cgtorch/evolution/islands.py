@@ -57,7 +57,7 @@ class Tried:
     def best(self, count: int) -> "Tried":
         """The best of them; of equal fitness the smaller graph first."""
         rows = ranking(self.fitness, self.population.graphs.num_nodes)[:count]
-        return Tried.of([values[rows] for values in self.tensors()])
+        return Tried.of([values.index_select(0, rows) for values in self.tensors()])
 
     def widened(self, nodes: int) -> "Tried":
         """The same with so many slots, as those have that others are to take over."""

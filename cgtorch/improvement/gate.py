@@ -1,7 +1,10 @@
 """Branching by gradient: from the first percept to a sub-skill that solves the scenario."""
 
+import math
+
 import torch
 from torch import Generator, Tensor
+from torch.optim.adam import adam  # the class imports a compiler, which takes one second
 
 from cgtorch.actions import BranchingNN
 from cgtorch.actions.networks import one_hidden_layer
@@ -52,21 +55,28 @@ def _descend(
     blur: Tensor,
     generator: Generator,
 ) -> Tensor:
-    """(RESTARTS, M - 1, K) parameters, by Adam from as many random starts side by side."""
+    """(RESTARTS, M - 1, K) parameters, by Adam from as many random starts side by side.
+
+    Steps grow smaller as half a cosine (Loshchilov & Hutter, "SGDR", ICLR 2017).
+    """
     shape = (RESTARTS, solves.shape[1] - 1, branch.num_parameters)
     parameters = torch.randn(shape, generator=generator).requires_grad_()
-    optimiser = torch.optim.Adam([parameters], lr=RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS)
-    log_solves = solves.clamp_min(1e-6).log()
-    for _ in range(EPOCHS):
+    mean, square, steps = torch.zeros(shape), torch.zeros(shape), torch.zeros(())
+    log_solves, rate = solves.clamp_min(1e-6).log(), RATE
+    for epoch in range(EPOCHS):
         noisy = x + torch.randn(x.shape, generator=generator) * blur
         chosen = _log_chosen(branch, parameters, noisy)
         reached = torch.logsumexp(chosen + log_solves, -1)
         loss = -(weight * reached).sum() / weight.sum().clamp_min(1)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
+        gradient = torch.autograd.grad(loss, parameters)
+        with torch.no_grad():
+            adam(
+                [parameters], list(gradient), [mean], [square], [], [steps], foreach=False,
+                amsgrad=False, beta1=0.9, beta2=0.999, lr=rate, weight_decay=0, eps=1e-8,
+                maximize=False,
+            )  # fmt: skip
+        turn = math.pi / EPOCHS
+        rate *= (1 + math.cos(turn * (epoch + 1))) / (1 + math.cos(turn * epoch))
     return parameters.detach()
 
 

@@ -121,7 +121,8 @@ def compiled_evaluation(
     call = function("evaluations", program.parameters.dtype, POINTER, WHOLE)
     if call is None or keep.device.type != "cpu":
         return None
-    order = (~keep).long().argsort(stable=True)
+    kept = keep.tolist()
+    order = torch.tensor(sorted(range(len(kept)), key=lambda i: not kept[i]), dtype=torch.long)
     task = _task(program, environment, order, max_transitions, max_steps, ticks)
     if task is None:
         return None
@@ -131,7 +132,7 @@ def compiled_evaluation(
     finite, transitions = torch.empty(p, dtype=torch.bool), torch.empty(p, dtype=torch.long)
     made = (score, succeeded, finite, transitions)
     evaluation = structures(score.dtype).Evaluation(
-        task.structure, int(keep.sum()), *(x.data_ptr() for x in made)
+        task.structure, sum(kept), *(x.data_ptr() for x in made)
     )
     if call(ctypes.addressof(evaluation), threads()):
         raise MemoryError(NO_MEMORY.format(b))

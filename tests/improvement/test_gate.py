@@ -11,6 +11,7 @@ from torch import Tensor
 
 from cgtorch.actions import BranchingNN
 from cgtorch.environment import start_lanes
+from cgtorch.improvement import gate
 from cgtorch.improvement.gate import _unscaled, sent_to, train_branches
 
 BRANCH = BranchingNN()
@@ -111,3 +112,24 @@ def test_sent_to_is_what_the_branches_say_in_turn(seed: int, count: int, size: f
         _, outcome = BRANCH(lanes, parameters[i].expand(20, -1), everywhere)
         expected = [i if o == 0 else e for o, e in zip(outcome.tolist(), expected, strict=True)]
     assert sent_to(BRANCH, parameters, seen).tolist() == expected
+
+
+def test_the_descent_is_that_of_the_optimiser() -> None:
+    """Step for step what `torch.optim.Adam` comes to, with its cosine schedule."""
+    x, solves = percepts(30, 8), torch.rand(30, 3, generator=seeded(9))
+    weight, blur = torch.ones(30), torch.full((7,), gate.BLUR)
+    found = gate._descend(BRANCH, x, solves, weight, blur, seeded(10))
+    generator = seeded(10)
+    shape = (gate.RESTARTS, 2, BRANCH.num_parameters)
+    parameters = torch.randn(shape, generator=generator).requires_grad_()
+    optimiser = torch.optim.Adam([parameters], lr=gate.RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, gate.EPOCHS)
+    for _ in range(gate.EPOCHS):
+        noisy = x + torch.randn(x.shape, generator=generator) * blur
+        chosen = gate._log_chosen(BRANCH, parameters, noisy)
+        reached = torch.logsumexp(chosen + solves.clamp_min(1e-6).log(), -1)
+        optimiser.zero_grad()
+        (-(weight * reached).sum() / weight.sum()).backward()
+        optimiser.step()
+        schedule.step()
+    assert torch.equal(found, parameters.detach())
