@@ -26,6 +26,23 @@ CHUNK = 16_384
 
 
 @dataclass(frozen=True)
+class ChainTable:
+    """The frames of a chain in order, each in the one before, as compiled code reads them.
+
+    Attributes:
+        offset: (F, 3, 4) upper rows of poses before a joint moves; the first in the base frame.
+        axis: (F, 3) of each frame's joint.
+        kind: (F,) long, 0 where a frame's joint is fixed, 1 where it turns, 2 where it slides.
+        joint: (F,) long, which of the joints that move it is, or -1.
+    """
+
+    offset: Tensor
+    axis: Tensor
+    kind: Tensor
+    joint: Tensor
+
+
+@dataclass(frozen=True)
 class ArmModel:
     """One arm, ready for batched forward and inverse kinematics.
 
@@ -53,6 +70,9 @@ class ArmModel:
     _xml: bytes
     _links: tuple[str, str]
     _chains: dict[tuple[torch.dtype, torch.device], Any] = field(default_factory=dict, repr=False)
+    _tables: dict[tuple[torch.dtype, torch.device], ChainTable] = field(
+        default_factory=dict, repr=False
+    )
 
     def chain(self, like: Tensor) -> Any:
         """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor (...)."""
@@ -62,6 +82,24 @@ class ArmModel:
             chain = pytorch_kinematics.build_serial_chain_from_urdf(self._xml, tip, base)
             self._chains[key] = chain.to(dtype=like.dtype, device=like.device)
         return self._chains[key]
+
+    def chain_table(self, like: Tensor) -> ChainTable:
+        """The chain as a table on the device and in the dtype of a tensor (...)."""
+        key = (like.dtype, like.device)
+        if key not in self._tables:
+            chain = self.chain(like)
+            unmoved = torch.eye(4).to(like)
+            pairs = zip(chain.link_offsets, chain.joint_offsets, strict=True)
+            offsets = [
+                (unmoved if link is None else link) @ (unmoved if joint is None else joint)
+                for link, joint in pairs
+            ]
+            offset = torch.stack([each.view(4, 4) for each in offsets])
+            offset[0] = self.mount.to(like) @ offset[0]
+            kind, joint = chain.joint_type_indices, chain.joint_indices
+            axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]
+            self._tables[key] = ChainTable(offset[:, :3].contiguous(), axis, kind, joint)
+        return self._tables[key]
 
     def frames(self, q: Tensor) -> Tensor:
         """Poses of every frame of the chain in the robot's base frame.

@@ -16,8 +16,8 @@ SHOULDER_JOINTS = 3
 """Links that hang from fewer joints than this, or as many, are held off the body by joint limits
 and by being built beside it; only the table can stop them."""
 
-_BISECTIONS = 8
-_ROUNDING = 1e-5
+BISECTIONS = 8
+ROUNDING = 1e-5
 WORTH_SHARING = 512
 """Postures that are worth one more thread: about a quarter of a millisecond."""
 MAX_FLATNESS = 500  # of a box: beyond it would be too many capsules
@@ -124,7 +124,7 @@ def _collide_compiled(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) 
     hit = torch.empty(len(start), dtype=torch.bool)
     task = structures(torch.float32).Collision(
         *(x.data_ptr() for x in given), *start.shape[:2], boxes.half.shape[-2],
-        len(boxes.half) == 1, _BISECTIONS, _ROUNDING, hit.data_ptr(),
+        len(boxes.half) == 1, BISECTIONS, ROUNDING, hit.data_ptr(),
     )  # fmt: skip
     call(ctypes.addressof(task), max(1, min(threads(), len(start) // WORTH_SHARING)))
     return hit
@@ -156,7 +156,7 @@ def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
         axis = boxes.rotation[:, None, :, :, i]
         along = axis[..., 0] * x + axis[..., 1] * y + axis[..., 2] * z
         away = away + (along.abs() - boxes.half[:, None, :, i]).clamp_min(0).square()
-    return away <= (reach * (1 + _ROUNDING)).square()[:, :, None]
+    return away <= (reach * (1 + ROUNDING)).square()[:, :, None]
 
 
 def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
@@ -176,7 +176,7 @@ def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
     along = b - a
     low = torch.zeros_like((along + half)[..., 0])
     high = torch.ones_like(low)
-    for _ in range(_BISECTIONS):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
         outside = _outside(a + middle[..., None] * along, half)
         rising = (outside * along).sum(-1) > 0

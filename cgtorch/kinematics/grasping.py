@@ -13,8 +13,9 @@ from torch import Tensor
 
 from cgtorch.errors import RobotError
 from cgtorch.kinematics.arm import ArmModel
-from cgtorch.kinematics.collision import SHOULDER_JOINTS, Boxes, collide, rectangles_overlap
+from cgtorch.kinematics.collision import Boxes, rectangles_overlap
 from cgtorch.kinematics.robot import Robot
+from cgtorch.kinematics.touching import touches
 
 GRASP_HEIGHT = 0.05
 """The grasp point above the table top, m: the middle of an object 0.10 m high."""
@@ -28,8 +29,6 @@ MAX_STEP = 0.6
 """How far a joint may move between waypoints 0.05 m apart, rad or m."""
 _CHUNK = 2048
 _GROUP = 256
-_POSTURES = 2048
-"""Postures tried for collision at a time: more fall out of the processor's cache."""
 _FEW, _SPARSE = 16, 8
 """Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
 
@@ -213,31 +212,6 @@ def _first_of_each(row: Tensor) -> Tensor:
 
 def _rows(boxes: Boxes, row: Tensor | slice) -> Boxes:
     return Boxes(boxes.centre[row], boxes.rotation[row], boxes.half[row])
-
-
-def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """Whether an arm touches the table or the robot's own body.
-
-    Args:
-        arm: The arm.
-        q: (B, n) joint positions.
-        slab: The table of each row, (B, 1, ...).
-        body: The robot's own boxes, (N, ...).
-
-    Returns:
-        (B,) bool.
-    """
-    capsules = arm.capsules.to(q)
-    loose = capsules.joints > SHOULDER_JOINTS
-    body = Boxes(body.centre[None], body.rotation[None], body.half[None])
-    hit = torch.zeros(len(q), dtype=torch.bool, device=q.device)
-    for first in range(0, len(q), _POSTURES):
-        part = slice(first, first + _POSTURES)
-        start, end = capsules.placed(arm.frames(q[part]))
-        hit[part] = collide(start, end, capsules.radius, _rows(slab, part)) | collide(
-            start[:, loose], end[:, loose], capsules.radius[loose], body
-        )
-    return hit
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:

@@ -1,6 +1,8 @@
-/* Whether capsules touch boxes (cgtorch.kinematics.collision), posture after posture. */
+/* Whether capsules touch boxes, and arms their table and body (cgtorch.kinematics), posture after
+   posture. */
 #include "parallel.h"
 #include <math.h>
+#include <stddef.h>
 
 typedef REAL real;
 
@@ -43,13 +45,9 @@ static real squared_distance(const real *a, const real *along, const real *half,
   return least;
 }
 
-static int touches(const Collision *c, int64_t row, int64_t capsule, int64_t box) {
-  const real *start = c->start + (row * c->capsules + capsule) * 3;
-  const real *end = c->end + (row * c->capsules + capsule) * 3;
-  int64_t which = (c->same ? 0 : row) * c->boxes + box;
-  const real *half = c->half + which * 3, *turn = c->rotation + which * 9;
-  const real *centre = c->centre + which * 3;
-  real radius = c->radius[capsule], a[3], along[3], away = 0, length = 0;
+static int touches(const Collision *c, const real *start, const real *end, real radius, int64_t box) {
+  const real *half = c->half + box * 3, *turn = c->rotation + box * 9, *centre = c->centre + box * 3;
+  real a[3], along[3], away = 0, length = 0;
   for (int i = 0; i < 3; i++) {
     a[i] = along[i] = 0;
     for (int j = 0; j < 3; j++) {
@@ -65,18 +63,108 @@ static int touches(const Collision *c, int64_t row, int64_t capsule, int64_t box
   return away <= reach * reach && squared_distance(a, along, half, c->bisections) < radius * radius;
 }
 
+/* Whether any of a row's capsules that `which` has (all without it) touches any of its boxes. */
+static int any_touches(const Collision *c, int64_t row, const real *start, const real *end,
+                       const unsigned char *which) {
+  int64_t first = (c->same ? 0 : row) * c->boxes;
+  for (int64_t box = first; box < first + c->boxes; box++)
+    for (int64_t i = 0; i < c->capsules; i++)
+      if ((!which || which[i]) && touches(c, start + i * 3, end + i * 3, c->radius[i], box)) return 1;
+  return 0;
+}
+
 static void some_postures(void *what, int64_t begin, int64_t end) {
   const Collision *c = what;
   for (int64_t row = begin; row < end; row++) {
-    int hit = 0;
-    for (int64_t box = 0; box < c->boxes && !hit; box++)
-      for (int64_t capsule = 0; capsule < c->capsules && !hit; capsule++)
-        hit = touches(c, row, capsule, box);
-    c->hit[row] = (unsigned char)hit;
+    int64_t first = row * c->capsules * 3;
+    c->hit[row] = (unsigned char)any_touches(c, row, c->start + first, c->end + first, NULL);
   }
 }
 
 int collide(Collision *c, int64_t threads) {
   in_parallel(some_postures, c, c->postures, 256, threads);
+  return 0;
+}
+
+/* ---- Arms ---- */
+
+#define MOST_FRAMES 64
+#define MOST_CAPSULES 256
+
+enum { FIXED, TURNS, SLIDES };
+
+/* A chain of frames, each in the one before and moved by a joint. Poses are rows of (3, 4). */
+typedef struct {
+  const real *offset, *axis;   /* (F, 3, 4), the first in the robot's base; (F, 3) of joints */
+  const int64_t *kind, *joint; /* (F,) kind and column of each frame's joint */
+  int64_t frames, joints;
+} Chain;
+
+typedef struct {
+  Chain chain;
+  Collision table, body;       /* without starts, ends and hits */
+  const real *q, *start, *end; /* (B, joints); (C, 3) and (C, 3) in frames */
+  const int64_t *frame;        /* (C,) that capsules move with */
+  const unsigned char *loose;  /* (C,) capsules that can touch the body */
+  unsigned char *hit;          /* (B,) */
+} Arms;
+
+/* a b, where what is below their rows is 0 0 0 1. */
+static inline void product(const real *a, const real *b, real *out) {
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 4; j++)
+      out[i * 4 + j] = a[i * 4] * b[j] + a[i * 4 + 1] * b[4 + j] + a[i * 4 + 2] * b[8 + j] +
+                       (j == 3 ? a[i * 4 + 3] : 0);
+}
+
+/* The pose that a joint at `q` gives what it moves: Rodrigues' formula, or a shift. */
+static inline void moved(int64_t kind, const real *axis, real q, real *out) {
+  real sine = kind == TURNS ? (real)sin((double)q) : 0, cosine = kind == TURNS ? (real)cos((double)q) : 1;
+  real x = axis[0], y = axis[1], z = axis[2], rest = 1 - cosine, shift = kind == SLIDES ? q : 0;
+  const real pose[12] = {
+      cosine + rest * x * x,   rest * x * y - sine * z, rest * x * z + sine * y, shift * x,
+      rest * x * y + sine * z, cosine + rest * y * y,   rest * y * z - sine * x, shift * y,
+      rest * x * z - sine * y, rest * y * z + sine * x, cosine + rest * z * z,   shift * z};
+  for (int i = 0; i < 12; i++) out[i] = pose[i];
+}
+
+static void poses_of(const Chain *chain, const real *q, real poses[][12]) {
+  for (int64_t f = 0; f < chain->frames; f++) {
+    real local[12], joint[12];
+    const real *offset = chain->offset + f * 12, *here = offset;
+    if (chain->kind[f] != FIXED) {
+      moved(chain->kind[f], chain->axis + f * 3, q[chain->joint[f]], joint);
+      product(offset, joint, local);
+      here = local;
+    }
+    if (f) product(poses[f - 1], here, poses[f]);
+    else
+      for (int i = 0; i < 12; i++) poses[f][i] = here[i];
+  }
+}
+
+static inline void placed(const real *pose, const real *point, real *out) {
+  for (int i = 0; i < 3; i++)
+    out[i] = pose[i * 4] * point[0] + pose[i * 4 + 1] * point[1] + pose[i * 4 + 2] * point[2] +
+             pose[i * 4 + 3];
+}
+
+static void some_arms(void *what, int64_t begin, int64_t end) {
+  const Arms *a = what;
+  real poses[MOST_FRAMES][12], starts[MOST_CAPSULES * 3], ends[MOST_CAPSULES * 3];
+  for (int64_t row = begin; row < end; row++) {
+    poses_of(&a->chain, a->q + row * a->chain.joints, poses);
+    for (int64_t i = 0; i < a->table.capsules; i++) {
+      const real *pose = poses[a->frame[i]];
+      placed(pose, a->start + i * 3, starts + i * 3);
+      placed(pose, a->end + i * 3, ends + i * 3);
+    }
+    a->hit[row] = (unsigned char)(any_touches(&a->table, row, starts, ends, NULL) ||
+                                  any_touches(&a->body, row, starts, ends, a->loose));
+  }
+}
+
+int arms_touch(Arms *arms, int64_t threads) {
+  in_parallel(some_arms, arms, arms->table.postures, 256, threads);
   return 0;
 }

@@ -16,6 +16,7 @@ WIDTH = {torch.float32: 16, torch.float64: 8}
 MOST_FEATURES, MOST_OUTPUTS, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DEPTH = (
     64, 16, 64, 16, 64, 16,
 )  # fmt: skip
+MOST_FRAMES, MOST_CAPSULES = 64, 256
 """What the C sources have room for; what is larger runs in torch."""
 
 
@@ -74,7 +75,18 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         postures=WHOLE, capsules=WHOLE, boxes=WHOLE, same=WHOLE, bisections=WHOLE,
         rounding=ctypes.c_double, hit=POINTER,
     )  # fmt: skip
+    chain = structure(
+        "Chain",
+        offset=POINTER, axis=POINTER, kind=POINTER, joint=POINTER, frames=WHOLE, joints=WHOLE,
+    )  # fmt: skip
+    arms = structure(
+        "Arms",
+        chain=chain, table=collision, body=collision, q=POINTER, start=POINTER, end=POINTER,
+        frame=POINTER, loose=POINTER, hit=POINTER,
+    )  # fmt: skip
     return SimpleNamespace(
+        Arms=arms,
+        Chain=chain,
         Collision=collision,
         Tables=tables,
         Evaluation=evaluation,

@@ -13,7 +13,8 @@ from torch import Generator, Tensor
 
 from cgtorch.kinematics import ArmModel, Robot
 from cgtorch.kinematics.collision import Boxes
-from cgtorch.kinematics.grasping import table_slab, touches
+from cgtorch.kinematics.grasping import table_slab
+from cgtorch.kinematics.touching import touches
 
 SAMPLES, TRIED = 16_384, 512
 APART = 4

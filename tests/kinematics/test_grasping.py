@@ -5,7 +5,8 @@ import torch
 
 from cgtorch.errors import RobotError
 from cgtorch.kinematics import grasp_solution, graspable, grasping
-from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches, waypoints
+from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, waypoints
+from cgtorch.kinematics.touching import touches
 
 HEIGHT = 0.74
 

@@ -14,7 +14,8 @@ import torch
 from test_grasping import random_scene
 
 from cgtorch.kinematics import graspable
-from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, touches
+from cgtorch.kinematics.grasping import APPROACHES, MAX_STEP, table_slab
+from cgtorch.kinematics.touching import touches
 
 PANS = 72
 

@@ -3,7 +3,8 @@ from itertools import pairwise
 import torch
 
 from cgtorch.kinematics import grasp_solution, load_robot
-from cgtorch.kinematics.grasping import table_slab, touches
+from cgtorch.kinematics.grasping import table_slab
+from cgtorch.kinematics.touching import touches
 from cgtorch.viewer.postures import FINE, rest_postures, way_to
 
 ROBOT = load_robot()

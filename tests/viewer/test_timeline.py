@@ -8,7 +8,8 @@ from torch import Tensor
 
 from cgtorch.experiments.run import Run, last_skill
 from cgtorch.graphs import Skill
-from cgtorch.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab, touches
+from cgtorch.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
+from cgtorch.kinematics.touching import touches
 from cgtorch.viewer.execution import execute
 from cgtorch.viewer.postures import rest_postures
 from cgtorch.viewer.timeline import DRIVE, FPS, SWING, TURN, Timeline, joint_names, timeline_of
