@@ -31,6 +31,7 @@ from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from benchmarks.operators import operators_vs_networkx
 from benchmarks.rollouts import paper_way, strong_cpu, tensor_way
+from benchmarks.touching import touching
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -52,6 +53,7 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "overhead_share": overhead_share,
     "growth_10x": growth_10x,
     "padding": padding,
+    "touching": touching,
     "cold_start": cold_start,
 }
 

@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 import click
-
 from kill_and_resume import SMALL, told, train
 
 PATIENCE = 20.0  # times what one process takes

@@ -68,7 +68,8 @@ def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Ten
         return None
     capsules, chain = arm.capsules.to(q), arm.chain_table(q)
     count, frames = len(capsules.radius), len(chain.kind)
-    if frames > MOST_FRAMES or count > MOST_CAPSULES or len(slab.half) != len(q):
+    shapes = len(slab.half), q.shape[1]
+    if frames > MOST_FRAMES or count > MOST_CAPSULES or shapes != (len(q), len(arm.joint_names)):
         return None
     given = [x.contiguous() for x in (q, *boxes, capsules.start, capsules.end, capsules.radius)]
     q, *boxes, start, end, radius = given

@@ -16,12 +16,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from benchmarks import paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
 from benchmarks.generation import INSIDE, MODELS, PARTS, generation_split, logger, rollout_parts
-from benchmarks.measure import DisagreementError
+from benchmarks.measure import DisagreementError, Effort
 from benchmarks.networkx_operators import individuals, kinds_of
 from benchmarks.operators import apart, as_graphs, children, networkx_children, statistics_of
 from benchmarks.plain_models import PlainModels, plain_models
 from benchmarks.rollouts import alike, taken
 from benchmarks.tensor_way import tensor_rollout
+from benchmarks.touching import touching
 from benchmarks.workload import Workload, first_population, workload_of
 
 from cgtorch.experiments.progress import load_progress
@@ -155,6 +156,12 @@ def test_a_generation_is_split_into_all_its_parts() -> None:
     parts = rollout_parts(work(), population, keep)
     assert len(parts) == len(INSIDE)
     assert sum(parts) > 0
+
+
+def test_postures_are_said_to_touch_alike() -> None:
+    line = touching(Effort(repeats=5, size=0.05))
+    assert [part.label for part in line.parts] == ["pr2, 200 postures", "fetch, 200 postures"]
+    assert all(part.difference == 0 and part.ratio > 0 for part in line.parts)
 
 
 def test_more_room_changes_no_result() -> None:
