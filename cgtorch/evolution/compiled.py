@@ -40,12 +40,18 @@ _TYPES: dict[str, tuple[Any, ...]] = {
 }
 
 
-def takes(graphs: Graphs, parameters: Tensor) -> bool:
-    """Whether graphs, and parameters of such a type, are worked on by compiled operators."""
+def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
+    """Whether graphs, and parameters of such a type, are worked on by compiled operators.
+
+    Args:
+        graphs: P of them.
+        parameters: theirs.
+        slots: of what comes out, if it may be more than they have.
+    """
     _, n, o = graphs.edges.shape
     whole = graphs.action, graphs.edges, graphs.start
     return (
-        n <= MOST_NODES
+        max(n, slots) <= MOST_NODES
         and o <= MOST_OUTCOMES
         and all(x.device.type == "cpu" and x.dtype == torch.long for x in whole)
         and _function("parameters_of", parameters.dtype) is not None

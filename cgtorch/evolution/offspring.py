@@ -11,7 +11,7 @@ from cgtorch.evolution.mutation import TAU, drift
 from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.structure import restructured
-from cgtorch.graphs import Graphs, compacted, concatenate, narrowed
+from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
 
 RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
@@ -48,7 +48,8 @@ def offspring(
     theirs = strategy[first:]
     pairs = pairs_of(graphs, rows, first, theirs, generator)
     choices = choices_for(theirs, pairs.width, capacity, generator)
-    way = compiled.bred if compiled.takes(graphs, graphs.parameters) else bred
+    slots = choices.width
+    way = compiled.bred if compiled.takes(graphs, graphs.parameters, slots) else bred
     children = way(graphs, elite, pairs, choices, actions)
     rate, sigma = strategy[:, RATE].float().clone(), strategy[:, SIGMA].float()
     rate[:first] = 0
@@ -61,6 +62,7 @@ def bred(
     graphs: Graphs, elite: Tensor, pairs: Pairs, choices: Choices, actions: ActionSet
 ) -> Graphs:
     """Marked graphs of the elite (E,) and of children of pairs, mutated, in torch."""
-    same = narrowed(compacted(marked(graphs)[elite]), choices.width)
+    room = max(graphs.capacity, choices.width)
+    same = narrowed(widened(compacted(marked(graphs)[elite]), room), choices.width)
     children = restructured(swapped(graphs, pairs), choices, actions, choices.width)
     return concatenate([same, children])

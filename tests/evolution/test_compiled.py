@@ -17,8 +17,8 @@ from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.lexicase import deviation, lexicase
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.offspring import offspring
-from cgtorch.evolution.population import random_population
-from cgtorch.graphs import trimmed, valid
+from cgtorch.evolution.population import STRATEGY, random_population, slim
+from cgtorch.graphs import NO_NODE, trimmed, valid
 
 SETS = [paper_actions(), custom_actions(), nested_actions()]
 seeds, action_sets = st.integers(0, 2**31), st.sampled_from(SETS)
@@ -97,6 +97,40 @@ def test_offspring(seed: int, actions: ActionSet, capacity: int) -> None:
     assert torch.equal(children.strategy[: len(elite)], whole.strategy[elite])
     if int(whole.graphs.num_nodes.max()) < capacity < compiled.MOST_NODES:
         assert equal(children, made(room=64 - capacity))  # room that nobody needs changes nothing
+
+
+@given(seeds, action_sets, capacities)
+def test_offspring_of_graphs_without_a_slot_to_spare(
+    seed: int, actions: ActionSet, capacity: int
+) -> None:
+    """Children may have one more, also where that is more than compiled operators take."""
+    whole = slim(population(seed, actions, capacity))
+    strategy = whole.strategy.clone()
+    strategy[:, STRATEGY.index("add_node")] = 1
+    whole = replace(whole, strategy=strategy)
+    parents = torch.randint(len(whole), (14,), generator=seeded(seed))
+
+    def made() -> Population:
+        return offspring(whole, parents[:1], parents, actions, seeded(seed), capacity + 3)
+
+    children = made()
+    assert equal(children, in_torch(made))
+    assert children.graphs.capacity == int(whole.graphs.num_nodes[parents].max()) + 1
+    assert valid(children.graphs, actions).all()
+
+
+def test_operators_that_outgrow_what_is_compiled_run_in_torch() -> None:
+    actions = SETS[0]
+    whole = population(1, actions, 64)
+    chain = torch.arange(64) + 1  # each node leads to the next, the last to the first
+    moves = torch.full_like(whole.graphs.action, actions.names.index("MoveBase"))
+    edges = torch.where(actions.has_edge[moves], (chain % 64)[:, None], NO_NODE)
+    graphs = replace(whole.graphs, action=moves, edges=edges)
+    whole = Population(graphs, whole.strategy.clone().fill_(1))
+    parents = torch.arange(10)
+    children = offspring(whole, parents[:2], parents, actions, seeded(2), 100)
+    assert children.graphs.capacity == 65
+    assert valid(children.graphs, actions).all()
 
 
 tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))
