@@ -20,6 +20,7 @@ from torch import Tensor
 from cgtorch.experiments.journal import checksum
 
 LENGTH = 8  # bytes of a safetensors file that say how long its header is
+LONGEST = 2**26  # bytes that what JSON cannot say may make up
 NUMBERS = (0, -1, 1, 2, 0.5, -0.0, 1e-300, 1e300, 1e39, 2**31, 2**53 + 1, 2**63, -(2**63), 10**400)
 TEXTS = (
     "",
@@ -88,8 +89,10 @@ def damaged_json(raw: bytes, draw: random.Random) -> bytes:
         if keys:
             key = draw.choice(keys)
             text = text.replace(key, key + b"0, " + key, 1)
-    for i, part in enumerate(raws):
-        text = text.replace(b'"@@%d@@"' % i, part)
+    for i, part in enumerate(
+        raws
+    ):  # which may be in a list that was made ten thousand times as long
+        text = text.replace(b'"@@%d@@"' % i, part, LONGEST // max(1, len(part)))
     return text
 
 
