@@ -49,9 +49,7 @@ def command(folder: Path, kills: int, stage: str, seed: int) -> None:
         # What comes before the first stage is not kept half-way, so patience grows.
         while not train(run, stage, seed, draw.uniform(0, usual * (0.5 + hits / 10))):
             hits += 1
-        if (found := told(run)) != wanted:
-            odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
-            raise click.ClickException(f"{run} differs in {', '.join(odd)}")
+        check_same(run, wanted)
         survived, runs = survived + hits, runs + 1
         click.echo(f"{run}: {hits} kills, the same; {survived} of {kills}")
 
@@ -83,6 +81,13 @@ def told(run: Path) -> dict[str, Any]:
     for tag in FITNESS:
         found[tag] = [(e.step, e.value) for e in events.Scalars(tag)]
     return found
+
+
+def check_same(run: Path, wanted: dict[str, Any]) -> None:
+    """ClickException unless a run has come to what is wanted, as `told` tells it."""
+    if (found := told(run)) != wanted:
+        odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
+        raise click.ClickException(f"{run} differs in {', '.join(odd)}")
 
 
 def timeless(data: Any) -> Any:

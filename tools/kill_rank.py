@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import click
-from kill_and_resume import SMALL, told, train
+from kill_and_resume import SMALL, check_same, told, train
 
 PATIENCE = 20.0  # times what one process takes
 
@@ -44,9 +44,7 @@ def command(folder: Path, kills: int, ranks: int, stage: str, seed: int) -> None
         if seconds is None:
             click.echo(f"{run}: ended before {moment:.1f} s, once more")
             continue
-        if (found := told(run)) != wanted:
-            odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
-            raise click.ClickException(f"{run} differs in {', '.join(odd)}")
+        check_same(run, wanted)
         survived += 1
         when = f"rank {victim} killed after {moment:.1f} s, ended {seconds:.1f} s later"
         click.echo(f"{run}: {when}, the same; {survived} of {kills}")

@@ -4,7 +4,7 @@ import math
 
 import torch
 from torch import Generator, Tensor
-from torch.optim.adam import adam  # the class imports a compiler, which takes one second
+from torch.optim.adam import adam  # the class imports a compiler, which takes 2 s
 
 from cgtorch.actions import BranchingNN
 from cgtorch.actions.networks import one_hidden_layer

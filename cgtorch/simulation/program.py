@@ -3,7 +3,6 @@
 import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -64,10 +63,13 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
         GraphError: a graph has an action, a head or a start that is none of its own.
     """
     known, device = _vocabulary(actions), graphs.start.device
-    own = _table(graphs, actions, 0, known)
-    skills = _skill_tables(actions, graphs.action.numel(), device)
+    tables, offset, entry = [_table(graphs, actions, 0, known)], graphs.action.numel(), []
+    for skill in known.skills:
+        tables.append(_table(skill.graph, skill.actions, offset, known))
+        entry.append(int(tables[-1][0]))
+        offset += skill.graph.action.numel()
     _, kind, heads, parameters = (
-        torch.cat(parts) if skills else parts[0] for parts in zip(own, *skills, strict=True)
+        torch.cat(parts) if entry else parts[0] for parts in zip(*tables, strict=True)
     )
     return Program(
         primitives=known.primitives,
@@ -75,8 +77,8 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
         heads=heads,
         parameters=parameters,
         nodes=graphs.capacity,
-        start=own[0],
-        entry=torch.cat([own[0][:0], *(start for start, *_ in skills)]),
+        start=tables[0][0],
+        entry=torch.tensor(entry, dtype=torch.long, device=device),
         limit=torch.tensor(known.limits, dtype=torch.long, device=device),
         depth=known.depth,
         message_size=known.message_size,
@@ -142,21 +144,10 @@ def _skills(actions: ActionSet, found: dict[int, Skill]) -> dict[int, Skill]:
     return found
 
 
-_Table: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor]
-"""Starts (P,), and kinds (P·N,), heads (P·N, outcomes) and parameters (P·N, width) of nodes."""
-
-
-@lru_cache(maxsize=4)
-def _skill_tables(actions: ActionSet, offset: int, device: torch.device) -> list[_Table]:
-    """The table of each sub-skill in the vocabulary, where the first of them begins at `offset`."""
-    known, tables = _vocabulary(actions), []
-    for skill in known.skills:
-        tables.append(_table(skill.graph.to(device), skill.actions, offset, known))
-        offset += skill.graph.action.numel()
-    return tables
-
-
-def _table(graphs: Graphs, actions: ActionSet, offset: int, known: _Vocabulary) -> _Table:
+def _table(
+    graphs: Graphs, actions: ActionSet, offset: int, known: _Vocabulary
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Starts (P,), and kinds (P·N,), heads (P·N, outcomes) and parameters (P·N, width) of nodes."""
     device = graphs.action.device
     kinds = torch.tensor([known.numbers[id(a)] for a in actions.actions], device=device)
     ends = torch.where(actions.succeeds[:, : graphs.edges.shape[2]], SUCCESS, FAILURE).to(device)
