@@ -6,9 +6,11 @@ from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
 from cgtorch.evolution.fitness import Evaluation as Evaluation
+from cgtorch.evolution.fitness import Evaluator as Evaluator
 from cgtorch.evolution.fitness import Fitness as Fitness
 from cgtorch.evolution.fitness import chance_of_success as chance_of_success
 from cgtorch.evolution.fitness import evaluate as evaluate
+from cgtorch.evolution.fitness import evaluator as evaluator
 from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.mutation import mutate as mutate

@@ -13,7 +13,7 @@ from cgtorch.environment import Environment, start_lanes
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_evaluation
-from cgtorch.simulation.program import compile_graphs
+from cgtorch.simulation.interpreter import interpreter
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
@@ -53,6 +53,13 @@ MOST_LANES = 2**16
 with the actions of section VI."""
 
 
+Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
+"""What P individuals of an action set achieve in an environment."""
+
+Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor]
+"""Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
+
+
 def evaluate(
     graphs: Graphs,
     actions: ActionSet,
@@ -63,15 +70,40 @@ def evaluate(
     crew: ranks.Crew | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluation:
+    """What an `evaluator` says of P individuals.
+
+    Args:
+        graphs: P individuals.
+        actions: see `evaluator`, like all that follows.
+        environment: the models.
+        keep: the scenarios of W.
+        max_transitions: of each run.
+        most_lanes: runs at once.
+        crew: the ranks.
+        fitness: what a run is worth.
+    """
+    return evaluator(actions, environment, keep, max_transitions, most_lanes, crew, fitness)(graphs)
+
+
+def evaluator(
+    actions: ActionSet,
+    environment: Environment,
+    keep: Tensor,
+    max_transitions: int = MAX_TRANSITIONS,
+    most_lanes: int = MOST_LANES,
+    crew: ranks.Crew | None = None,
+    fitness: Fitness = chance_of_success,
+) -> Evaluator:
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
 
     Where an individual runs out of transitions, C(p_t) counts half, so that getting near is worth
     something and ending in success is worth more. W comes first: who fails there is not run on
     the rest. Another `fitness` says what a run is worth instead of C(p_t).
 
+    It is good for one generation after the other, as long as no argument is changed in place.
+
     Args:
-        graphs: P individuals.
-        actions: what their action indices mean.
+        actions: what action indices of individuals mean.
         environment: the models, on B scenarios.
         keep: (B,) bool, the scenarios of W; the others are those of M. Rollouts run on its
             device, which must be that of the environment; the results come back to the graphs'.
@@ -81,39 +113,58 @@ def evaluate(
             are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """
-    p, size = len(graphs), max(1, most_lanes // max(1, len(keep)))
-    mine = graphs[ranks.share(p, crew)]
-    parts = [
-        _evaluate_at_once(mine[i : i + size], actions, environment, keep, max_transitions, fitness)
-        for i in range(0, max(1, len(mine)), size)
-    ]
-    scores, succeeded, transitions, finite = (
-        ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
-        for column in zip(*parts, strict=True)
-    )
-    lost = 0 if finite.all() else p - int(finite.sum())
-    if lost:
-        scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
-    # The mean of all at once: that of some rows may round otherwise.
-    return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()), lost)
+    at_once = _all_at_once(actions, environment, keep, max_transitions, fitness)
+    size = max(1, most_lanes // max(1, len(keep)))
+
+    def evaluation(graphs: Graphs) -> Evaluation:
+        p, mine = len(graphs), graphs[ranks.share(len(graphs), crew)]
+        parts = [at_once(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
+        scores, succeeded, transitions, finite = (
+            ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
+            for column in zip(*parts, strict=True)
+        )
+        lost = p - int(finite.sum())
+        if lost:
+            scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
+        # The mean of all at once: that of some rows may round otherwise.
+        return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()), lost)
+
+    return evaluation
 
 
-def _evaluate_at_once(
+def _all_at_once(
+    actions: ActionSet,
+    environment: Environment,
+    keep: Tensor,
+    max_transitions: int,
+    fitness: Fitness,
+) -> Callable[[Graphs], Parts]:
+    """An evaluation of some individuals, compiled where that is possible."""
+    known = interpreter(actions, environment) if fitness is chance_of_success else None
+    order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
+
+    def parts(graphs: Graphs) -> Parts:
+        found = None
+        if known:
+            found = compiled_evaluation(known, graphs, order, kept, max_transitions, MAX_STEPS)
+        if found is None:
+            found = _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
+        return found
+
+    return parts
+
+
+def _by_rollouts(
     graphs: Graphs,
     actions: ActionSet,
     environment: Environment,
     keep: Tensor,
     max_transitions: int,
     fitness: Fitness,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
+) -> Parts:
+    """The same from what `rollout` says, for any fitness, actions, environment and device."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     graphs = graphs.to(device)
-    if fitness is chance_of_success:  # the only one that is compiled
-        program = compile_graphs(graphs, actions)
-        found = compiled_evaluation(program, environment, keep, max_transitions, MAX_STEPS)
-        if found is not None:
-            return found
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
     alive = torch.arange(p, device=device)

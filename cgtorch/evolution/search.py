@@ -11,7 +11,7 @@ from cgtorch.actions import ActionSet, check_action
 from cgtorch.dry_run import check_environment
 from cgtorch.environment import Environment
 from cgtorch.evolution.evolution import EvolutionSettings
-from cgtorch.evolution.fitness import Evaluation, evaluate
+from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.evolution.islands import (
     Island,
     Tried,
@@ -100,19 +100,11 @@ def evolve(
     count, crew = settings.islands, ranks.crew(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
+    evaluation = evaluator(
+        actions, environment, keep, max_transitions, crew=crew, fitness=settings.fitness
+    )
     while True:
-        results = [
-            evaluate(
-                island.state.population.graphs,
-                actions,
-                environment,
-                keep,
-                max_transitions,
-                crew=crew,
-                fitness=settings.fitness,
-            )
-            for island in islands
-        ]
+        results = [evaluation(island.state.population.graphs) for island in islands]
         tried = [
             Tried(island.state.population, result.fitness, result.scores, result.succeeded)
             for island, result in zip(islands, results, strict=True)

@@ -15,7 +15,8 @@ from cgtorch.export.computed import Computed, Sizes, named_primitives
 from cgtorch.graphs import Skill
 from cgtorch.simulation import MAX_STEPS
 from cgtorch.simulation.frames import TIMEOUT
-from cgtorch.simulation.program import SUCCESS, compile_graphs
+from cgtorch.simulation.program import compile_graphs
+from cgtorch.simulation.vocabulary import SUCCESS
 
 ENDS = ("success", "failure", "timeout")
 ROUTINES: dict[type[Action], str] = {MoveBase: "MoveBase", Detect: "Detect", Grasp: "Grasp"}

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.evolution import Fitness, Population, chance_of_success, evaluate
+from cgtorch.evolution import Fitness, Population, chance_of_success, evaluator
 from cgtorch.graphs import NO_NODE, Graphs, pruned
 
 READABLE = 10  # nodes that a picture shows at a glance
@@ -34,9 +34,10 @@ def shrunk(
         fitness: what a run is worth.
     """
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool)
+    evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)
 
     def tried(graphs: Graphs) -> tuple[Tensor, Tensor]:
-        result = evaluate(graphs, actions, environment, nothing, max_transitions, fitness=fitness)
+        result = evaluation(graphs)
         return result.fitness, result.succeeded
 
     before, solved = tried(champion.graphs)

@@ -90,10 +90,10 @@ APART void answer(const Action *a, const real *weights, Layout layout, const vec
 }
 
 /* The action of the node that lanes `here` are at. */
-INLINE Done act(const Task *task, Layout layout, const vec *errors, Lanes *lanes, int64_t node,
-                vwhole here) {
+INLINE Done act(const Task *task, Graph graph, Layout layout, const vec *errors, Lanes *lanes,
+                int64_t node, vwhole here) {
   const Program *program = task->program;
-  const Action *action = program->actions + program->kind[node];
+  const Action *action = program->primitives + kind_of(program, graph, node);
   vec out[MOST_MESSAGE];
   vwhole asked;
   switch (action->kind) {
@@ -103,8 +103,8 @@ INLINE Done act(const Task *task, Layout layout, const vec *errors, Lanes *lanes
     return (Done){lanes->chance <= (real)0.5, asked};
   case DETECT: return (Done){every(0), every(0)}; /* Γ predicts what would be perceived */
   default:
-    TIMED(task->ticks, IN_NETWORKS, answer(action, program->parameters + node * program->width,
-                                           layout, lanes->percept, out));
+    TIMED(task->ticks, IN_NETWORKS, answer(action, parameters_of_node(program, graph, node), layout,
+                                           lanes->percept, out));
     if (action->kind == BRANCHING || action->kind == EDGE_BRANCHING)
       return (Done){branch(out), every(0)};
     return say(lanes, out, action->kind == EDGE ? 3 : action->outputs, here);

@@ -4,27 +4,14 @@
 #include <stdlib.h>
 
 #include "models.h"
+#include "program.h"
 
 #define MOST_DEPTH 16
 #define MOST_MESSAGE 16
-#define SUCCESS (-1)
-#define TIMEOUT (-3)
 #define UNKNOWN (-1)
 
 enum { MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING };
 enum { IN_GAMMA, IN_C, IN_NETWORKS, IN_POSSIBLE, PARTS };
-
-typedef struct {
-  int64_t kind, inputs, hidden, outputs;
-} Action;
-
-/* cgtorch.simulation.program.Program */
-typedef struct {
-  const Action *actions;
-  const int64_t *kind, *heads, *start, *entry, *limit;
-  const real *parameters;
-  int64_t primitives, outcomes, width, depth, nodes; /* slots of each graph */
-} Program;
 
 /* cgtorch.simulation.ModelEnvironment */
 typedef struct {
@@ -45,6 +32,7 @@ typedef struct {
   real *percept, *state;
   int64_t *status, *transitions;
   int64_t *ticks; /* (2, PARTS) or NULL: clock ticks spent in each part, and how often it was timed */
+  int64_t wrong;  /* set where a graph has numbers that are none of its nodes or actions */
 } Task;
 
 /* Up to WIDTH lanes of one graph. Each part of a vector is one lane's, and none meets another. */

@@ -14,38 +14,49 @@ INLINE vwhole first_lanes(int64_t count) {
 
 /* Runs a graph on a chunk's scenarios: lanes that wait at the same node go on together, until the last
    one has ended. */
-static void run_lanes(const Task *task, Layout layout, int64_t graph, const Chunk *chunk, Lanes *lanes) {
+static void run_lanes(const Task *task, Layout layout, int64_t number, const Chunk *chunk,
+                      Lanes *lanes) {
   const Program *program = task->program;
-  int64_t first = graph * program->nodes;
+  Graph graph = graph_of(program, number);
   vwhole active = first_lanes(chunk->count);
   copy_lanes(&chunk->lanes, layout.size, lanes);
-  lanes->node = every((whole)program->start[graph]);
+  lanes->node = every((whole)(program->rows + program->start[number]));
   lanes->left = every((whole)task->max_transitions);
   if (program->depth > 1)
-    for (int i = 0; i < WIDTH; i++) enter(program, lanes, i);
+    for (int i = 0; i < WIDTH; i++) enter(program, graph, lanes, i);
   for (uint32_t waiting = bits_of(active); waiting; waiting = bits_of(active)) {
     int64_t node = lanes->node[__builtin_ctz(waiting)];
     vwhole here = active & (lanes->node == (whole)node);
-    Done done = act(task, layout, chunk->errors, lanes, node, here);
+    Done done = act(task, graph, layout, chunk->errors, lanes, node, here);
     vwhole second = here & done.second, other = here & ~done.second;
-    if (bits_of(other)) active &= ~follow(task, lanes, first, node, 0, other, done.changed);
-    if (bits_of(second)) active &= ~follow(task, lanes, first, node, 1, second, done.changed);
+    if (bits_of(other)) active &= ~follow(task, graph, lanes, node, 0, other, done.changed);
+    if (bits_of(second)) active &= ~follow(task, graph, lanes, node, 1, second, done.changed);
   }
 }
 
+/* Whether a graph can be run; what cannot be is said at the end. */
+INLINE int good(Task *task, int64_t graph) {
+  int wrong = wrong_graph(task->program, graph);
+  if (wrong) __atomic_store_n(&task->wrong, 1, __ATOMIC_RELAXED);
+  return !wrong;
+}
+
+enum { NO_MEMORY = 1, WRONG_GRAPHS = 2 };
+
 typedef struct {
-  const Task *task;
+  Task *task;
   const Chunk *chunks;
   int64_t count;
 } Rollouts;
 
 static void run_graphs(void *what, int64_t begin, int64_t end) {
   const Rollouts *r = what;
-  const Task *task = r->task;
+  Task *task = r->task;
   Layout layout = layout_of(task->models->size);
   Lanes lanes;
   vec *state[3] = {&lanes.moves, &lanes.lost, &lanes.chance};
-  for (int64_t graph = begin; graph < end; graph++)
+  for (int64_t graph = begin; graph < end; graph++) {
+    if (!good(task, graph)) continue;
     for (const Chunk *chunk = r->chunks; chunk < r->chunks + r->count; chunk++) {
       int64_t row = graph * task->count + chunk->from;
       run_lanes(task, layout, graph, chunk, &lanes);
@@ -56,17 +67,18 @@ static void run_graphs(void *what, int64_t begin, int64_t end) {
         for (int j = 0; j < 3; j++) task->state[(row + i) * 3 + j] = (*state[j])[i];
       }
     }
+  }
 }
 
-/* 0, or 1 where there is no memory for it. */
+/* 0, or why nothing of what comes out counts. */
 int rollouts(Task *task, int64_t threads) {
   Rollouts r = {task, NULL, 0};
   Chunk *chunks = chunks_of(task, 0, &r.count);
-  if (!chunks) return 1;
+  if (!chunks) return NO_MEMORY;
   r.chunks = chunks;
   in_parallel(run_graphs, &r, task->graphs, PIECE, task->ticks ? 1 : threads);
   free(chunks);
-  return 0;
+  return task->wrong ? WRONG_GRAPHS : 0;
 }
 
 /* Eq. 3; of `task` only what there is to do is read, and its scenarios are those of W, `keep` of them,
@@ -112,12 +124,13 @@ static int evaluate_chunk(const Evaluation *e, Layout layout, int64_t graph, con
 }
 
 static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
-  const Evaluation *e = what;
+  Evaluation *e = what;
   const Program *program = e->task.program;
   Layout layout = layout_of(e->task.models->size);
-  int64_t numbers = program->nodes * program->width;
+  int64_t numbers = program->nodes * program->each;
   for (int64_t graph = begin; graph < end; graph++) {
     int lost = 0;
+    if (!good(&e->task, graph)) continue;
     e->transitions[graph] = 0;
     e->finite[graph] = (unsigned char)all_finite(program->parameters + graph * numbers, numbers);
     for (const Chunk *chunk = e->chunks; chunk < e->chunks + e->count; chunk++)
@@ -128,14 +141,14 @@ static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
   }
 }
 
-/* 0, or 1 where there is no memory for it. */
+/* Like `rollouts`. */
 int evaluations(Evaluation *e, int64_t threads) {
   Chunk *chunks = chunks_of(&e->task, e->keep, &e->count);
-  if (!chunks) return 1;
+  if (!chunks) return NO_MEMORY;
   e->chunks = chunks;
   in_parallel(evaluate_graphs, e, e->task.graphs, PIECE, e->task.ticks ? 1 : threads);
   free(chunks);
-  return 0;
+  return e->task.wrong ? WRONG_GRAPHS : 0;
 }
 
 /* The clock that `ticks` are of, and (2, PARTS) ticks and counts of `times` readings of nothing. */

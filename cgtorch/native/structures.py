@@ -44,8 +44,10 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     action = structure("Action", kind=WHOLE, inputs=WHOLE, hidden=WHOLE, outputs=WHOLE)
     program = structure(
         "Program",
-        actions=POINTER, kind=POINTER, heads=POINTER, start=POINTER, entry=POINTER, limit=POINTER,
-        parameters=POINTER, primitives=WHOLE, outcomes=WHOLE, width=WHOLE, depth=WHOLE, nodes=WHOLE,
+        primitives=POINTER, kinds=POINTER, ends=POINTER, kind=POINTER, heads=POINTER, entry=POINTER,
+        limit=POINTER, learned=POINTER, actions=WHOLE, most=WHOLE, count=WHOLE, outcomes=WHOLE,
+        width=WHOLE, rows=WHOLE, depth=WHOLE, action=POINTER, edges=POINTER, start=POINTER,
+        parameters=POINTER, nodes=WHOLE, seen=WHOLE, each=WHOLE,
     )  # fmt: skip
     models = structure(
         "Models",
@@ -56,18 +58,12 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         "Task",
         program=POINTER, models=POINTER, scenarios=POINTER, graphs=WHOLE, count=WHOLE,
         max_transitions=WHOLE, max_steps=WHOLE, percept=POINTER, state=POINTER, status=POINTER,
-        transitions=POINTER, ticks=POINTER,
+        transitions=POINTER, ticks=POINTER, wrong=WHOLE,
     )  # fmt: skip
     evaluation = structure(
         "Evaluation",
         task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, finite=POINTER,
         transitions=POINTER, chunks=POINTER, count=WHOLE,
-    )  # fmt: skip
-    tables = structure(
-        "Tables",
-        action=POINTER, edges=POINTER, start=POINTER, kinds=POINTER, ends=POINTER, graphs=WHOLE,
-        nodes=WHOLE, seen=WHOLE, actions=WHOLE, outcomes=WHOLE, offset=WHOLE, kind=POINTER,
-        heads=POINTER, first=POINTER, wrong=WHOLE,
     )  # fmt: skip
     collision = structure(
         "Collision",
@@ -88,7 +84,6 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         Arms=arms,
         Chain=chain,
         Collision=collision,
-        Tables=tables,
         Evaluation=evaluation,
         Machine=machine,
         Gamma=gamma,

@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from cgtorch.simulation.program import SUCCESS, Program
+from cgtorch.simulation.program import Program
+from cgtorch.simulation.vocabulary import SUCCESS
 
 TIMEOUT = -3
 

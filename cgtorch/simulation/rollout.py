@@ -12,8 +12,10 @@ from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.graphs import Graphs
 from cgtorch.simulation.compiled import compiled_rollout
 from cgtorch.simulation.frames import TIMEOUT, first_frames, follow
-from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
+from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollouts import Rollouts
+from cgtorch.simulation.vocabulary import FAILURE, SUCCESS
 
 MAX_TRANSITIONS = 20
 MAX_STEPS = MAX_TRANSITIONS**2
@@ -50,14 +52,17 @@ def rollout(
         trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
             the program's node table that ran, their outcomes (n,), and the lanes afterwards,
             which the next step overwrites. Then every transition is executed.
+
+    Raises:
+        GraphError: a graph has an action, a head or a start that is none of its own.
     """
-    program = compile_graphs(graphs, actions)
     if scenarios is None:
-        scenarios = torch.arange(environment.num_scenarios, device=program.kind.device)
-    if trace is None:
-        found = compiled_rollout(program, environment, scenarios, max_transitions, max_steps)
+        scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
+    if trace is None and (known := interpreter(actions, environment)):
+        found = compiled_rollout(known, graphs, scenarios, max_transitions, max_steps)
         if found is not None:
             return found
+    program = compile_graphs(graphs, actions)
     return rollout_in_torch(program, environment, scenarios, max_transitions, max_steps, trace)
 
 

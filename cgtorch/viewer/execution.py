@@ -11,7 +11,8 @@ from cgtorch.environment import Lanes, start_lanes
 from cgtorch.graphs import Skill, SubSkill
 from cgtorch.simulation import MAX_STEPS
 from cgtorch.simulation.frames import Frames, first_frames, follow
-from cgtorch.simulation.program import FAILURE, SUCCESS, Program, compile_graphs
+from cgtorch.simulation.program import Program, compile_graphs
+from cgtorch.simulation.vocabulary import FAILURE, SUCCESS
 from cgtorch.world import Scenarios, TabletopWorld
 
 Place: TypeAlias = tuple[Skill, int]

@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+from dataclasses import replace
 
 import pytest
 import reference
@@ -17,17 +18,15 @@ from support import (
     random_graphs,
     seeded,
 )
+from torch import Tensor
 
 from cgtorch.actions import ActionSet, edge_actions, paper_actions
+from cgtorch.graphs import Graphs, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_rollout
-from cgtorch.simulation.program import (
-    Program,
-    _laid_out,
-    _laid_out_in_torch,
-    compile_graphs,
-)
+from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.world import ClearWay
 
@@ -45,8 +44,32 @@ def sets_for(size: int) -> list[ActionSet]:
     return [as_double_actions(s) for s in (paper, edge, both, inner)]
 
 
-def program_of(seed: int, actions: ActionSet, count: int = 12) -> Program:
-    return compile_graphs(as_double(random_graphs(seed, count, actions)), actions)
+def graphs_of(seed: int, actions: ActionSet, count: int = 12) -> Graphs:
+    return as_double(random_graphs(seed, count, actions))
+
+
+def run_compiled(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: ModelEnvironment,
+    scenarios: Tensor,
+    limit: int = 20,
+    steps: int = 400,
+) -> Rollouts | None:
+    known = interpreter(actions, environment)
+    return known and compiled_rollout(known, graphs, scenarios, limit, steps)
+
+
+def run_in_torch(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: ModelEnvironment,
+    scenarios: Tensor,
+    limit: int = 20,
+    steps: int = 400,
+) -> Rollouts:
+    program = compile_graphs(graphs, actions)
+    return rollout_in_torch(program, environment, scenarios, limit, steps)
 
 
 def assert_same(found: Rollouts | None, wanted: Rollouts) -> None:
@@ -75,17 +98,17 @@ def test_compiled_rollouts_are_those_of_the_engine(
     seed: int, scene: tuple[str, int], which: int, limit: int, steps: int, errors: bool
 ) -> None:
     environment = random_models(seed, 6, *scene, errors=errors)
-    program = program_of(seed, sets_for(environment.percept_size)[which])
+    actions = sets_for(environment.percept_size)[which]
     some = torch.tensor([4, 0, 5])
-    found = compiled_rollout(program, environment, some, limit, steps)
-    assert_same(found, rollout_in_torch(program, environment, some, limit, steps))
+    given = graphs_of(seed, actions), actions, environment, some, limit, steps
+    assert_same(run_compiled(*given), run_in_torch(*given))
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_comparison_meets_every_end(scene: tuple[str, int]) -> None:
     environment = random_models(5, 10, *scene)
     found = [
-        compiled_rollout(program_of(1, actions, 60), environment, torch.arange(10), 20, 400)
+        run_compiled(graphs_of(1, actions, 60), actions, environment, torch.arange(10))
         for actions in sets_for(environment.percept_size)
     ]
     assert all(each is not None for each in found)
@@ -103,8 +126,7 @@ def test_compiled_rollouts_are_those_of_the_plain_interpreter(
     environment = random_models(seed, 4)
     actions = as_double_actions(nested_actions(seed % 5, paper_actions()))
     graphs = as_double(random_graphs(seed, 5, actions))
-    program = compile_graphs(graphs, actions)
-    found = compiled_rollout(program, environment, torch.arange(4), limit, steps)
+    found = run_compiled(graphs, actions, environment, torch.arange(4), limit, steps)
     assert found is not None
     for i in range(len(graphs)):
         for j in range(4):
@@ -118,42 +140,54 @@ def test_compiled_rollouts_are_those_of_the_plain_interpreter(
 def test_rollout_asks_compiled_code_first() -> None:
     environment, actions = random_models(0, 4), sets_for(7)[0]
     graphs = as_double(random_graphs(0, 5, actions))
-    program = compile_graphs(graphs, actions)
     found, wanted = (
         rollout(graphs, actions, environment),
-        compiled_rollout(program, environment, torch.arange(4), 20, 400),
+        run_compiled(graphs, actions, environment, torch.arange(4)),
     )
     assert wanted is not None
     assert equal(found, wanted)
 
 
 def test_what_cannot_be_counted_runs_in_torch() -> None:
-    environment, program = random_models(0, 4), program_of(0, sets_for(7)[0])
-    everything = torch.arange(4)
-    assert compiled_rollout(program, environment, everything, 2**30, 400) is not None
-    assert compiled_rollout(program, environment, everything, 2**30 + 1, 400) is None
-    assert compiled_rollout(program, environment, everything, 20, 2**31) is None
+    actions = sets_for(7)[0]
+    given = graphs_of(0, actions), actions, random_models(0, 4), torch.arange(4)
+    assert run_compiled(*given, 2**30, 400) is not None
+    assert run_compiled(*given, 2**30 + 1, 400) is None
+    assert run_compiled(*given, 20, 2**31) is None
+    graphs = graphs_of(0, actions)
+    assert run_compiled(replace(graphs, edges=graphs.edges.int()), *given[1:]) is None
+    assert run_compiled(replace(graphs, parameters=graphs.parameters.float()), *given[1:]) is None
 
 
-@given(seed=st.integers(0, 2**31), which=st.integers(0, 3), count=st.integers(0, 12))
+@given(
+    seed=st.integers(0, 2**31),
+    which=st.integers(0, 3),
+    nodes=st.integers(0, 3),
+    outcomes=st.integers(0, 2),
+    count=st.integers(0, 12),
+)
 @settings(max_examples=30, deadline=None)
-def test_graphs_are_laid_out_as_in_torch(seed: int, which: int, count: int) -> None:
-    actions = sets_for(7)[which]
-    graphs = random_graphs(seed, 12, actions)[:count]
-    kinds = torch.randperm(len(actions), generator=seeded(seed))
-    ends = torch.randint(-2, 0, (len(actions), graphs.edges.shape[2]), generator=seeded(seed))
-    for more in (0, 2):
-        given = graphs, kinds, ends, 1000, graphs.edges.shape[2] + more
-        found, wanted = _laid_out(*given), _laid_out_in_torch(*given)
+def test_slots_that_nothing_uses_and_strides_change_nothing(
+    seed: int, which: int, nodes: int, outcomes: int, count: int
+) -> None:
+    environment, actions = random_models(seed, 3), sets_for(7)[which]
+    graphs, some = graphs_of(seed, actions)[:count], torch.arange(3)
+    n, o, k = *graphs.edges.shape[1:], graphs.parameters.shape[2]
+    wide = resized(graphs, n + nodes, o, k + outcomes)
+    every_other = Graphs(*(x.repeat_interleave(2, 0)[::2] for x in vars(wide).values()))
+    wanted = run_compiled(graphs, actions, environment, some)
+    assert wanted is not None
+    for same in (wide, every_other):
+        found = run_compiled(same, actions, environment, some)
         assert found is not None
-        assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
+        assert equal(found, wanted)
 
 
 def test_what_others_plug_in_runs_in_torch() -> None:
     environment, everything = random_models(0, 4), torch.arange(4)
 
     def runs_compiled(environment: ModelEnvironment, actions: ActionSet) -> bool:
-        found = compiled_rollout(program_of(0, actions), environment, everything, 20, 400)
+        found = run_compiled(graphs_of(0, actions), actions, environment, everything)
         return found is not None
 
     def swapped(name: str, value: object) -> ModelEnvironment:
@@ -178,12 +212,12 @@ def test_what_others_plug_in_runs_in_torch() -> None:
 
 def test_no_number_of_threads_changes_anything() -> None:
     environment, actions = random_models(2, 9), sets_for(7)[2]
-    program, before = program_of(2, actions, 50), torch.get_num_threads()
+    graphs, before = graphs_of(2, actions, 50), torch.get_num_threads()
     try:
         results = []
         for count in (1, 2, 5):
             torch.set_num_threads(count)
-            results.append(compiled_rollout(program, environment, torch.arange(9), 20, 400))
+            results.append(run_compiled(graphs, actions, environment, torch.arange(9)))
     finally:
         torch.set_num_threads(before)
     first = results[0]
@@ -229,7 +263,7 @@ def test_no_lane_depends_on_others_to_the_bit(
     some = torch.randperm(37, generator=generator)[:count]
     rows = torch.randperm(9, generator=generator)[:4]
     whole, part = (
-        compiled_rollout(compile_graphs(g, actions), environment, scenarios, 20, 400)
+        run_compiled(g, actions, environment, scenarios)
         for g, scenarios in ((graphs, torch.arange(37)), (graphs[rows], some))
     )
     assert whole is not None
@@ -248,10 +282,10 @@ def test_percepts_that_are_not_numbers_end_as_in_torch() -> None:
     environment.percepts[2] = 1e300
     environment.first_state[:3, 2] = environment.classifier(environment.percepts[:3])
     for actions in sets_for(7):
-        program = program_of(7, actions, 40)
-        program.parameters[::7] = torch.nan
-        found = compiled_rollout(program, environment, torch.arange(6), 20, 400)
-        wanted = rollout_in_torch(program, environment, torch.arange(6), 20, 400)
+        graphs = graphs_of(7, actions, 40)
+        graphs.parameters.flatten(0, 1)[::7] = torch.nan
+        given = graphs, actions, environment, torch.arange(6)
+        found, wanted = run_compiled(*given), run_in_torch(*given)
         assert found is not None
         finite = wanted.percept.isfinite().all(-1) & wanted.state.isfinite().all(-1)
         assert torch.equal(
@@ -262,13 +296,13 @@ def test_percepts_that_are_not_numbers_end_as_in_torch() -> None:
 
 
 def test_models_that_change_between_two_rollouts_are_looked_at_again() -> None:
-    """What compiled code knows of models is remembered, but not beyond any change of them."""
     environment, some = random_models(3, 10, errors=True), torch.arange(10)
-    program = program_of(2, sets_for(7)[2], 60)
+    actions = sets_for(7)[2]
+    given = graphs_of(2, actions, 60), actions, environment, some
 
     def check() -> Rollouts:
-        found = compiled_rollout(program, environment, some, 20, 400)
-        assert_same(found, rollout_in_torch(program, environment, some, 20, 400))
+        found = run_compiled(*given)
+        assert_same(found, run_in_torch(*given))
         assert found is not None
         return found
 

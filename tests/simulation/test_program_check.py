@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import pytest
 import torch
+from random_models import random_models
+from support import as_double, as_double_actions
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
 from cgtorch.errors import GraphError
+from cgtorch.evolution import evaluate
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
-from cgtorch.simulation import program
-from cgtorch.simulation.program import compile_graphs
+from cgtorch.simulation import interpreter, rollout
 
-ACTIONS = paper_actions()
+ACTIONS = as_double_actions(paper_actions())
 
 
 def graphs() -> Graphs:
@@ -48,9 +50,13 @@ def test_it_says_which_number_of_which_graph(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if not compiled:
-        monkeypatch.setattr(program, "function", lambda *_: None)
-    whole = graphs()
-    compile_graphs(whole, ACTIONS)
+        monkeypatch.setattr(interpreter, "function", lambda *_: None)
+    whole, environment = as_double(graphs()), random_models(0, 3)
+    keep = torch.tensor([True, False, False])
+    rollout(whole, ACTIONS, environment)
+    evaluate(whole, ACTIONS, environment, keep)
     wrong = replace(whole, **{name: changed(getattr(whole, name), place, value)})
     with pytest.raises(GraphError, match=said):
-        compile_graphs(wrong, ACTIONS)
+        rollout(wrong, ACTIONS, environment)
+    with pytest.raises(GraphError, match=said):
+        evaluate(wrong, ACTIONS, environment, keep)

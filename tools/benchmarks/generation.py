@@ -15,7 +15,7 @@ from benchmarks.stopwatch import Stopwatch
 from benchmarks.workload import Workload, populations, workload
 from cgtorch.evolution import EvolutionSettings, Generation, Island, Population
 from cgtorch.evolution.evolution import EvolutionState, tell
-from cgtorch.evolution.fitness import evaluate
+from cgtorch.evolution.fitness import evaluator
 from cgtorch.evolution.selection import ranking
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.native import function
@@ -23,7 +23,7 @@ from cgtorch.native.structures import POINTER, WHOLE
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
 from cgtorch.simulation.compiled import compiled_evaluation
-from cgtorch.simulation.program import compile_graphs
+from cgtorch.simulation.interpreter import interpreter
 
 MODELS = ("Γ", "C", "networks")
 """What a generation is for; the rest is overhead."""
@@ -99,8 +99,9 @@ def generation_split(
     select = watch.around("selection", EvolutionSettings().selection)
     settings = EvolutionSettings(population=len(population), selection=select)
     keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
+    evaluation = evaluator(work.actions, work.environment, keep)  # one for a whole evolution
     with watch.running("rollouts"):
-        result = evaluate(population.graphs, work.actions, work.environment, keep)
+        result = evaluation(population.graphs)
     rollouts = watch.taken()["rollouts"]
     with watch.running("operators"):
         best = int(ranking(result.fitness, population.graphs.num_nodes)[0])
@@ -116,7 +117,7 @@ def generation_split(
             )
             log(GenerationDone("S0", "S0", done, 150, 0, 0, int(solved.sum()), len(keep), 1.0))
     logged = watch.taken()["logging"] / LOGGED
-    inside = dict(zip(INSIDE, rollout_parts(work, population, keep), strict=True))
+    inside = dict(zip(INSIDE, rollout_parts(work, population), strict=True))
     return inside | {
         "rest of rollouts": rollouts - sum(inside.values()),
         "selection": after["selection"],
@@ -125,7 +126,7 @@ def generation_split(
     }
 
 
-def rollout_parts(work: Workload, population: Population, keep: Tensor) -> list[float]:
+def rollout_parts(work: Workload, population: Population) -> list[float]:
     """Seconds that Γ, C, networks and checks of motions take of an evaluation on all cores.
 
     Compiled code counts the ticks of the CPU's clock around each of them, on one thread. What it
@@ -133,27 +134,28 @@ def rollout_parts(work: Workload, population: Population, keep: Tensor) -> list[
     compared with the time of the same call that counts nothing, on one thread and on all, less what
     it takes for no graphs: all of the time outside of the compiled loops is overhead.
     """
-    program, none = (
-        compile_graphs(g, work.actions) for g in (population.graphs, population.graphs[:0])
-    )
+    graphs, none = population.graphs, population.graphs[:0]
+    known = interpreter(work.actions, work.environment)
+    assert known is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
     call = partial(
         compiled_evaluation,
-        environment=work.environment,
-        keep=keep,
+        known,
+        scenarios=torch.arange(work.environment.num_scenarios),
+        kept=0,
         max_transitions=MAX_TRANSITIONS,
         max_steps=MAX_STEPS,
     )
     ticks, nothing, ends = (torch.zeros(2, size, dtype=torch.long) for size in (4, 4, 1))
     # The least of several: one that was interrupted is longer than what it is taken from.
     empty = min(_seconds(lambda: call(none)) for _ in range(5))
-    together = _seconds(lambda: call(program)) - empty
+    together = _seconds(lambda: call(graphs)) - empty
     with run_threads(1):
         _clock("clock_now", ends[0])
         begin = time.perf_counter()
-        alone = _seconds(lambda: call(program))
+        alone = _seconds(lambda: call(graphs))
         lapse = time.perf_counter() - begin
         _clock("clock_now", ends[1])
-        call(program, ticks=ticks)
+        call(graphs, ticks=ticks)
         _clock("clock_alone", nothing, READINGS)
     reading = nothing[0].sum() / nothing[1].sum()
     inside = (ticks[0] - reading * ticks[1]) * (lapse / float(ends[1] - ends[0]))

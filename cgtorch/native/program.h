@@ -1,0 +1,68 @@
+/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.interpreter).
+
+   Nodes are counted from the first of all sub-skills, which are laid out once; after theirs come those
+   of the graph that runs. */
+#ifndef CGTORCH_PROGRAM_H
+#define CGTORCH_PROGRAM_H
+#include "real.h"
+
+#define NO_NODE (-1)
+#define SUCCESS (-1)
+#define FAILURE (-2)
+#define TIMEOUT (-3)
+
+typedef struct {
+  int64_t kind, inputs, hidden, outputs;
+} Action;
+
+typedef struct {
+  const Action *primitives;
+  const int64_t *kinds, *ends; /* (A,) of each action, and (A, O) where its outcomes end */
+  const int64_t *kind, *heads, *entry, *limit; /* of sub-skills: (T,), (T, outcomes), (S,), (S,) */
+  const real *learned;                         /* (T, width) their parameters */
+  int64_t actions, most, count, outcomes, width, rows, depth; /* A, O, of primitives; T */
+  const int64_t *action, *edges, *start; /* of graphs: (P, N), (P, N, seen), (P,) */
+  const real *parameters;                /* (P, N, each) */
+  int64_t nodes, seen, each;
+} Program;
+
+/* One of a program's graphs: where its nodes' rows begin, and what is counted from there. */
+typedef struct {
+  const int64_t *action, *edges;
+  const real *parameters;
+} Graph;
+
+INLINE Graph graph_of(const Program *p, int64_t graph) {
+  int64_t row = graph * p->nodes;
+  return (Graph){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
+}
+
+/* What unused slots hold is taken for action 0; nothing that is valid leads there. */
+INLINE int64_t action_at(Graph g, int64_t place) { return g.action[place] < 0 ? 0 : g.action[place]; }
+
+/* A primitive, or `count` + a sub-skill. */
+INLINE int64_t kind_of(const Program *p, Graph g, int64_t node) {
+  return node < p->rows ? p->kind[node] : p->kinds[action_at(g, node - p->rows)];
+}
+INLINE int64_t head_of(const Program *p, Graph g, int64_t node, int64_t outcome) {
+  int64_t place = node - p->rows;
+  if (place < 0) return p->heads[node * p->outcomes + outcome];
+  if (outcome >= p->seen) return FAILURE;
+  int64_t head = g.edges[place * p->seen + outcome];
+  return head == NO_NODE ? p->ends[action_at(g, place) * p->most + outcome] : p->rows + head;
+}
+INLINE const real *parameters_of_node(const Program *p, Graph g, int64_t node) {
+  int64_t place = node - p->rows;
+  return place < 0 ? p->learned + node * p->width : g.parameters + place * p->each;
+}
+
+/* Whether a graph has numbers that are none of its nodes or actions. */
+INLINE int outside(int64_t number, int64_t count) { return number < NO_NODE || number >= count; }
+INLINE int wrong_graph(const Program *p, int64_t graph) {
+  Graph g = graph_of(p, graph);
+  int wrong = p->start[graph] < 0 || p->start[graph] >= p->nodes;
+  for (int64_t i = 0; i < p->nodes; i++) wrong |= outside(g.action[i], p->actions);
+  for (int64_t i = 0; i < p->nodes * p->seen; i++) wrong |= outside(g.edges[i], p->nodes);
+  return wrong;
+}
+#endif
