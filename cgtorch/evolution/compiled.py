@@ -6,8 +6,8 @@ the same children to the last bit.
 """
 
 import ctypes
+import math
 from ctypes import POINTER, byref, c_int64, c_void_p
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.choices import Choices, Pairs
+from cgtorch.evolution.choices import Choices
 from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs
 
@@ -28,15 +28,26 @@ class _Pointers(ctypes.Structure):
     _fields_ = tuple((name, c_void_p) for name in ("action", "edges", "marks", "start"))
 
 
+class _Breeding(ctypes.Structure):
+    """`Breeding` in native/operators.c."""
+
+    _fields_ = (
+        *((name, _Pointers) for name in ("before", "after")),
+        *((name, c_void_p) for name in ("rows", "strategy", "has_edge")),
+        *((name, c_int64) for name in ("nodes", "outcomes", "elite", "pairs", "actions")),
+        *((name, c_int64) for name in ("pair_key", "key", "slots")),
+    )
+
+
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
-    "most_nodes": (_P, _I, _P, _I, _P),
     "mutated": (_G, _G, _P, _P, _I, _I, _P, _I, _I, _I),
-    "bred": (_G, _P, _I, _P, _G, _P, _P, *[_I] * 4, _P, _I, _I, _I),
-    "mark_new": (_P, _P, _I, _I, _P, _P),
-    "parameters_of": (_P, _P, _I, *[_P] * 3, _I, _I, *[_P] * 3, _I, _P, _I, _I),
+    "bred": (POINTER(_Breeding), _I),
+    "mark_new": (_P, _P, _I, _I, _P),
+    "parameters_of": (_P, _I, _I, *[_P] * 3, _I, _I, *[_P] * 3, _I, _P, _I, _I),
     "deviation": (_P, _I, _I, _P, _I),
     "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
+    "ranking": (_P, _P, _I, _P),
 }
 
 
@@ -69,58 +80,59 @@ def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity:
     graphs, out = _contiguous(graphs), _room(len(graphs), capacity, graphs.edges.shape[2])
     _call(
         "mutated", torch.float32,
-        _pointers(graphs), _pointers(out), _shape(graphs), choices.strategy, choices.key,
-        choices.width, actions.has_edge, len(actions), len(graphs),
+        byref(_pointers(graphs)), byref(_pointers(out)), _shape(graphs), choices.strategy,
+        choices.key, choices.width, actions.has_edge, len(actions), len(graphs),
     )  # fmt: skip
     return out
 
 
-def most_nodes(graphs: Graphs, rows: Tensor) -> int:
-    """Nodes of the largest of the graphs `rows` (n,)."""
-    most = torch.empty((), dtype=torch.long)
-    _call("most_nodes", torch.float32, graphs.action, graphs.capacity, rows, len(rows), most)
-    return int(most)
-
-
-def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
-    """See `cgtorch.evolution.crossover.swapped`."""
-    return _bred(graphs, pairs.parents[:0], pairs, 0, graphs.capacity, None, 0)
+def swapped(graphs: Graphs, strategy: Tensor, key: int) -> Graphs:
+    """Children of first and second parents (2 Q); see `cgtorch.evolution.crossover.swapped`."""
+    keys = key, 0
+    return _bred(graphs, torch.arange(len(graphs)), 0, strategy, keys, graphs.capacity, None)
 
 
 def bred(
-    graphs: Graphs, elite: Tensor, pairs: Pairs, choices: Choices, actions: ActionSet
+    graphs: Graphs,
+    rows: Tensor,
+    first: int,
+    strategy: Tensor,
+    keys: tuple[int, int],
+    actions: ActionSet,
+    capacity: int,
 ) -> Graphs:
     """See `cgtorch.evolution.offspring.bred`."""
-    mutation = choices.key, choices.width, actions.has_edge, len(actions)
-    return _bred(graphs, elite, pairs, *mutation)
+    return _bred(graphs, rows, first, strategy, keys, capacity, actions)
 
 
 def _bred(
     graphs: Graphs,
-    elite: Tensor,
-    pairs: Pairs,
-    key: int,
-    slots: int,
-    has_edge: Tensor | None,
-    actions: int,
+    rows: Tensor,
+    first: int,
+    strategy: Tensor,
+    keys: tuple[int, int],
+    capacity: int,
+    actions: ActionSet | None,
 ) -> Graphs:
-    graphs = _contiguous(replace(graphs, parameters=graphs.action[..., None]))
-    out = _room(len(elite) + len(pairs.parents), slots, graphs.edges.shape[2])
-    _call(
-        "bred", torch.float32,
-        _pointers(graphs, marks=False), elite, len(elite), pairs.parents, _pointers(out),
-        _shape(graphs), pairs.strategy, pairs.key, pairs.width, key, slots, has_edge, actions,
-        len(pairs),
+    n, o = graphs.edges.shape[1:]
+    graphs, count = _contiguous(graphs), len(rows)
+    rows, strategy = rows.contiguous(), strategy.float().contiguous()
+    room = _room(count, min(n + 1, capacity), o)
+    has_edge = None if actions is None else actions.has_edge
+    breeding = _Breeding(
+        _pointers(graphs, marks=False), _pointers(room), rows.data_ptr(), strategy.data_ptr(),
+        None if has_edge is None else has_edge.data_ptr(), n, o, first, (count - first) // 2,
+        0 if actions is None else len(actions), *keys, capacity,
     )  # fmt: skip
-    return out
+    _call("bred", torch.float32, byref(breeding))
+    return _in_slots(room, breeding.slots)
 
 
 def mark_new_(graphs: Graphs, actions: int) -> list[int]:
     """See `cgtorch.evolution.parameters.mark_new_`."""
-    first, where = torch.empty(actions + 1, dtype=torch.long), torch.empty_like(graphs.action)
-    marks = graphs.parameters
-    _call("mark_new", torch.float32, graphs.action, marks, marks.numel(), actions, first, where)
-    return first.tolist()
+    first, marks = (c_int64 * (actions + 1))(), graphs.parameters
+    _call("mark_new", torch.float32, graphs.action, marks, marks.numel(), actions, first)
+    return list(first)
 
 
 def parameters(
@@ -128,8 +140,8 @@ def parameters(
     old: Tensor,
     fresh: Tensor,
     actions: ActionSet,
-    rate: Tensor,
-    sigma: Tensor,
+    strategy: Tensor,
+    same: int,
     key: int,
 ) -> Tensor:
     """See `cgtorch.evolution.parameters.parameters`."""
@@ -137,8 +149,8 @@ def parameters(
     out = old.new_empty(p, n, old.shape[2])
     _call(
         "parameters_of", old.dtype,
-        rate, sigma, key, quantiles(), graphs.action, actions.num_parameters, len(actions), n,
-        graphs.parameters, old, fresh, old.shape[2], out, p,
+        strategy.float(), same, key, quantiles(), graphs.action, actions.num_parameters,
+        len(actions), n, graphs.parameters, old, fresh, old.shape[2], out, p,
     )  # fmt: skip
     return out
 
@@ -155,6 +167,13 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     chosen = torch.empty(count, dtype=torch.long)
     _call("lexicase", scores.dtype, scores, *scores.shape, epsilon, key, count, chosen)
     return chosen
+
+
+def ranking(fitness: Tensor, size: Tensor) -> Tensor:
+    """See `cgtorch.evolution.selection.ranking`."""
+    order = torch.empty(len(size), dtype=torch.long)
+    _call("ranking", fitness.dtype, fitness, size.long(), len(size), order)
+    return order
 
 
 def _function(name: str, dtype: torch.dtype) -> Any:
@@ -183,11 +202,27 @@ def _room(count: int, nodes: int, outcomes: int) -> Graphs:
     return Graphs(*(torch.empty(size, dtype=torch.long) for size in sizes))
 
 
-def _pointers(graphs: Graphs, marks: bool = True) -> Any:
-    pointers = _Pointers(*(x.data_ptr() for x in vars(graphs).values()))
-    if not marks:
-        pointers.marks = None
-    return byref(pointers)
+def _in_slots(room: Graphs, slots: int) -> Graphs:
+    """The graphs that lie in this room with fewer slots each than there is room for."""
+    if slots == room.capacity:
+        return room
+    p, _, o = room.edges.shape
+
+    def first(x: Tensor, *size: int) -> Tensor:
+        return x.flatten()[: math.prod(size)].view(size)
+
+    return Graphs(
+        first(room.action, p, slots),
+        first(room.edges, p, slots, o),
+        first(room.parameters, p, slots, 1),
+        room.start,
+    )
+
+
+def _pointers(graphs: Graphs, marks: bool = True) -> _Pointers:
+    g = graphs
+    third = g.parameters.data_ptr() if marks else None
+    return _Pointers(g.action.data_ptr(), g.edges.data_ptr(), third, g.start.data_ptr())
 
 
 def _shape(graphs: Graphs) -> Tensor:

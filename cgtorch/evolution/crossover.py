@@ -37,28 +37,14 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
         2 Q children, those that take the frame of the first parents before the others.
     """
     graphs = concatenate([first.graphs, second.graphs])
-    strategy = torch.cat([first.strategy, second.strategy])
-    every = torch.arange(len(graphs))
-    pairs = pairs_of(graphs, every, 0, strategy, generator)
-    way = compiled.swapped if compiled.takes(graphs, graphs.parameters) else swapped
-    return Population(copied(way(graphs, pairs), graphs.parameters), strategy)
-
-
-def pairs_of(
-    graphs: Graphs, rows: Tensor, first: int, strategy: Tensor, generator: Generator
-) -> Pairs:
-    """Choices for pairs of graphs.
-
-    Args:
-        graphs: P of them.
-        rows: (first + 2 Q,) long, those that are to have room in `Pairs.width`: some others, then
-            the first of all pairs and then the second.
-        first: how many others.
-        strategy: (2 Q, S) that of the parents.
-        generator: of all choices.
-    """
-    way = compiled.most_nodes if compiled.takes(graphs, graphs.parameters) else most_nodes
-    return Pairs(rows[first:], strategy.float(), key(generator), way(graphs, rows))
+    strategy, word = torch.cat([first.strategy, second.strategy]), key(generator)
+    if compiled.takes(graphs, graphs.parameters):
+        children = compiled.swapped(graphs, strategy, word)
+    else:
+        every = torch.arange(len(graphs))
+        pairs = Pairs(every, strategy.float(), word, most_nodes(graphs, every))
+        children = swapped(graphs, pairs)
+    return Population(copied(children, graphs.parameters), strategy)
 
 
 def most_nodes(graphs: Graphs, rows: Tensor) -> int:

@@ -34,10 +34,8 @@ def mutate(
     choices = choices_for(strategy, nodes, capacity, generator)
     way = compiled.restructured if compiled.takes(graphs, old) else restructured
     made = way(graphs, choices, actions, capacity)
-    column = dict(zip(STRATEGY, strategy.float().unbind(1), strict=True))
-    rate, sigma = column["mutate_parameter"], column["sigma"]
     return Population(
-        changed(made, old, actions, rate, sigma, generator), drift(strategy, tau, generator)
+        changed(made, old, actions, strategy, 0, generator), drift(strategy, tau, generator)
     )
 
 

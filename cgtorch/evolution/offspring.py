@@ -5,15 +5,14 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import Choices, Pairs, choices_for
-from cgtorch.evolution.crossover import pairs_of, swapped
+from cgtorch.evolution.choices import Choices, Pairs
+from cgtorch.evolution.crossover import most_nodes, swapped
 from cgtorch.evolution.mutation import TAU, drift
 from cgtorch.evolution.parameters import changed, marked
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import Population
+from cgtorch.evolution.sampling import key
 from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
-
-RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
 
 def offspring(
@@ -45,24 +44,38 @@ def offspring(
     """
     graphs, rows, first = population.graphs, torch.cat([elite, parents]), len(elite)
     strategy = population.strategy.index_select(0, rows)
-    theirs = strategy[first:]
-    pairs = pairs_of(graphs, rows, first, theirs, generator)
-    choices = choices_for(theirs, pairs.width, capacity, generator)
-    slots = choices.width
+    keys, slots = (key(generator), key(generator)), min(graphs.capacity + 1, capacity)
     way = compiled.bred if compiled.takes(graphs, graphs.parameters, slots) else bred
-    children = way(graphs, elite, pairs, choices, actions)
-    rate, sigma = strategy[:, RATE].float().clone(), strategy[:, SIGMA].float()
-    rate[:first] = 0
-    made = changed(children, graphs.parameters, actions, rate, sigma, generator)
-    strategy[first:] = drift(theirs, tau, generator)
+    children = way(graphs, rows, first, strategy, keys, actions, capacity)
+    made = changed(children, graphs.parameters, actions, strategy, first, generator)
+    strategy[first:] = drift(strategy[first:], tau, generator)
     return Population(made, strategy)
 
 
 def bred(
-    graphs: Graphs, elite: Tensor, pairs: Pairs, choices: Choices, actions: ActionSet
+    graphs: Graphs,
+    rows: Tensor,
+    first: int,
+    strategy: Tensor,
+    keys: tuple[int, int],
+    actions: ActionSet,
+    capacity: int,
 ) -> Graphs:
-    """Marked graphs of the elite (E,) and of children of pairs, mutated, in torch."""
-    room = max(graphs.capacity, choices.width)
-    same = narrowed(widened(compacted(marked(graphs)[elite]), room), choices.width)
-    children = restructured(swapped(graphs, pairs), choices, actions, choices.width)
+    """Marked graphs of the elite and of children of pairs, mutated, in torch.
+
+    Args:
+        graphs: P of them.
+        rows: (E + 2 Q,) long, the elite and then the parents; see `offspring`.
+        first: E.
+        strategy: (E + 2 Q, S) theirs.
+        keys: of all numbers of pairs, and of children.
+        actions: what nodes can do.
+        capacity: the most nodes that a child can have.
+    """
+    width, theirs = most_nodes(graphs, rows), strategy[first:].float()
+    slots = min(width + 1, capacity)
+    pairs = Pairs(rows[first:], theirs, keys[0], width)
+    elite = compacted(marked(graphs)[rows[:first]])
+    same = narrowed(widened(elite, max(graphs.capacity, slots)), slots)
+    children = restructured(swapped(graphs, pairs), Choices(theirs, keys[1], slots), actions, slots)
     return concatenate([same, children])

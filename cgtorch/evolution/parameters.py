@@ -12,8 +12,11 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
+from cgtorch.evolution.population import STRATEGY
 from cgtorch.evolution.sampling import key, keys, normal, uniform, words
 from cgtorch.graphs import Graphs
+
+RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
 
 def marked(graphs: Graphs) -> Graphs:
@@ -32,8 +35,8 @@ def changed(
     graphs: Graphs,
     old: Tensor,
     actions: ActionSet,
-    rate: Tensor,
-    sigma: Tensor,
+    strategy: Tensor,
+    same: int,
     generator: Generator,
 ) -> Graphs:
     """Marked graphs with parameters, each of which may have changed by a Gaussian step.
@@ -42,8 +45,9 @@ def changed(
         graphs: P of them; nodes without a mark are new, get one, and initial parameters.
         old: (P', N, K) parameters of parents, which marks point to.
         actions: what the nodes are.
-        rate: (P,) probability that a parameter changes.
-        sigma: (P,) standard deviations of the steps.
+        strategy: (P, S), with the probability that a parameter changes and the standard deviation
+            of the steps.
+        same: individuals that come first and stay as they are.
         generator: of new parameters, of the choices and of the steps.
     """
     native = compiled.takes(graphs, old)
@@ -54,7 +58,7 @@ def changed(
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     way = compiled.parameters if native else parameters
-    made = way(graphs, old, fresh, actions, rate, sigma, key(generator))
+    made = way(graphs, old, fresh, actions, strategy, same, key(generator))
     return replace(graphs, parameters=made)
 
 
@@ -77,8 +81,8 @@ def parameters(
     old: Tensor,
     fresh: Tensor,
     actions: ActionSet,
-    rate: Tensor,
-    sigma: Tensor,
+    strategy: Tensor,
+    same: int,
     key: int,
 ) -> Tensor:
     """(P, N, K) in torch; `native/parameters.c` makes them for one individual after the other.
@@ -88,8 +92,8 @@ def parameters(
         old: (P', N', K).
         fresh: (F, K).
         actions: see `changed`, as of all that follows.
-        rate: (P,).
-        sigma: (P,).
+        strategy: (P, S).
+        same: individuals that stay.
         key: of all choices and steps. Each parameter has one word, which says both whether it
             changes and by how much.
     """
@@ -99,9 +103,11 @@ def parameters(
     row, slot = count.nonzero(as_tuple=True)
     column = torch.arange(out.shape[2])
     random = words(keys(key, len(graphs))[row, None], before[row, slot][:, None] + column)
-    changes = (uniform(random) < rate[row, None]) & (column < count[row, slot][:, None])
+    rate, sigma = strategy.float()[row][:, [RATE, SIGMA]].split(1, 1)
+    changes = (uniform(random) < rate) & (row >= same)[:, None]
+    changes &= column < count[row, slot][:, None]
     values = out[row, slot]
-    out[row, slot] = torch.where(changes, values + normal(random) * sigma[row, None], values)
+    out[row, slot] = torch.where(changes, values + normal(random) * sigma, values)
     return out
 
 

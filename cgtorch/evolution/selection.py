@@ -7,6 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
+from cgtorch.evolution import compiled
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and
@@ -15,6 +16,13 @@ the generator of the choices, to the parents (count,)."""
 
 def ranking(fitness: Tensor, size: Tensor) -> Tensor:
     """(P,) long, individuals from best to worst; of equal fitness the smaller graph first."""
+    if compiled.takes_scores(fitness):
+        return compiled.ranking(fitness, size)
+    return ranked(fitness, size)
+
+
+def ranked(fitness: Tensor, size: Tensor) -> Tensor:
+    """The same in torch; `native/ranking.c` sorts faster."""
     by_size = torch.argsort(size, stable=True)
     return by_size[torch.argsort(fitness[by_size], descending=True, stable=True)]
 

@@ -6,27 +6,45 @@
 
 typedef REAL real;
 
-static inline real distance(real a, real b) { return a < b ? b - a : a - b; }
+/* Whole numbers in the order of numbers, of which every bit is compared as one without a sign. */
+#ifdef REAL_IS_FLOAT
+typedef int32_t whole;
+typedef uint32_t bits;
+#else
+typedef int64_t whole;
+typedef uint64_t bits;
+#endif
+#define SIGN ((bits)1 << (sizeof(bits) * 8 - 1))
 
-/* The value at place k of `count` values in order, as quickselect (Hoare 1961) finds it. */
-static real ranked(real *x, int64_t count, int64_t k) {
-  int64_t low = 0, high = count - 1;
-  while (low < high) {
-    real pivot = x[low + (high - low) / 2];
-    int64_t i = low, j = high;
-    while (i <= j) {
-      while (x[i] < pivot) i++;
-      while (x[j] > pivot) j--;
-      if (i > j) break;
-      real kept = x[i];
-      x[i++] = x[j];
-      x[j--] = kept;
-    }
-    if (k <= j) high = j;
-    else if (k >= i) low = i;
-    else break;
+static inline bits ordered(real x) {
+  bits b;
+  memcpy(&b, &x, sizeof b);
+  return b & SIGN ? ~b : b | SIGN;
+}
+static inline real number_of(bits b) {
+  real x;
+  b = b & SIGN ? b & ~SIGN : ~b;
+  memcpy(&x, &b, sizeof x);
+  return x;
+}
+
+/* The number at place k of `count` numbers in order, bit by bit: how many are less than what it is so
+   far is counted for a vector of numbers at once, which no sorting can be. */
+static real ranked(const real *numbers, whole *x, int64_t count, int64_t k) {
+  bits any = 0, all = ~(bits)0;
+  for (int64_t i = 0; i < count; i++) {
+    bits b = ordered(numbers[i]);
+    any |= b, all &= b;
+    x[i] = (whole)(b ^ SIGN);
   }
-  return x[k];
+  bits found = all;
+  for (bits bit = SIGN, differ = any & ~all; bit; bit >>= 1) {
+    if (!(differ & bit)) continue; /* the same in all */
+    whole below = (whole)(((found & ~(bit - 1)) | bit) ^ SIGN), less = 0;
+    for (int64_t i = 0; i < count; i++) less += x[i] < below;
+    if (less <= k) found |= bit;
+  }
+  return number_of(found);
 }
 
 typedef struct {
@@ -39,16 +57,18 @@ typedef struct {
 static void some_scenarios(void *what, int64_t begin, int64_t end) {
   Deviation *d = what;
   int64_t n = d->people, half = (n - 1) / 2;
-  real *column = malloc((size_t)n * 2 * sizeof *column), *x = column + n;
+  real *column = malloc((size_t)n * 2 * sizeof *column);
+  whole *x = (whole *)(column + n);
   if (!column) {
     d->failed = 1;
     return;
   }
   for (int64_t j = begin; j < end; j++) {
-    for (int64_t i = 0; i < n; i++) column[i] = x[i] = d->scores[i * d->scenarios + j];
-    real middle = ranked(x, n, half);
-    for (int64_t i = 0; i < n; i++) x[i] = distance(column[i], middle);
-    d->out[j] = ranked(x, n, half);
+    for (int64_t i = 0; i < n; i++) column[i] = d->scores[i * d->scenarios + j];
+    real middle = ranked(column, x, n, half);
+    for (int64_t i = 0; i < n; i++)
+      column[i] = column[i] < middle ? middle - column[i] : column[i] - middle;
+    d->out[j] = ranked(column, x, n, half);
   }
   free(column);
 }
@@ -80,14 +100,13 @@ static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios
   for (int64_t i = 0; i < size; i++) table[i] = -1;
   for (int64_t i = 0; i < people; i++) {
     const real *mine = scores + i * scenarios;
-    uint64_t hash = 0;
+    uint64_t hash = 0; /* multilinear: no step waits for the one before */
     for (int64_t j = 0; j < scenarios; j++) {
-      uint64_t bits = 0;
-      memcpy(&bits, mine + j, sizeof *mine);
-      hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
-      hash ^= hash >> 29;
+      bits number;
+      memcpy(&number, mine + j, sizeof number);
+      hash += number * (GOLDEN * (uint64_t)(2 * j + 1));
     }
-    int64_t at = (int64_t)(hash & (uint64_t)(size - 1));
+    int64_t at = (int64_t)(mixed(hash) & (uint64_t)(size - 1));
     while (table[at] >= 0 && memcmp(scores + table[at] * scenarios, mine, bytes))
       at = (at + 1) & (size - 1);
     if (table[at] < 0) {

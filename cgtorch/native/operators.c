@@ -42,14 +42,13 @@ static int64_t count_nodes(const int64_t *action, int64_t nodes) {
 }
 
 /* Nodes of the largest of some graphs. */
-int most_nodes(const int64_t *action, int64_t nodes, const int64_t *rows, int64_t count,
-               int64_t *most) {
-  *most = 0;
+static int64_t most_nodes(const Graphs *graphs, int64_t nodes, const int64_t *rows, int64_t count) {
+  int64_t most = 0;
   for (int64_t i = 0; i < count; i++) {
-    int64_t here = count_nodes(action + rows[i] * nodes, nodes);
-    if (here > *most) *most = here;
+    int64_t here = count_nodes(graphs->action + rows[i] * nodes, nodes);
+    if (here > most) most = here;
   }
-  return 0;
+  return most;
 }
 
 /* Individuals mutated. */
@@ -63,21 +62,31 @@ int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const fl
   return 0;
 }
 
-/* Copies of the elite, then children of pairs; they are mutated, too, if `has_edge` says what nodes
-   can be. All have so many slots. */
-int bred(const Graphs *from, const int64_t *elite, int64_t copies, const int64_t *parents,
-         const Graphs *to, const int64_t *shape, const float *strategy, int64_t pair_key,
-         int64_t pair_width, int64_t key, int64_t slots, const uint8_t *has_edge, int64_t actions,
-         int64_t pairs, int64_t threads) {
-  Shape before = {shape[0], shape[1]}, after = {slots, shape[1]};
-  Operators all = {.to = *to, .shape = after, .first = copies};
-  for (int64_t row = 0; row < copies; row++) {
+/* What children are made of. */
+typedef struct {
+  Graphs from, to;
+  const int64_t *rows;     /* (E + 2 Q,) of `from`: the elite, the first parents, the second ones */
+  const float *strategy;   /* (E + 2 Q, STRATEGY) theirs */
+  const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
+  int64_t nodes, outcomes, elite, pairs, actions, pair_key, key;
+  int64_t slots; /* that graphs may have in the end; set to as many as the largest may need */
+} Breeding;
+
+/* Copies of the elite, then children of pairs; where they are mutated, they may have a node more. */
+int bred(Breeding *b, int64_t threads) {
+  int64_t width = most_nodes(&b->from, b->nodes, b->rows, b->elite + 2 * b->pairs);
+  if (b->has_edge && b->slots > width + 1) b->slots = width + 1;
+  Shape before = {b->nodes, b->outcomes}, after = {b->slots, b->outcomes};
+  Operators all = {.to = b->to, .shape = after, .first = b->elite};
+  const int64_t *parents = b->rows + b->elite;
+  const float *strategy = b->strategy + b->elite * STRATEGY;
+  for (int64_t row = 0; row < b->elite; row++) {
     Graph graph;
-    read_graph(&graph, from, before, elite[row]);
-    write_reached(&graph, to, after, row);
+    read_graph(&graph, &b->from, before, b->rows[row]);
+    write_reached(&graph, &b->to, after, row);
   }
-  all.crossover = (Crossover){*from, before, parents, strategy, pair_key, pair_width, pairs};
-  all.mutation = (Mutation){after, strategy, key, slots, has_edge, actions};
-  in_parallel(some_pairs, &all, pairs, 32, threads);
+  all.crossover = (Crossover){b->from, before, parents, strategy, b->pair_key, width, b->pairs};
+  all.mutation = (Mutation){after, strategy, b->key, b->slots, b->has_edge, b->actions};
+  in_parallel(some_pairs, &all, b->pairs, 32, threads);
   return 0;
 }

@@ -3,6 +3,7 @@
 #define _DEFAULT_SOURCE /* of madvise */
 #include "draws.h"
 #include "parallel.h"
+#include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 
@@ -28,11 +29,11 @@ static inline int64_t parameters_at(const Nodes *of, int64_t slot) {
 }
 
 /* Marks nodes that have no mark with -1, -2, ..., first those of action 0, and so on, and tells after
-   how many those of each action begin; the last of `first` (A + 1,) is how many there are. `where`
-   (P N,) is for its own use. */
-int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actions, int64_t *first,
-             int64_t *where) {
-  int64_t count = 0;
+   how many those of each action begin; the last of `first` (A + 1,) is how many there are. 1 for want
+   of memory. */
+int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actions, int64_t *first) {
+  int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
+  if (!where) return 1;
   memset(first, 0, (size_t)(actions + 1) * sizeof *first);
   for (int64_t i = 0; i < total; i++)
     if (!marks[i] && action[i] >= 0 && action[i] < actions) {
@@ -41,6 +42,7 @@ int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actio
     }
   for (int64_t a = 0; a < actions; a++) first[a + 1] += first[a];
   for (int64_t i = 0; i < count; i++) marks[where[i]] -= first[action[where[i]]];
+  free(where);
   return 0;
 }
 
@@ -56,9 +58,11 @@ static void large_pages(void *memory, size_t bytes) {
 #endif
 }
 
+enum { RATE = STRATEGY - 2, SIGMA };
+
 typedef struct {
-  const float *rate, *sigma; /* (P,) */
-  int64_t key;
+  const float *strategy; /* (P, STRATEGY) */
+  int64_t same, key;     /* `same` individuals come first, whose parameters stay */
   const float *quantiles; /* (1281, 3), cgtorch.evolution.sampling.quantiles */
   Nodes of;
   const int64_t *marks; /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
@@ -100,26 +104,27 @@ static void some_children(void *what, int64_t begin, int64_t end) {
   const Children *c = what;
   int64_t n = c->of.nodes, k = c->most;
   for (int64_t row = begin; row < end; row++) {
-    uint64_t key = key_of(c->key, row), limit = below(c->rate[row]);
+    const float *strategy = c->strategy + row * STRATEGY;
+    uint64_t key = key_of(c->key, row), limit = row < c->same ? 0 : below(strategy[RATE]);
     for (int64_t i = row * n, first = 0; i < (row + 1) * n; i++) {
       int64_t mark = c->marks[i], count = mark ? parameters_at(&c->of, i) : 0;
       real *parameters = c->parameters + i * k;
       const real *from = mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k;
       if (count) memcpy(parameters, from, (size_t)count * sizeof(real));
       memset(parameters + count, 0, (size_t)(k - count) * sizeof(real));
-      some_steps(c, key, limit, c->sigma[row], first, count, parameters);
+      some_steps(c, key, limit, strategy[SIGMA], first, count, parameters);
       first += count;
     }
   }
 }
 
-int parameters_of(const float *rate, const float *sigma, int64_t key, const float *quantiles,
+int parameters_of(const float *strategy, int64_t same, int64_t key, const float *quantiles,
                   const int64_t *action, const int64_t *num_parameters, int64_t actions,
                   int64_t nodes, const int64_t *marks, const real *old, const real *fresh,
                   int64_t most, real *parameters, int64_t rows, int64_t threads) {
   Nodes of = {action, num_parameters, actions, nodes};
   large_pages(parameters, (size_t)(rows * nodes * most) * sizeof(real));
-  Children c = {rate, sigma, key, quantiles, of, marks, old, fresh, parameters, most};
+  Children c = {strategy, same, key, quantiles, of, marks, old, fresh, parameters, most};
   in_parallel(some_children, &c, rows, 64, threads);
   return 0;
 }

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support import custom_actions, random_graphs, same, seeded
 from torch import Tensor
 
-from cgtorch.evolution import STRATEGY, Population
+from cgtorch.evolution import STRATEGY, Population, initial_strategy
 from cgtorch.evolution.mutation import (
     PROBABILITY_MAX,
     SIGMA_MAX,
@@ -104,15 +104,8 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     assert torch.equal(new.used, old.used)
     assert torch.equal(new.start, old.start)
     assert (new.parameters == 0).all()
-    still = torch.zeros(P)
-    made = changed(
-        replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long)),
-        old.parameters,
-        ACTIONS,
-        still,
-        still,
-        seeded(seed),
-    )
+    unmarked = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
+    made = changed(unmarked, old.parameters, ACTIONS, initial_strategy(P), P, seeded(seed))
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
     assert (made.parameters != old.parameters).any(2)[real].all()
     assert (made.parameters[~real] == 0).all()
@@ -153,7 +146,10 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
     many = one[torch.zeros(4000, dtype=torch.long)]
     sigma = torch.where(torch.arange(4000) < 2000, 0.1, 3.0)
     rate = torch.where(torch.arange(4000) % 2 == 0, 0.25, 1.0)
-    new = changed(marked(many), many.parameters, ACTIONS, rate, sigma, seeded(0))
+    strategy = initial_strategy(4000)
+    strategy[:, STRATEGY.index("mutate_parameter")] = rate
+    strategy[:, STRATEGY.index("sigma")] = sigma
+    new = changed(marked(many), many.parameters, ACTIONS, strategy, 0, seeded(0))
     change = new.parameters - many.parameters
     count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
     real = torch.arange(change.shape[2]) < count[:, None]

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from support import seeded
 
 from cgtorch.errors import SettingsError
-from cgtorch.evolution.selection import ranking, tournament
+from cgtorch.evolution.selection import ranked, ranking, tournament
 
 
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 3)), min_size=1))
@@ -13,6 +13,21 @@ def test_ranking_is_by_fitness_then_size_then_place(pairs: list[tuple[float, int
     fitness, size = (torch.tensor(x) for x in zip(*pairs, strict=True))
     wanted = sorted(range(len(pairs)), key=lambda i: (-pairs[i][0], pairs[i][1], i))
     assert ranking(fitness, size).tolist() == wanted
+
+
+numbers = st.one_of(
+    st.floats(allow_nan=False, width=32), st.sampled_from([0.0, -0.0, 0.5, 1e-45, 3.4e38])
+)
+
+
+@given(
+    st.lists(st.tuples(numbers, st.integers(0, 2**40)), min_size=1, max_size=50),
+    st.sampled_from([torch.float32, torch.float64]),
+)
+def test_ranking_compiled_and_in_torch(pairs: list[tuple[float, int]], dtype: torch.dtype) -> None:
+    values, sizes = zip(*pairs, strict=True)
+    fitness, size = torch.tensor(values, dtype=dtype), torch.tensor(sizes)
+    assert torch.equal(ranking(fitness, size), ranked(fitness, size))
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 5])

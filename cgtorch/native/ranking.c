@@ -1,0 +1,57 @@
+/* Individuals from best to worst (cgtorch.evolution.selection.ranking). */
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef REAL real;
+
+#define DIGIT 11 /* bits that are sorted by at once */
+#define BUCKETS (1 << DIGIT)
+
+/* Whole numbers in the order of numbers, the largest first, in which there is one zero only and what is
+   not a number comes before all. */
+#ifdef REAL_IS_FLOAT
+typedef uint32_t word;
+#else
+typedef uint64_t word;
+#endif
+static uint64_t downwards(real x) {
+  const word sign = (word)1 << (sizeof(word) * 8 - 1);
+  word bits;
+  x += 0;
+  if (x != x) return 0;
+  memcpy(&bits, &x, sizeof bits);
+  return bits & sign ? bits : ~bits & ~sign;
+}
+
+/* Sorts `order` by key, from the least on, and keeps what is equal in order; digit by digit, where they
+   differ at all. What comes out is in the one that is returned. */
+static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64_t *other) {
+  uint64_t any = 0, all = ~(uint64_t)0;
+  for (int64_t i = 0; i < count; i++) any |= key[i], all &= key[i];
+  for (int shift = 0; shift < 64; shift += DIGIT) {
+    if (!((any & ~all) >> shift & (BUCKETS - 1))) continue;
+    int64_t first[BUCKETS + 1] = {0}, *swap = order;
+    for (int64_t i = 0; i < count; i++) first[(key[i] >> shift & (BUCKETS - 1)) + 1]++;
+    for (int b = 0; b < BUCKETS; b++) first[b + 1] += first[b];
+    for (int64_t i = 0; i < count; i++)
+      other[first[key[order[i]] >> shift & (BUCKETS - 1)]++] = order[i];
+    order = other;
+    other = swap;
+  }
+  return order;
+}
+
+/* Indices (count,) by fitness, of equal ones by size, of equal ones as they are; 1 for want of memory. */
+int ranking(const real *fitness, const int64_t *size, int64_t count, int64_t *out) {
+  uint64_t *key = malloc((size_t)(3 * count + 1) * sizeof *key);
+  if (!key) return 1;
+  int64_t *order = (int64_t *)key + count, *other = order + count;
+  for (int64_t i = 0; i < count; i++) order[i] = i, key[i] = (uint64_t)size[i];
+  int64_t *found = sorted(key, count, order, other);
+  for (int64_t i = 0; i < count; i++) key[i] = downwards(fitness[i]);
+  found = sorted(key, count, found, found == order ? other : order);
+  memcpy(out, found, (size_t)count * sizeof *out);
+  free(key);
+  return 0;
+}
