@@ -70,6 +70,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import LearningCurve
 from cgtorch.report.graph_picture import draw_skill
+from cgtorch.report.histograms import histograms
 from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
 from cgtorch.world import Scenarios
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from tensorboard.compat.proto.summary_pb2 import Summary
 
 BINS = 24
+STRATEGY_TAGS = [f"strategy/{name}" for name in STRATEGY]
 BY_ROWS = "by_rows"
 DPI = 80
 METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
@@ -206,8 +208,7 @@ class TensorBoardWatch:
             }
         )
         if generation.number % self._histogram_every == 0:
-            for name, values in zip(STRATEGY, population.strategy.T, strict=True):
-                self._writer.add_histogram(f"strategy/{name}", values, self.step, bins=BINS)
+            self._write(histograms(STRATEGY_TAGS, population.strategy, BINS))
         self._latest = event.candidate, generation.champion
         self.step += 1
 
