@@ -73,6 +73,10 @@ class Lanes:
         """The lanes at `index` (k,)."""
         return type(self)(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
 
+    def part(self, which: slice) -> Self:
+        """Some of the lanes, which lie where these do."""
+        return type(self)(*(getattr(self, f.name)[which] for f in fields(self)))
+
     def differs(self, other: "Lanes") -> Tensor:
         """(n,) bool, whether anything but the step count differs from lanes of the same rows."""
         changed = torch.zeros(len(self), dtype=torch.bool, device=self.percept.device)
@@ -86,12 +90,21 @@ class Lanes:
         """The same lanes, of whose memory only a part is seen; what is written there is theirs."""
         return replace(self, memory=self.memory[:, part])
 
-    def write(self, index: Tensor, before: "Lanes", after: "Lanes") -> None:
-        """Overwrite in place the lanes at `index` (k,) with what differs between two versions."""
+    def write(self, which: slice, before: "Lanes", after: "Lanes") -> None:
+        """Overwrite in place some lanes with what differs between two versions of them."""
         for f in fields(self):
             value = getattr(after, f.name)
             if value is not getattr(before, f.name):
-                getattr(self, f.name).index_copy_(0, index, value)
+                getattr(self, f.name)[which] = value
+
+
+def rows_where(mask: Tensor) -> Tensor:
+    """Rows (k,) long that hold all for which `mask` (n,) is true: these alone, or on a GPU all.
+
+    To count them there would make the host wait for it in the middle of a step. What is found out
+    about such rows counts only where the mask is true.
+    """
+    return mask.nonzero()[:, 0] if mask.is_cpu else torch.arange(len(mask), device=mask.device)
 
 
 @runtime_checkable

@@ -1,5 +1,7 @@
 """Γ and C with random numbers in them, in float64, as real ones have them by fitting."""
 
+import copy
+
 import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
@@ -82,4 +84,25 @@ def random_models(
         ClearWay(torch.tensor(FOOTPRINT, dtype=torch.float64)),
         errors=noise if errors else None,
         most_novel=0.9,
+    )
+
+
+def models_as(
+    environment: ModelEnvironment,
+    dtype: torch.dtype = torch.float64,
+    device: torch.device | str = "cpu",
+) -> ModelEnvironment:
+    """The same models with other numbers or elsewhere."""
+    gamma, classifier = (
+        copy.deepcopy(model).to(device, dtype)
+        for model in (environment.gamma.__self__, environment.classifier)  # type: ignore[attr-defined]
+    )
+    errors = environment.errors
+    return ModelEnvironment(
+        environment.percepts.to(device, dtype),
+        gamma.predict_with_novelty,
+        classifier,
+        ClearWay(environment.possible.footprint.to(device, dtype)),  # type: ignore[attr-defined]
+        errors=None if errors is None else errors.to(device, dtype),
+        most_novel=environment.most_novel,
     )

@@ -20,6 +20,7 @@ def shrunk(
     environment: Environment,
     max_transitions: int,
     fitness: Fitness = chance_of_success,
+    device: torch.device | str = "cpu",
 ) -> Population:
     """The individual with nodes taken away until it is readable, as long as it does as well.
 
@@ -32,8 +33,9 @@ def shrunk(
         environment: the models, on the scenarios that it is for.
         max_transitions: see `cgtorch.simulation.rollout`.
         fitness: what a run is worth.
+        device: where the environment runs.
     """
-    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool)
+    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
     evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)
 
     def tried(graphs: Graphs) -> tuple[Tensor, Tensor]:

@@ -157,7 +157,12 @@ def recruit(
         journal=setup.journal,
     )
     champion = shrunk(
-        champion, setup.actions, environment, setup.max_transitions, setup.evolution.fitness
+        champion,
+        setup.actions,
+        environment,
+        setup.max_transitions,
+        setup.evolution.fitness,
+        setup.device,
     )
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, task.scenarios)

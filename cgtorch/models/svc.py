@@ -186,11 +186,13 @@ class SVC(KernelMachine):
     def forward(self, x: Tensor) -> Tensor:
         """Probability (...) of the second class for rows x (..., d), differentiable in x.
 
+        On a GPU nothing waits to see whether there are probabilities: they are NaN where not.
+
         Raises:
             ModelError: Not fitted, or fitted without `probability=True`.
             DataError: Wrong shape.
         """
         decision = self.values(x)[..., 0]
-        if not bool(torch.isfinite(self.platt).all()):
+        if self.platt.is_cpu and not bool(torch.isfinite(self.platt).all()):
             raise ModelError("this SVC has no probabilities; fit it with probability=True")
         return probability(decision, self.platt[0], self.platt[1])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from cgtorch.environment import rows_where
 from cgtorch.simulation.program import Program
 from cgtorch.simulation.vocabulary import SUCCESS
 
@@ -54,14 +55,17 @@ def enter(program: Program, frames: Frames) -> Frames:
     caller, left = frames.caller.clone(), frames.left.clone()
     first = len(program.primitives)
     for _ in range(program.depth):
-        here = (program.kind[node] >= first).nonzero()[:, 0]
+        inside = program.kind[node] >= first
+        here = rows_where(inside)
         if not len(here):
             break
-        level[here] += 1
-        caller[here, level[here]] = node[here]
-        skill = program.kind[node[here]] - first
-        left[here, level[here]] = program.limit[skill]
-        node[here] = program.entry[skill]
+        yes, at = inside[here], node[here]
+        level[here] += yes.long()
+        deepest = here, level[here]
+        skill = (program.kind[at] - first).clamp_min(0)
+        caller[deepest] = torch.where(yes, at, caller[deepest])
+        left[deepest] = torch.where(yes, program.limit[skill], left[deepest])
+        node[here] = torch.where(yes, program.entry[skill], at)
     return replace(frames, node=node, level=level, caller=caller, left=left)
 
 
@@ -93,7 +97,7 @@ def follow(
     for _ in range(depth - 1):
         left.index_copy_(0, here, remain)
         leaves = (head < 0) & (level > 0)
-        if not leaves.any():
+        if leaves.is_cpu and not leaves.any():
             break
         # A sub-skill's first outcome is success, its second failure; a timeout is a failure.
         caller = frames.caller.view(-1).index_select(0, here)

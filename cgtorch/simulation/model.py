@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
-from cgtorch.environment import Lanes
+from cgtorch.environment import Lanes, rows_where
 from cgtorch.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -92,19 +92,21 @@ class ModelEnvironment:
 
         A control that is not finite, such as that of a lane without a message, never is.
         """
-        asked = (control.isfinite().all(1) & ~self.lost(lanes)).nonzero()[:, 0]
-        rows = asked[self.possible(lanes.percept[asked], control[asked])]
-        percept, state = lanes.percept.clone(), lanes.state.clone()
+        moved = control.isfinite().all(1) & ~self.lost(lanes)
+        rows = rows_where(moved)
+        moved[rows] &= self.possible(lanes.percept[rows], control[rows])
+        rows = rows_where(moved)
         predicted, novelty = self.gamma(lanes.percept[rows], control[rows])
         if self.errors is not None:
             turn = lanes.state[rows, 0].long() % self.errors.shape[1]
             predicted = predicted + self.errors[lanes.scenario[rows], turn]
-        lost = (novelty > self.most_novel).to(state)
-        percept[rows] = predicted
-        state[rows] = torch.stack([state[rows, 0] + 1, lost, UNKNOWN * (1 - lost)], 1)
-        moved = torch.zeros_like(lanes.has_message)
-        moved[rows] = True
-        return replace(lanes, percept=percept, state=state), moved
+        lost = (novelty > self.most_novel).to(lanes.state)
+        after = torch.stack([lanes.state[rows, 0] + 1, lost, UNKNOWN * (1 - lost)], 1)
+        return replace(
+            lanes,
+            percept=_with_rows(lanes.percept, rows, moved, predicted),
+            state=_with_rows(lanes.state, rows, moved, after),
+        ), moved
 
     @staticmethod
     def lost(lanes: Lanes) -> Tensor:
@@ -117,12 +119,19 @@ class ModelEnvironment:
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """C(p), the probability that the task succeeds from here; 0 for lanes that are lost."""
-        unknown = (lanes.state[:, 2] == UNKNOWN).nonzero()[:, 0]
-        if len(unknown):
-            state = lanes.state.clone()
-            state[unknown, 2] = self.classifier(lanes.percept.index_select(0, unknown))
-            lanes = replace(lanes, state=state)
+        unknown = lanes.state[:, 2] == UNKNOWN
+        rows = rows_where(unknown)
+        if len(rows):
+            after = lanes.state.index_select(0, rows)
+            after[:, 2] = self.classifier(lanes.percept.index_select(0, rows))
+            lanes = replace(lanes, state=_with_rows(lanes.state, rows, unknown, after))
         return lanes, lanes.state[:, 2]
+
+
+def _with_rows(values: Tensor, rows: Tensor, which: Tensor, new: Tensor) -> Tensor:
+    """Values (n, ...) with new ones for those of `rows` (k,) for which `which` (n,) is true."""
+    old, which = values.index_select(0, rows), which.index_select(0, rows)
+    return values.index_copy(0, rows, torch.where(which[:, None], new, old))
 
 
 def _check(

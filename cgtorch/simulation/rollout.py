@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.environment import Environment, Lanes, rows_where, start_lanes
 from cgtorch.graphs import Graphs
 from cgtorch.simulation.compiled import compiled_rollout
 from cgtorch.simulation.frames import TIMEOUT, first_frames, follow
@@ -74,16 +75,26 @@ def rollout_in_torch(
     max_steps: int,
     trace: Trace | None = None,
 ) -> Rollouts:
-    """The same for any actions, environment and device, all lanes in one batch."""
+    """The same for any actions, environment and device, all lanes in one batch.
+
+    Before each step the lanes are sorted by what they are about to do, so that each action has its
+    own next to each other, and those that have ended leave. How many these are is all that the host
+    is told of a step, and all that it waits for on a GPU.
+    """
     p, b = len(program.start), len(scenarios)
     lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
     frames = first_frames(program, b, max_transitions)
     status, transitions = torch.zeros_like(frames.node), lanes.step.clone()
     percept, state = lanes.percept.clone(), lanes.state.clone()
     active = torch.arange(p * b, device=status.device)
+    over = torch.zeros_like(active, dtype=torch.bool)
     while len(active):
+        order, groups = _grouped(program, frames.node, over)
+        if not len(order):
+            break
+        active, lanes, frames = active[order], lanes.rows(order), frames.rows(order)
         node = frames.node
-        lanes, outcome, changed = _act(program, lanes, node, environment)
+        outcome, changed = _act(program, lanes, node, groups, environment)
         if trace:
             trace(active, node, outcome, lanes)
             changed = torch.ones_like(changed)
@@ -92,15 +103,12 @@ def rollout_in_torch(
         out_of_steps = lanes.step >= max_steps
         end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
         over = (end != 0) | out_of_steps
-        if over.any():
-            gone, stay = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
-            who, last = active.index_select(0, gone), lanes.rows(gone)
-            status.index_copy_(0, who, end.index_select(0, gone))
-            percept.index_copy_(0, who, last.percept)
-            state.index_copy_(0, who, last.state)
-            transitions.index_copy_(0, who, last.step.clamp_max(max_steps))
-            active = active.index_select(0, stay)
-            lanes, frames = lanes.rows(stay), frames.rows(stay)
+        gone = rows_where(over)  # of others that are among them more will be known later
+        who, last = active.index_select(0, gone), lanes.rows(gone)
+        status.index_copy_(0, who, end.index_select(0, gone))
+        percept.index_copy_(0, who, last.percept)
+        state.index_copy_(0, who, last.state)
+        transitions.index_copy_(0, who, last.step.clamp_max(max_steps))
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
@@ -110,27 +118,35 @@ def rollout_in_torch(
     )
 
 
+def _grouped(program: Program, node: Tensor, over: Tensor) -> tuple[Tensor, list[slice]]:
+    """The lanes that go on (k,) of all (n,), action by action, and where each action's lie."""
+    count = len(program.primitives)
+    kind = torch.where(over, count, program.kind.index_select(0, node))
+    order = torch.argsort(kind, stable=True)
+    bounds = torch.arange(count + 1, device=kind.device)
+    ends = torch.searchsorted(kind.index_select(0, order), bounds).tolist()
+    return order[: ends[-1]], [slice(*pair) for pair in pairwise(ends)]
+
+
 def _act(
-    program: Program, lanes: Lanes, node: Tensor, environment: Environment
-) -> tuple[Lanes, Tensor, Tensor]:
+    program: Program, lanes: Lanes, node: Tensor, groups: list[slice], environment: Environment
+) -> tuple[Tensor, Tensor]:
     """Run each lane's action, one batch per kind of action; `lanes` is overwritten.
 
     Returns:
-        The lanes, (n,) their outcomes, and (n,) bool whether anything about a lane has changed
-        on which a later action could depend.
+        The outcomes (n,), and (n,) bool whether anything about a lane has changed on which a later
+        action could depend.
     """
-    kind = program.kind.index_select(0, node)
     outcome = torch.empty_like(node)
     changed = torch.ones_like(node, dtype=torch.bool)
-    for i, action in enumerate(program.primitives):
-        here = (kind == i).nonzero()[:, 0]
-        if len(here):
-            seen = lanes.with_memory(program.memory[i]) if program.memory_size else lanes
-            nodes, before = node.index_select(0, here), seen.rows(here)
-            parameters = program.parameters.index_select(0, nodes)[:, : action.num_parameters]
-            after, out = action(before, parameters, environment)
-            outcome.index_copy_(0, here, out)
-            seen.write(here, before, after)
-            if action.deterministic:
-                changed.index_copy_(0, here, after.differs(before))
-    return lanes, outcome, changed
+    for action, part, here in zip(program.primitives, program.memory, groups, strict=True):
+        if here.start == here.stop:
+            continue
+        seen = lanes.with_memory(part) if program.memory_size else lanes
+        before = seen.part(here)
+        parameters = program.parameters.index_select(0, node[here])[:, : action.num_parameters]
+        after, outcome[here] = action(before, parameters, environment)
+        if action.deterministic:
+            changed[here] = after.differs(before)
+        seen.write(here, before, after)
+    return outcome, changed

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from cgtorch.environment import rows_where
 from cgtorch.world.geometry import wrap
 
 TURN_STEP = math.radians(15)  # a corner of the PR2 protrudes 4 mm between two such steps
@@ -42,9 +43,11 @@ def sweep_blocked(
     motion, rectangle = motion.mT.contiguous(), rectangle.mT.contiguous()
     blocked = _drive_blocked(motion, rectangle, body) | ~motion.isfinite().all(0)
     # Only where the drive is free does the turn matter, and only where something is near.
-    turns = (~blocked & (motion[2] != 0) & _within_reach(motion, rectangle, body)).nonzero()[:, 0]
-    if len(turns):
-        blocked[turns] = _turn_blocked(motion[:, turns], rectangle[:, turns], body)
+    turning = ~blocked & (motion[2] != 0) & _within_reach(motion, rectangle, body)
+    rows = rows_where(turning)
+    if len(rows):
+        hits = _turn_blocked(motion[:, rows], rectangle[:, rows], body)
+        blocked[rows] |= turning[rows] & hits
     return blocked
 
 

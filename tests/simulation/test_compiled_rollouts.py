@@ -9,7 +9,7 @@ import reference
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_models import random_models
+from random_models import models_as, random_models
 from support import (
     as_double,
     as_double_actions,
@@ -28,7 +28,6 @@ from cgtorch.simulation.compiled import compiled_rollout
 from cgtorch.simulation.interpreter import interpreter
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
-from cgtorch.world import ClearWay
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -227,20 +226,6 @@ def test_no_number_of_threads_changes_anything() -> None:
         assert equal(first, other)
 
 
-def as_single(environment: ModelEnvironment) -> ModelEnvironment:
-    """The same models in float32."""
-    gamma, classifier = environment.gamma.__self__.float(), environment.classifier.float()
-    possible = ClearWay(environment.possible.footprint.float())
-    return ModelEnvironment(
-        environment.percepts.float(),
-        gamma.predict_with_novelty,
-        classifier,
-        possible,
-        errors=None if environment.errors is None else environment.errors.float(),
-        most_novel=environment.most_novel,
-    )
-
-
 @given(
     seed=st.integers(0, 2**31),
     scene=st.sampled_from(SCENES),
@@ -259,7 +244,7 @@ def test_no_lane_depends_on_others_to_the_bit(
     if single:
         if which == 3:
             return  # sub-skills are in float64
-        environment, graphs = as_single(environment), random_graphs(seed, 9, actions)
+        environment, graphs = models_as(environment, torch.float32), random_graphs(seed, 9, actions)
     some = torch.randperm(37, generator=generator)[:count]
     rows = torch.randperm(9, generator=generator)[:4]
     whole, part = (
