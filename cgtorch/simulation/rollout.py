@@ -23,6 +23,8 @@ MAX_STEPS = MAX_TRANSITIONS**2
 """What a skill of skills can execute if each of its transitions is a sub-skill that runs out of its
 own."""
 
+LARGEST_BATCH = 2**40  # lanes
+
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
 
 
@@ -89,7 +91,7 @@ def rollout_in_torch(
     active = torch.arange(p * b, device=status.device)
     over = torch.zeros_like(active, dtype=torch.bool)
     while len(active):
-        order, groups = _grouped(program, frames.node, over)
+        order, groups = _grouped(program, frames.node, active, over)
         if not len(order):
             break
         active, lanes, frames = active[order], lanes.rows(order), frames.rows(order)
@@ -118,11 +120,16 @@ def rollout_in_torch(
     )
 
 
-def _grouped(program: Program, node: Tensor, over: Tensor) -> tuple[Tensor, list[slice]]:
-    """The lanes that go on (k,) of all (n,), action by action, and where each action's lie."""
+def _grouped(
+    program: Program, node: Tensor, active: Tensor, over: Tensor
+) -> tuple[Tensor, list[slice]]:
+    """The lanes that go on (k,) of all (n,), action by action, and where each action's lie.
+
+    Those of an action are in the order of their numbers `active`, whatever they did before.
+    """
     count = len(program.primitives)
     kind = torch.where(over, count, program.kind.index_select(0, node))
-    order = torch.argsort(kind, stable=True)
+    order = torch.argsort(active + kind * LARGEST_BATCH)
     bounds = torch.arange(count + 1, device=kind.device)
     ends = torch.searchsorted(kind.index_select(0, order), bounds).tolist()
     return order[: ends[-1]], [slice(*pair) for pair in pairwise(ends)]

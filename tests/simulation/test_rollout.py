@@ -27,6 +27,7 @@ from cgtorch.actions import ActionSet, Detect, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, Skill, SubSkill, from_networkx, to_networkx
 from cgtorch.simulation import Rollouts, rollout
+from cgtorch.simulation.program import compile_graphs
 
 PLAIN_SETS = [
     paper_actions(),
@@ -229,6 +230,20 @@ def test_the_trace_tells_lanes_nodes_and_outcomes() -> None:
     graph = chain(actions, "Detect", "Grasp")
     rollout(graph, actions, environment, max_transitions=3, trace=trace)
     assert told == [([0, 1], [0, 0], [0, 0]), ([0, 1], [1, 1], [1, 0]), ([0], [0], [0])]
+
+
+def test_lanes_of_an_action_come_in_the_order_of_their_numbers() -> None:
+    """Whatever they did before, so that what is recorded of them has an order of its own."""
+    actions, environment = paper_actions(), model(0, 9)
+    graphs = random_graphs(5, 30, actions)
+    kinds, steps = compile_graphs(graphs, actions).kind, list[Tensor]()
+
+    def trace(active: Tensor, node: Tensor, outcome: Tensor, lanes: Lanes) -> None:
+        steps.append(kinds[node] * 30 * 9 + active)
+
+    rollout(graphs, actions, environment, trace=trace)
+    assert len(steps) == 20
+    assert all((order.diff() > 0).all() for order in steps)
 
 
 def test_a_skill_stored_once_may_be_used_at_several_levels() -> None:
