@@ -6,7 +6,6 @@ the same children to the last bit.
 """
 
 import ctypes
-import math
 from ctypes import POINTER, byref, c_int64, c_void_p
 from typing import Any
 
@@ -207,14 +206,10 @@ def _in_slots(room: Graphs, slots: int) -> Graphs:
     if slots == room.capacity:
         return room
     p, _, o = room.edges.shape
-
-    def first(x: Tensor, *size: int) -> Tensor:
-        return x.flatten()[: math.prod(size)].view(size)
-
     return Graphs(
-        first(room.action, p, slots),
-        first(room.edges, p, slots, o),
-        first(room.parameters, p, slots, 1),
+        room.action.as_strided((p, slots), (slots, 1)),
+        room.edges.as_strided((p, slots, o), (slots * o, o, 1)),
+        room.parameters.as_strided((p, slots, 1), (slots, 1, 1)),
         room.start,
     )
 

@@ -165,12 +165,12 @@ def tell(
     population = state.population
     order = ranking(fitness, population.graphs.num_nodes)
     elite, pairs = order[: settings.elite], (settings.population - settings.elite + 1) // 2
-    parents = settings.selection(order, scores, 2 * pairs, generator)
+    parents, best = settings.selection(order, scores, 2 * pairs, generator), int(order[0])
     return EvolutionState(
         population=_next(population, elite, parents, settings, actions, generator),
         generation=state.generation + 1,
-        best=population[order[:1]],
-        best_fitness=float(fitness[order[0]]),
+        best=population[best : best + 1],
+        best_fitness=float(fitness[best]),
     )
 
 

@@ -42,8 +42,8 @@ def mutate(
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:
     """Eq. 2, s ← s exp(N(0, τ)) with variance τ, within bounds that keep every rate alive."""
     noise = torch.randn(strategy.shape, generator=generator).mul_(tau**0.5 / math.log(2))
-    drifted = noise.exp2_() * strategy  # exp of so few numbers already goes to all threads
-    return drifted.clamp_(min=STRATEGY_MIN).minimum(_upper())
+    drifted = noise.exp2_().mul_(strategy)  # exp of so few numbers already goes to all threads
+    return torch.minimum(drifted.clamp_(min=STRATEGY_MIN), _upper(), out=drifted)
 
 
 @cache

@@ -125,7 +125,7 @@ def _generation(
 ) -> Generation:
     """The generation of all islands, given those that this rank holds."""
     count = settings.islands
-    leaders = _exchanged([each.best(1).widened(settings.capacity) for each in tried], count)
+    leaders = _exchanged([each.best(1) for each in tried], settings)
     fitness = torch.cat([each.fitness for each in leaders])
     sizes = torch.cat([each.population.graphs.num_nodes for each in leaders])
     winner = int(ranking(fitness, sizes)[0])
@@ -135,7 +135,7 @@ def _generation(
         number=islands[0].state.generation,
         islands=islands,
         fitness=tried[0].fitness,
-        champion=leaders[winner].population,
+        champion=leaders[winner].widened(settings.capacity).population,
         best=float(fitness[winner]),
         succeeded=leaders[winner].succeeded[0],
         transitions=transitions,
@@ -143,9 +143,12 @@ def _generation(
     )
 
 
-def _exchanged(mine: Sequence[Tried], count: int) -> list[Tried]:
-    """Individuals of all `count` islands, given equally many of each that this rank holds."""
-    columns = zip(*(each.tensors() for each in mine), strict=True)
+def _exchanged(mine: Sequence[Tried], settings: EvolutionSettings) -> list[Tried]:
+    """Individuals of all islands, given equally many of each that this rank holds."""
+    count = settings.islands
+    if len(mine) == count:
+        return list(mine)
+    columns = zip(*(each.widened(settings.capacity).tensors() for each in mine), strict=True)
     every = [ranks.exchanged(torch.stack(column), count) for column in columns]
     return [Tried.of([values[i] for values in every]) for i in range(count)]
 

@@ -1,17 +1,13 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
 #include "draws.h"
 #include "parallel.h"
+#include "real.h"
 #include <stdlib.h>
-#include <string.h>
-
-typedef REAL real;
 
 /* Whole numbers in the order of numbers, of which every bit is compared as one without a sign. */
 #ifdef REAL_IS_FLOAT
-typedef int32_t whole;
 typedef uint32_t bits;
 #else
-typedef int64_t whole;
 typedef uint64_t bits;
 #endif
 #define SIGN ((bits)1 << (sizeof(bits) * 8 - 1))
@@ -83,10 +79,13 @@ int deviation(const real *scores, int64_t people, int64_t scenarios, real *out, 
 
 typedef struct {
   int64_t scenarios, rows;     /* B, and how many different rows of scores there are */
-  real *cases;                 /* (B, rows) */
+  int64_t vectors;             /* that as many rows fill */
+  real *cases;                 /* (B, vectors * WIDTH) */
   const real *epsilon;         /* (B,) */
   int64_t *members, *first;    /* individuals by row, and where those of each row begin */
   int64_t *good, *good_first;  /* rows that stand after one scenario alone, and where they begin */
+  vwhole *stands;              /* (B, vectors) whether they do */
+  int64_t *top;                /* (B,) the first best row */
   int64_t key;                 /* of all parents' numbers */
   int64_t *chosen;             /* (count,) */
   _Atomic int failed;          /* for want of memory */
@@ -154,20 +153,63 @@ static int64_t standing(const real *score, real epsilon, const int64_t *rows, in
 /* A number in [0, 1) with all the digits of a double. */
 static inline double fine(uint64_t key, int64_t i) { return (double)(word(key, i) >> 11) * 0x1p-53; }
 
+/* The same of rows that stand or do not, a vector at a time, in columns that are filled up with what is
+   worse than all: while many stand, that is faster than a list of them. `best` stands at `top` at
+   first; how many are left. */
+static int64_t standing_at_once(const real *score, real epsilon, real best, int64_t top,
+                                vwhole *stands, int64_t vectors) {
+  if (!stands[top / WIDTH][top % WIDTH]) {
+    vec most = all(-INFINITY);
+    for (int64_t v = 0; v < vectors; v++)
+      most = vec_max(most, select_vec(stands[v], load(score + v * WIDTH), all(-INFINITY)));
+    best = -least(-most);
+  }
+  vec enough = all(best - epsilon);
+  vwhole less = every(0);
+  for (int64_t v = 0; v < vectors; v++) {
+    stands[v] &= load(score + v * WIDTH) >= enough;
+    less += stands[v];
+  }
+  int64_t kept = 0;
+  for (int i = 0; i < WIDTH; i++) kept -= less[i];
+  return kept;
+}
+
+static int64_t listed(const vwhole *stands, int64_t vectors, int64_t *left) {
+  int64_t count = 0;
+  for (int64_t v = 0; v < vectors; v++)
+    for (uint32_t bits = bits_of(stands[v]); bits; bits &= bits - 1)
+      left[count++] = v * WIDTH + __builtin_ctz(bits);
+  return count;
+}
+
 static void some_parents(void *what, int64_t begin, int64_t end) {
   Lexicase *l = what;
-  int64_t *left = malloc((size_t)(l->rows + 1) * sizeof *left);
+  int64_t *left = malloc((size_t)(l->rows + 1) * sizeof *left), stride = l->vectors * WIDTH;
   int32_t *turns = malloc((size_t)(l->scenarios + 1) * sizeof *turns);
-  if (!left || !turns) l->failed = 1;
-  for (int64_t j = 0; turns && j < l->scenarios; j++) turns[j] = (int32_t)j;
-  for (int64_t parent = begin; left && turns && parent < end; parent++) {
+  vwhole *stands = malloc((size_t)(l->vectors + 1) * sizeof *stands);
+  int ready = left && turns && stands;
+  if (!ready) l->failed = 1;
+  for (int64_t j = 0; ready && j < l->scenarios; j++) turns[j] = (int32_t)j;
+  for (int64_t parent = begin; ready && parent < end; parent++) {
     uint64_t key = key_of(l->key, parent);
     int64_t turn = 0, total = 0, scenario = next_case(turns, l->scenarios, turn++, key);
     const int64_t *rows = l->good + l->good_first[scenario];
     int64_t count = l->good_first[scenario + 1] - l->good_first[scenario];
+    if (count > l->vectors) {
+      memcpy(stands, l->stands + scenario * l->vectors, (size_t)l->vectors * sizeof *stands);
+      while (count > l->vectors && turn < l->scenarios) {
+        scenario = next_case(turns, l->scenarios, turn++, key);
+        const real *score = l->cases + scenario * stride;
+        int64_t top = l->top[scenario];
+        count = standing_at_once(score, l->epsilon[scenario], score[top], top, stands, l->vectors);
+      }
+      listed(stands, l->vectors, left);
+      rows = left;
+    }
     while (count > 1 && turn < l->scenarios) {
       scenario = next_case(turns, l->scenarios, turn++, key);
-      count = standing(l->cases + scenario * l->rows, l->epsilon[scenario], rows, count, left);
+      count = standing(l->cases + scenario * stride, l->epsilon[scenario], rows, count, left);
       rows = left;
     }
     for (int64_t i = 0; i < count; i++) total += l->first[rows[i] + 1] - l->first[rows[i]];
@@ -185,6 +227,7 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
   }
   free(left);
   free(turns);
+  free(stands);
 }
 
 /* Individuals sorted by their row, and where those of each row begin. */
@@ -199,12 +242,21 @@ static void sort_members(const int64_t *row_of, int64_t people, int64_t rows, in
 }
 
 /* Which rows stand after one scenario alone, for each scenario. */
-static void stand_after_one(Lexicase *l, const int64_t *all) {
+static void stand_after_one(Lexicase *l) {
   l->good_first[0] = 0;
-  for (int64_t j = 0; j < l->scenarios; j++)
+  for (int64_t j = 0; j < l->scenarios; j++) {
+    const real *score = l->cases + j * l->vectors * WIDTH;
+    vwhole *stands = l->stands + j * l->vectors;
+    int64_t top = 0;
+    for (int64_t r = 1; r < l->rows; r++)
+      if (score[r] > score[top]) top = r;
+    for (int64_t v = 0; v < l->vectors; v++) stands[v] = every(-1);
+    for (int64_t r = l->rows; r < l->vectors * WIDTH; r++) stands[r / WIDTH][r % WIDTH] = 0;
+    standing_at_once(score, l->epsilon[j], score[top], top, stands, l->vectors);
+    l->top[j] = top;
     l->good_first[j + 1] =
-        l->good_first[j] + standing(l->cases + j * l->rows, l->epsilon[j], all, l->rows,
-                                    l->good + l->good_first[j]);
+        l->good_first[j] + listed(stands, l->vectors, l->good + l->good_first[j]);
+  }
 }
 
 /* Parents (count,) by scores (people, scenarios); 1 for want of memory. */
@@ -212,29 +264,33 @@ int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *
              int64_t key, int64_t count, int64_t *chosen, int64_t threads) {
   int64_t size = 64;
   while (size < 2 * people) size *= 2;
-  int64_t whole = 4 * people + 1 + (people + 1) * scenarios + 1 + size + scenarios;
-  int64_t *memory = malloc((size_t)whole * sizeof *memory);
-  real *cases = malloc((size_t)(people * scenarios + 1) * sizeof *cases);
-  if (!memory || !cases) {
+  int64_t numbers = 3 * people + 1 + (people + 2) * scenarios + 1 + size;
+  int64_t most = (people + WIDTH - 1) / WIDTH * WIDTH * scenarios; /* of rows and what fills them up */
+  int64_t *memory = malloc((size_t)numbers * sizeof *memory);
+  real *cases = malloc((size_t)(most + 1) * sizeof *cases);
+  vwhole *stands = malloc((size_t)(most + 1) * sizeof(whole));
+  if (!memory || !cases || !stands) {
     free(memory);
     free(cases);
+    free(stands);
     return 1;
   }
   int64_t *row_of = memory, *members = row_of + people, *first = members + people;
-  int64_t *all = first + people + 1, *good_first = all + people;
-  int64_t *good = good_first + scenarios + 1, *table = good + people * scenarios;
+  int64_t *good_first = first + people + 1, *top = good_first + scenarios + 1;
+  int64_t *good = top + scenarios, *table = good + people * scenarios;
   int64_t rows = number_rows(scores, people, scenarios, row_of, table, size);
+  int64_t vectors = (rows + WIDTH - 1) / WIDTH;
   sort_members(row_of, people, rows, members, first);
-  for (int64_t r = 0; r < rows; r++) {
-    all[r] = r;
+  for (int64_t r = 0; r < vectors * WIDTH; r++)
     for (int64_t j = 0; j < scenarios; j++)
-      cases[j * rows + r] = scores[members[first[r]] * scenarios + j];
-  }
-  Lexicase l = {scenarios, rows, cases, epsilon, members, first, good, good_first, key,
-                chosen, 0};
-  stand_after_one(&l, all);
+      cases[j * vectors * WIDTH + r] =
+          r < rows ? scores[members[first[r]] * scenarios + j] : -INFINITY;
+  Lexicase l = {scenarios, rows, vectors, cases, epsilon, members, first,
+                good, good_first, stands, top, key, chosen, 0};
+  stand_after_one(&l);
   in_parallel(some_parents, &l, count, 64, threads);
   free(memory);
   free(cases);
+  free(stands);
   return l.failed;
 }

@@ -15,7 +15,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from benchmarks import paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
-from benchmarks.generation import INSIDE, MODELS, PARTS, generation_split, logger, rollout_parts
+from benchmarks.generation import (
+    INSIDE,
+    MODELS,
+    PARTS,
+    generation_split,
+    one_evolution,
+    rollout_parts,
+)
 from benchmarks.measure import DisagreementError, Effort
 from benchmarks.networkx_operators import individuals, kinds_of
 from benchmarks.operators import apart, as_graphs, children, networkx_children, statistics_of
@@ -147,13 +154,17 @@ def test_parents_stay_as_they_were() -> None:
 
 
 def test_a_generation_is_split_into_all_its_parts() -> None:
-    population = first_population(30, work().actions)
-    with logger(work()) as log:
-        seconds = generation_split(work(), population, log)
-    assert set(seconds) == set(PARTS)
-    assert all(seconds[name] > 0 for name in (*MODELS, "operators", "selection", "logging"))
-    keep = torch.zeros(work().environment.num_scenarios, dtype=torch.bool)
-    parts = rollout_parts(work(), population, keep)
+    looked = one_evolution(work(), 30, (0, 3))
+    assert list(looked) == [0, 3]
+    assert not torch.equal(*(each.population.strategy for each in looked.values()))
+    for each in looked.values():
+        assert set(each.seconds) == {"rollouts", "selection", "operators", "logging"}
+        assert all(seconds > 0 for seconds in each.seconds.values())
+        seconds = generation_split(work(), each)
+        assert set(seconds) == set(PARTS)
+        assert all(seconds[name] > 0 for name in MODELS)
+        assert sum(seconds.values()) == pytest.approx(sum(each.seconds.values()))
+    parts = rollout_parts(work(), looked[3].population)
     assert len(parts) == len(INSIDE)
     assert sum(parts) > 0
 

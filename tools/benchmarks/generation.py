@@ -5,18 +5,20 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from itertools import islice
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from benchmarks.measure import Comparison, Effort, Line, cores, run_threads, timing
 from benchmarks.stopwatch import Stopwatch
-from benchmarks.workload import Workload, populations, workload
-from cgtorch.evolution import EvolutionSettings, Generation, Island, Population
-from cgtorch.evolution.evolution import EvolutionState, tell
-from cgtorch.evolution.fitness import evaluator
-from cgtorch.evolution.selection import ranking
+from benchmarks.workload import POPULATION, Workload, workload
+from cgtorch.evolution import EvolutionSettings, Generation, Population, search
+from cgtorch.evolution.fitness import Evaluation, Evaluator, evaluator
+from cgtorch.graphs import Graphs
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.native import function
 from cgtorch.native.structures import POINTER, WHOLE
@@ -32,21 +34,37 @@ INSIDE = (*MODELS, "possible motions")
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 READINGS = 100_000
 """Of the clock with nothing in between."""
-LOGGED = 20  # generations that are logged for each that is timed; one in 20 has histograms
+LOOKED_AT = (0, 10, 60)
+"""Generations of an evolution; the searches of a training have from 5 to more than 100 of them."""
+HISTOGRAMS_EVERY = 20  # generations
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A generation in the middle of an evolution.
+
+    Attributes:
+        population: its individuals.
+        seconds: of rollouts, selection, operators and logging; these are all that it takes.
+    """
+
+    population: Population
+    seconds: dict[str, float]
 
 
 def overhead_share(effort: Effort) -> Line:
     """What part of a generation is neither Γ, C nor the networks."""
     work = workload()
     with run_threads(cores()):
+        samples = [one_evolution(work, POPULATION, LOOKED_AT) for _ in range(effort.repeats + 1)]
         parts = tuple(
-            _split(work, population, label, effort.repeats)
-            for label, population in populations().items()
+            _comparison(work, number, [sample[number] for sample in samples[1:]])
+            for number in LOOKED_AT
         )
     return Line(
         name="overhead_share",
-        compared="seconds of a generation that are not Γ, C or networks / the whole generation: "
-        "evaluate, tell and a TensorBoard event",
+        compared="seconds of a generation that are not Γ, C or networks / the whole generation "
+        "with its TensorBoard event, in the middle of an evolution",
         unit="of a generation",
         target=0.3,
         clock="wall",
@@ -56,18 +74,17 @@ def overhead_share(effort: Effort) -> Line:
     )
 
 
-def _split(work: Workload, population: Population, label: str, repeats: int) -> Comparison:
-    with logger(work) as log:
-        samples = [generation_split(work, population, log) for _ in range(repeats + 1)][1:]
+def _comparison(work: Workload, number: int, looked: list[Looked]) -> Comparison:
+    samples = [generation_split(work, each) for each in looked]
     whole = [sum(sample.values()) for sample in samples]
     overhead = [sum(v for k, v in sample.items() if k not in MODELS) for sample in samples]
     shares = {
         name: statistics.median(s[name] / total for s, total in zip(samples, whole, strict=True))
         for name in PARTS
     }
-    p, b = len(population), work.environment.num_scenarios
+    p, b = len(looked[0].population), work.environment.num_scenarios
     return Comparison(
-        label=f"{label}, {p} x {b}",
+        label=f"generation {number}, {p} x {b}",
         ours=timing(overhead),
         other=timing(whole),
         ratio=statistics.median(o / w for o, w in zip(overhead, whole, strict=True)),
@@ -75,55 +92,97 @@ def _split(work: Workload, population: Population, label: str, repeats: int) -> 
         sizes={
             "population": p,
             "scenarios": b,
+            "generation": number,
             **{f"{name} s": statistics.median(s[name] for s in samples) for name in PARTS},
         },
         note=", ".join(f"{name} {share:.0%}" for name, share in shares.items()),
     )
 
 
+def generation_split(work: Workload, looked: Looked) -> dict[str, float]:
+    """Seconds of each of `PARTS`."""
+    inside = dict(zip(INSIDE, rollout_parts(work, looked.population), strict=True))
+    others = dict(looked.seconds)
+    return inside | {"rest of rollouts": others.pop("rollouts") - sum(inside.values())} | others
+
+
+def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[int, Looked]:
+    """Generations of an evolution as a search runs it, each with its TensorBoard event.
+
+    Args:
+        work: the environment and the actions.
+        size: of the population.
+        numbers: of the generations, counted from 0.
+    """
+    watch, settings = Stopwatch(), EvolutionSettings(population=size)
+    select = watch.around("selection", settings.selection)
+    settings = EvolutionSettings(population=size, selection=select)
+    evaluated, told, logged = list[tuple[float, float]](), list[float](), list[float]()
+    selection, populations = list[float](), list[Population]()
+    seed = torch.Generator().manual_seed(2)
+    with _timed_evaluations(evaluated), _logger(work) as log:
+        evolution = search.evolve(work.environment, work.actions, settings, seed)
+        for generation in islice(evolution, max(numbers) + 2):
+            told.append(time.perf_counter())
+            selection.append(watch.taken().get("selection", 0.0))
+            log(_event(generation))
+            logged.append(time.perf_counter())
+            populations.append(generation.population)
+    logs = [end - begin for begin, end in zip(told, logged, strict=True)]
+    logging = statistics.mean(
+        statistics.median(logs[i::HISTOGRAMS_EVERY])
+        for i in range(min(HISTOGRAMS_EVERY, len(logs)))
+    )
+    found = {}
+    for number in numbers:
+        begin, end = evaluated[number]
+        rest = told[number] - end + evaluated[number + 1][0] - logged[number]
+        selected = selection[number + 1]  # after the event, before the next is evaluated
+        seconds = {
+            "rollouts": end - begin,
+            "selection": selected,
+            "operators": rest - selected,
+            "logging": logging,
+        }
+        found[number] = Looked(populations[number], seconds)
+    return found
+
+
+def _event(generation: Generation) -> GenerationDone:
+    solved, count = int(generation.succeeded.sum()), len(generation.succeeded)
+    return GenerationDone("S0", "S0", generation, 150, 0, 0, solved, count, 1.0)
+
+
 @contextmanager
-def logger(work: Workload) -> Iterator[TensorBoardWatch]:
+def _timed_evaluations(times: list[tuple[float, float]]) -> Iterator[None]:
+    """Notes when each evaluation of a search begins and ends."""
+
+    def timed(*args: Any, **named: Any) -> Evaluator:
+        inner = evaluator(*args, **named)
+
+        def evaluation(graphs: Graphs) -> Evaluation:
+            begin = time.perf_counter()
+            found = inner(graphs)
+            times.append((begin, time.perf_counter()))
+            return found
+
+        return evaluation
+
+    search.evaluator = timed  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        search.evaluator = evaluator  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _logger(work: Workload) -> Iterator[TensorBoardWatch]:
     """A run's TensorBoard files, in a folder that goes again."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        TensorBoardWatch(folder, {}, actions=work.actions) as log,
+        TensorBoardWatch(folder, {}, actions=work.actions, histogram_every=HISTOGRAMS_EVERY) as log,
     ):
         yield log
-
-
-def generation_split(
-    work: Workload, population: Population, log: TensorBoardWatch
-) -> dict[str, float]:
-    """Seconds of each of `PARTS` in one generation that begins with this population."""
-    watch, generator = Stopwatch(), torch.Generator().manual_seed(6)
-    select = watch.around("selection", EvolutionSettings().selection)
-    settings = EvolutionSettings(population=len(population), selection=select)
-    keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
-    evaluation = evaluator(work.actions, work.environment, keep)  # one for a whole evolution
-    with watch.running("rollouts"):
-        result = evaluation(population.graphs)
-    rollouts = watch.taken()["rollouts"]
-    with watch.running("operators"):
-        best = int(ranking(result.fitness, population.graphs.num_nodes)[0])
-        state = EvolutionState(population, 0, population[:1], 0.0)
-        tell(state, result.fitness, settings, work.actions, generator, result.scores)
-    after = watch.taken()
-    solved, fitness = result.succeeded[best], float(result.fitness[best])
-    champion, islands = population[best : best + 1], [Island(state, generator)]
-    with watch.running("logging"):
-        for number in range(LOGGED):
-            done = Generation(
-                number, islands, result.fitness, champion, fitness, solved, result.transitions
-            )
-            log(GenerationDone("S0", "S0", done, 150, 0, 0, int(solved.sum()), len(keep), 1.0))
-    logged = watch.taken()["logging"] / LOGGED
-    inside = dict(zip(INSIDE, rollout_parts(work, population), strict=True))
-    return inside | {
-        "rest of rollouts": rollouts - sum(inside.values()),
-        "selection": after["selection"],
-        "operators": after["operators"] - after["selection"],
-        "logging": logged,
-    }
 
 
 def rollout_parts(work: Workload, population: Population) -> list[float]:
