@@ -34,8 +34,9 @@ INSIDE = (*MODELS, "possible motions")
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 READINGS = 100_000
 """Of the clock with nothing in between."""
-LOOKED_AT = (0, 10, 60)
-"""Generations of an evolution; the searches of a training have from 5 to more than 100 of them."""
+LOOKED_AT = (1, 10, 50)
+"""Generations of an evolution, of which a search of a training has 5 to more than 100; events of
+others, one in twenty, have histograms, which take 1 ms more."""
 HISTOGRAMS_EVERY = 20  # generations
 
 
@@ -56,11 +57,12 @@ def overhead_share(effort: Effort) -> Line:
     """What part of a generation is neither Γ, C nor the networks."""
     work = workload()
     with run_threads(cores()):
-        samples = [one_evolution(work, POPULATION, LOOKED_AT) for _ in range(effort.repeats + 1)]
-        parts = tuple(
-            _comparison(work, number, [sample[number] for sample in samples[1:]])
-            for number in LOOKED_AT
-        )
+        samples = [_sample(work) for _ in range(effort.repeats + 1)][1:]
+    scenarios = work.environment.num_scenarios
+    parts = tuple(
+        _comparison(number, scenarios, [sample[number] for sample in samples])
+        for number in LOOKED_AT
+    )
     return Line(
         name="overhead_share",
         compared="seconds of a generation that are not Γ, C or networks / the whole generation "
@@ -74,24 +76,28 @@ def overhead_share(effort: Effort) -> Line:
     )
 
 
-def _comparison(work: Workload, number: int, looked: list[Looked]) -> Comparison:
-    samples = [generation_split(work, each) for each in looked]
+def _sample(work: Workload) -> dict[int, dict[str, float]]:
+    """Seconds of each of `PARTS` in each of the generations that are looked at."""
+    looked = one_evolution(work, POPULATION, LOOKED_AT)
+    return {number: generation_split(work, each) for number, each in looked.items()}
+
+
+def _comparison(number: int, scenarios: int, samples: list[dict[str, float]]) -> Comparison:
     whole = [sum(sample.values()) for sample in samples]
     overhead = [sum(v for k, v in sample.items() if k not in MODELS) for sample in samples]
     shares = {
         name: statistics.median(s[name] / total for s, total in zip(samples, whole, strict=True))
         for name in PARTS
     }
-    p, b = len(looked[0].population), work.environment.num_scenarios
     return Comparison(
-        label=f"generation {number}, {p} x {b}",
+        label=f"generation {number}, {POPULATION} x {scenarios}",
         ours=timing(overhead),
         other=timing(whole),
         ratio=statistics.median(o / w for o, w in zip(overhead, whole, strict=True)),
         difference=None,
         sizes={
-            "population": p,
-            "scenarios": b,
+            "population": POPULATION,
+            "scenarios": scenarios,
             "generation": number,
             **{f"{name} s": statistics.median(s[name] for s in samples) for name in PARTS},
         },
@@ -118,7 +124,7 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     select = watch.around("selection", settings.selection)
     settings = EvolutionSettings(population=size, selection=select)
     evaluated, told, logged = list[tuple[float, float]](), list[float](), list[float]()
-    selection, populations = list[float](), list[Population]()
+    selection, populations = list[float](), dict[int, Population]()
     seed = torch.Generator().manual_seed(2)
     with _timed_evaluations(evaluated), _logger(work) as log:
         evolution = search.evolve(work.environment, work.actions, settings, seed)
@@ -127,7 +133,8 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
             selection.append(watch.taken().get("selection", 0.0))
             log(_event(generation))
             logged.append(time.perf_counter())
-            populations.append(generation.population)
+            if generation.number in numbers:
+                populations[generation.number] = generation.population
     logs = [end - begin for begin, end in zip(told, logged, strict=True)]
     logging = statistics.mean(
         statistics.median(logs[i::HISTOGRAMS_EVERY])
