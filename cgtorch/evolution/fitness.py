@@ -70,14 +70,14 @@ def evaluate(
     crew: ranks.Crew | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluation:
-    """What an `evaluator` says of P individuals.
+    """What an `evaluator` says of P individuals; who asks more than once is faster with one.
 
     Args:
         graphs: P individuals.
-        actions: see `evaluator`, like all that follows.
-        environment: the models.
-        keep: the scenarios of W.
-        max_transitions: of each run.
+        actions: what their action indices mean.
+        environment: the models, on B scenarios.
+        keep: (B,) bool, the scenarios of W.
+        max_transitions: see `evaluator`, like all that follows.
         most_lanes: runs at once.
         crew: the ranks.
         fitness: what a run is worth.
