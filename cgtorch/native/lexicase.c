@@ -1,81 +1,8 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
 #include "draws.h"
+#include "order.h"
 #include "parallel.h"
-#include "real.h"
 #include <stdlib.h>
-
-/* Whole numbers in the order of numbers, of which every bit is compared as one without a sign. */
-#ifdef REAL_IS_FLOAT
-typedef uint32_t bits;
-#else
-typedef uint64_t bits;
-#endif
-#define SIGN ((bits)1 << (sizeof(bits) * 8 - 1))
-
-static inline bits ordered(real x) {
-  bits b;
-  memcpy(&b, &x, sizeof b);
-  return b & SIGN ? ~b : b | SIGN;
-}
-static inline real number_of(bits b) {
-  real x;
-  b = b & SIGN ? b & ~SIGN : ~b;
-  memcpy(&x, &b, sizeof x);
-  return x;
-}
-
-/* The number at place k of `count` numbers in order, bit by bit: how many are less than what it is so
-   far is counted for a vector of numbers at once, which no sorting can be. */
-static real ranked(const real *numbers, whole *x, int64_t count, int64_t k) {
-  bits any = 0, all = ~(bits)0;
-  for (int64_t i = 0; i < count; i++) {
-    bits b = ordered(numbers[i]);
-    any |= b, all &= b;
-    x[i] = (whole)(b ^ SIGN);
-  }
-  bits found = all;
-  for (bits bit = SIGN, differ = any & ~all; bit; bit >>= 1) {
-    if (!(differ & bit)) continue; /* the same in all */
-    whole below = (whole)(((found & ~(bit - 1)) | bit) ^ SIGN), less = 0;
-    for (int64_t i = 0; i < count; i++) less += x[i] < below;
-    if (less <= k) found |= bit;
-  }
-  return number_of(found);
-}
-
-typedef struct {
-  const real *scores;
-  int64_t people, scenarios;
-  real *out;
-  _Atomic int failed; /* for want of memory */
-} Deviation;
-
-static void some_scenarios(void *what, int64_t begin, int64_t end) {
-  Deviation *d = what;
-  int64_t n = d->people, half = (n - 1) / 2;
-  real *column = malloc((size_t)n * 2 * sizeof *column);
-  whole *x = (whole *)(column + n);
-  if (!column) {
-    d->failed = 1;
-    return;
-  }
-  for (int64_t j = begin; j < end; j++) {
-    for (int64_t i = 0; i < n; i++) column[i] = d->scores[i * d->scenarios + j];
-    real middle = ranked(column, x, n, half);
-    for (int64_t i = 0; i < n; i++)
-      column[i] = column[i] < middle ? middle - column[i] : column[i] - middle;
-    d->out[j] = ranked(column, x, n, half);
-  }
-  free(column);
-}
-
-/* Median absolute deviation of each scenario's scores, the lower one of two medians; 1 for want of
-   memory. */
-int deviation(const real *scores, int64_t people, int64_t scenarios, real *out, int64_t threads) {
-  Deviation d = {scores, people, scenarios, out, 0};
-  in_parallel(some_scenarios, &d, scenarios, 2, threads);
-  return d.failed;
-}
 
 typedef struct {
   int64_t scenarios, rows;     /* B, and how many different rows of scores there are */
@@ -100,11 +27,8 @@ static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios
   for (int64_t i = 0; i < people; i++) {
     const real *mine = scores + i * scenarios;
     uint64_t hash = 0; /* multilinear: no step waits for the one before */
-    for (int64_t j = 0; j < scenarios; j++) {
-      bits number;
-      memcpy(&number, mine + j, sizeof number);
-      hash += number * (GOLDEN * (uint64_t)(2 * j + 1));
-    }
+    for (int64_t j = 0; j < scenarios; j++)
+      hash += pattern_of(mine[j]) * (GOLDEN * (uint64_t)(2 * j + 1));
     int64_t at = (int64_t)(mixed(hash) & (uint64_t)(size - 1));
     while (table[at] >= 0 && memcmp(scores + table[at] * scenarios, mine, bytes))
       at = (at + 1) & (size - 1);

@@ -1,28 +1,12 @@
 /* Individuals from best to worst (cgtorch.evolution.selection.ranking). */
-#include <stdint.h>
+#include "order.h"
 #include <stdlib.h>
-#include <string.h>
-
-typedef REAL real;
 
 #define DIGIT 11 /* bits that are sorted by at once */
 #define BUCKETS (1 << DIGIT)
 
-/* Whole numbers in the order of numbers, the largest first, in which there is one zero only and what is
-   not a number comes before all. */
-#ifdef REAL_IS_FLOAT
-typedef uint32_t word;
-#else
-typedef uint64_t word;
-#endif
-static uint64_t downwards(real x) {
-  const word sign = (word)1 << (sizeof(word) * 8 - 1);
-  word bits;
-  x += 0;
-  if (x != x) return 0;
-  memcpy(&bits, &x, sizeof bits);
-  return bits & sign ? bits : ~bits & ~sign;
-}
+/* Less for larger numbers, the same for both zeros, least for what is not a number. */
+static uint64_t downwards(real x) { return x == x ? (pattern)~ordered(x + 0) : 0; }
 
 /* Sorts `order` by key, from the least on, and keeps what is equal in order; digit by digit, where they
    differ at all. What comes out is in the one that is returned. */
