@@ -79,7 +79,7 @@ class Meter:
         return {
             "transitions": self.transitions,
             "generations": self.generations,
-            "search_seconds": round(self.search, 1),
+            "search_seconds": round(self.search, 3),
             "seconds": round(time.process_time() - self.began - self.measuring, 1),
         }
 

@@ -93,7 +93,7 @@ def measured(
         "succeeded": {n: s.successes for n, s in zip(placements, scores, strict=True)},
         "seconds": round(seconds, 1),
         "improving": round(sum(stage["seconds"] for stage in stages), 1),
-        "searching": round(sum(stage["search_seconds"] for stage in stages), 1),
+        "searching": round(sum(stage["search_seconds"] for stage in stages), 3),
         "rounds": len(stages),
         "generations": sum(stage["generations"] for stage in stages),
         "transitions": sum(stage["transitions"] for stage in stages),

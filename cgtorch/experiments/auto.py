@@ -255,7 +255,7 @@ def _result(
         "generations": tally.generations,
         "transitions": tally.transitions,
         "seconds": round(seconds, 1),
-        "search_seconds": round(tally.searching, 1),
+        "search_seconds": round(tally.searching, 3),
         "fresh": counts(placement, tests.screening),
         "perimeter": counts(placement, decisive or tests.screening),
         "decisive": None if decisive is None else counts(placement, decisive),

@@ -259,7 +259,7 @@ def _result(
         "generations": tally.generations,
         "transitions": tally.transitions,
         "seconds": round(accepted.seconds, 1),
-        "search_seconds": round(tally.searching, 1),
+        "search_seconds": round(tally.searching, 3),
         "fresh": counts(edge, fresh),
         "perimeter": counts(PERIMETER, around),
     }
