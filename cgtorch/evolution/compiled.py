@@ -87,8 +87,8 @@ def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity:
 
 def swapped(graphs: Graphs, strategy: Tensor, key: int) -> Graphs:
     """Children of first and second parents (2 Q); see `cgtorch.evolution.crossover.swapped`."""
-    keys = key, 0
-    return _bred(graphs, torch.arange(len(graphs)), 0, strategy, keys, graphs.capacity, None)
+    every, keys = torch.arange(len(graphs)), (key, 0)
+    return bred(graphs, every, 0, strategy, keys, None, graphs.capacity)
 
 
 def bred(
@@ -97,22 +97,10 @@ def bred(
     first: int,
     strategy: Tensor,
     keys: tuple[int, int],
-    actions: ActionSet,
-    capacity: int,
-) -> Graphs:
-    """See `cgtorch.evolution.offspring.bred`."""
-    return _bred(graphs, rows, first, strategy, keys, capacity, actions)
-
-
-def _bred(
-    graphs: Graphs,
-    rows: Tensor,
-    first: int,
-    strategy: Tensor,
-    keys: tuple[int, int],
-    capacity: int,
     actions: ActionSet | None,
+    capacity: int,
 ) -> Graphs:
+    """See `cgtorch.evolution.offspring.bred`; without actions nothing is mutated."""
     n, o = graphs.edges.shape[1:]
     graphs, count = _contiguous(graphs), len(rows)
     rows, strategy = rows.contiguous(), strategy.float().contiguous()

@@ -1,0 +1,28 @@
+"""`cgtorch-train --device cuda` to its end, where tensors say that they are on a GPU."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from click.testing import CliRunner
+from pretended_gpu import pretended_gpu
+from trained import SMALL
+
+from cgtorch.commands.train import command
+from cgtorch.files import read_json
+
+OPTIONS = [
+    f"--{name.replace('_', '-')}={value}"
+    for name, value in replace(SMALL, practice=0).to_dict().items()
+    if name != "actions"
+]
+
+
+def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
+    where = ["--stage", "S0", "--run-dir", str(tmp_path / "run"), "--device", "cuda", "--quiet"]
+    with pretended_gpu() as gpu:
+        ended = CliRunner().invoke(command, [*where, *OPTIONS])
+    assert ended.exit_code == 0, ended.output
+    assert gpu.waits["rollout.py: _grouped"] > 20  # rollouts were there
+    (stage,) = read_json(tmp_path / "run" / "summary.json")["stages"]
+    assert stage["generations"] > 0
+    assert stage["transitions"] > 0
