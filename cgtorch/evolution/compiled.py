@@ -6,7 +6,7 @@ the same children to the last bit.
 """
 
 import ctypes
-from ctypes import POINTER, byref, c_int64, c_void_p
+from ctypes import POINTER, addressof, byref, c_int64, c_void_p
 from typing import Any
 
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 from cgtorch import native
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.choices import Choices
+from cgtorch.evolution.drift import bounds
 from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs
 
@@ -32,21 +33,31 @@ class _Breeding(ctypes.Structure):
 
     _fields_ = (
         *((name, _Pointers) for name in ("before", "after")),
-        *((name, c_void_p) for name in ("rows", "strategy", "has_edge")),
+        *((name, c_void_p) for name in ("rows", "strategy", "has_edge", "first")),
         *((name, c_int64) for name in ("nodes", "outcomes", "elite", "pairs", "actions")),
         *((name, c_int64) for name in ("pair_key", "key", "slots")),
     )
 
 
+class _Children(ctypes.Structure):
+    """`Children` in native/parameters.c."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("action", "num_parameters", "marks", "old", "fresh")),
+        *((name, c_void_p) for name in ("strategy", "factors", "bounds", "quantiles")),
+        *((name, c_void_p) for name in ("parameters", "drifted")),
+        *((name, c_int64) for name in ("rows", "nodes", "most", "actions", "same", "key")),
+    )
+
+
 _G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
 _TYPES: dict[str, tuple[Any, ...]] = {
-    "mutated": (_G, _G, _P, _P, _I, _I, _P, _I, _I, _I),
+    "mutated": (_G, _G, _P, _P, _I, _I, _P, _I, _P, _I, _I),
     "bred": (POINTER(_Breeding), _I),
-    "mark_new": (_P, _P, _I, _I, _P),
-    "parameters_of": (_P, _I, _I, *[_P] * 3, _I, _I, *[_P] * 3, _I, _P, _I, _I),
+    "changed": (POINTER(_Children), _I),
     "deviation": (_P, _I, _I, _P, _I),
     "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
-    "ranking": (_P, _P, _I, _P),
+    "ranking": (_P, _P, _I, _I, _P),
 }
 
 
@@ -59,14 +70,18 @@ def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
         slots: of what comes out, if it may be more than they have.
     """
     _, n, o = graphs.edges.shape
-    whole = graphs.action, graphs.edges, graphs.start
     return (
         max(n, slots) <= MOST_NODES
         and o <= MOST_OUTCOMES
-        and all(x.device.type == "cpu" and x.dtype == torch.long for x in whole)
-        and _function("parameters_of", parameters.dtype) is not None
+        and all(is_whole(x) for x in (graphs.action, graphs.edges, graphs.start))
+        and _function("changed", parameters.dtype) is not None
         and _function("bred", torch.float32) is not None
     )
+
+
+def is_whole(numbers: Tensor) -> bool:
+    """Whether numbers are of the type that compiled code takes for indices."""
+    return numbers.is_cpu and numbers.dtype == torch.long
 
 
 def takes_scores(scores: Tensor) -> bool:
@@ -74,72 +89,74 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
 
 
-def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int) -> Graphs:
-    """See `cgtorch.evolution.structure.restructured`; the capacity is that of the graphs."""
+def restructured(
+    graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int
+) -> tuple[Graphs, list[int]]:
+    """See `cgtorch.evolution.structure.restructured` and `parameters.mark_new`.
+
+    The capacity is that of the graphs.
+    """
     graphs, out = _contiguous(graphs), _room(len(graphs), capacity, graphs.edges.shape[2])
+    first = (c_int64 * (len(actions) + 1))()
     _call(
         "mutated", torch.float32,
         byref(_pointers(graphs)), byref(_pointers(out)), _shape(graphs), choices.strategy,
-        choices.key, choices.width, actions.has_edge, len(actions), len(graphs),
+        choices.key, choices.width, actions.has_edge, len(actions), first, len(graphs),
     )  # fmt: skip
-    return out
+    return out, list(first)
 
 
 def swapped(graphs: Graphs, strategy: Tensor, key: int) -> Graphs:
     """Children of first and second parents (2 Q); see `cgtorch.evolution.crossover.swapped`."""
     every, keys = torch.arange(len(graphs)), (key, 0)
-    return bred(graphs, every, 0, strategy, keys, None, graphs.capacity)
+    return bred(graphs, every, 0, strategy, keys, None, graphs.capacity)[0]
 
 
 def bred(
     graphs: Graphs,
     rows: Tensor,
-    first: int,
+    same: int,
     strategy: Tensor,
     keys: tuple[int, int],
     actions: ActionSet | None,
     capacity: int,
-) -> Graphs:
+) -> tuple[Graphs, list[int]]:
     """See `cgtorch.evolution.offspring.bred`; without actions nothing is mutated."""
     n, o = graphs.edges.shape[1:]
     graphs, count = _contiguous(graphs), len(rows)
     rows, strategy = rows.contiguous(), strategy.float().contiguous()
     room = _room(count, min(n + 1, capacity), o)
-    has_edge = None if actions is None else actions.has_edge
+    kinds, has_edge = (0, None) if actions is None else (len(actions), actions.has_edge.data_ptr())
+    first = (c_int64 * (kinds + 1))()
     breeding = _Breeding(
         _pointers(graphs, marks=False), _pointers(room), rows.data_ptr(), strategy.data_ptr(),
-        None if has_edge is None else has_edge.data_ptr(), n, o, first, (count - first) // 2,
-        0 if actions is None else len(actions), *keys, capacity,
+        has_edge, addressof(first), n, o, same, (count - same) // 2, kinds, *keys, capacity,
     )  # fmt: skip
     _call("bred", torch.float32, byref(breeding))
-    return _in_slots(room, breeding.slots)
+    return _in_slots(room, breeding.slots), list(first)
 
 
-def mark_new_(graphs: Graphs, actions: int) -> list[int]:
-    """See `cgtorch.evolution.parameters.mark_new_`."""
-    first, marks = (c_int64 * (actions + 1))(), graphs.parameters
-    _call("mark_new", torch.float32, graphs.action, marks, marks.numel(), actions, first)
-    return list(first)
-
-
-def parameters(
+def changed(
     graphs: Graphs,
     old: Tensor,
     fresh: Tensor,
     actions: ActionSet,
     strategy: Tensor,
+    factors: Tensor,
     same: int,
     key: int,
-) -> Tensor:
-    """See `cgtorch.evolution.parameters.parameters`."""
-    p, n = graphs.action.shape
-    out = old.new_empty(p, n, old.shape[2])
-    _call(
-        "parameters_of", old.dtype,
-        strategy.float(), same, key, quantiles(), graphs.action, actions.num_parameters,
-        len(actions), n, graphs.parameters, old, fresh, old.shape[2], out, p,
+) -> tuple[Tensor, Tensor]:
+    """See `cgtorch.evolution.parameters.parameters` and `drift.drifted`: what both give."""
+    (p, n), k = graphs.action.shape, old.shape[2]
+    made, drifted = old.new_empty(p, n, k), torch.empty(p, factors.shape[1])
+    given = (
+        graphs.action, actions.num_parameters, graphs.parameters, old, fresh, strategy.float(),
+        factors, bounds(), quantiles(), made, drifted,
     )  # fmt: skip
-    return out
+    kept = [tensor.contiguous() for tensor in given]
+    children = _Children(*(x.data_ptr() for x in kept), p, n, k, len(actions), same, key)
+    _call("changed", old.dtype, byref(children))
+    return made, drifted
 
 
 def deviation(scores: Tensor) -> Tensor:
@@ -156,10 +173,10 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     return chosen
 
 
-def ranking(fitness: Tensor, size: Tensor) -> Tensor:
+def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
     """See `cgtorch.evolution.selection.ranking`."""
-    order = torch.empty(len(size), dtype=torch.long)
-    _call("ranking", fitness.dtype, fitness, size.long(), len(size), order)
+    order = torch.empty(len(graphs), dtype=torch.long)
+    _call("ranking", fitness.dtype, fitness, graphs.action, graphs.capacity, len(graphs), order)
     return order
 
 

@@ -9,9 +9,10 @@ from cgtorch.actions import ActionSet
 from cgtorch.dry_run import kind
 from cgtorch.errors import DataError, SettingsError
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.fitness import Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
-from cgtorch.evolution.mutation import TAU, mutate
+from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.offspring import offspring
 from cgtorch.evolution.own_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.population import (
@@ -162,8 +163,31 @@ def tell(
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
+    order = ranking(fitness, state.population.graphs)
+    return following(state, order, fitness, scores, settings, actions, generator)
+
+
+def following(
+    state: EvolutionState,
+    order: Tensor,
+    fitness: Tensor,
+    scores: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """What `tell` gives where all numbers are real ones.
+
+    Args:
+        state: see `tell`, like all that is not told of here.
+        order: (P,) long, individuals from best to worst.
+        fitness: (P,).
+        scores: (P, B).
+        settings: of the evolution.
+        actions: what nodes can do.
+        generator: of all random choices.
+    """
     population = state.population
-    order = ranking(fitness, population.graphs.num_nodes)
     elite, pairs = order[: settings.elite], (settings.population - settings.elite + 1) // 2
     parents, best = settings.selection(order, scores, 2 * pairs, generator), int(order[0])
     return EvolutionState(
@@ -184,12 +208,10 @@ def _next(
 ) -> Population:
     """The elite (E,) and children of parents (2 Q,) by the operators of the settings."""
     if settings.crossover is crossover and settings.mutation is mutate:
-        sizes = settings.capacity, settings.tau
-        made = offspring(population, elite, parents, actions, generator, *sizes)
-    else:
-        children = _children(population, parents, settings, actions, generator)
-        made = join(slim(population[elite]), children)
-    return made[: settings.population]
+        sizes = settings.capacity, settings.tau, settings.population
+        return offspring(population, elite, parents, actions, generator, *sizes)
+    children = _children(population, parents, settings, actions, generator)
+    return join(slim(population[elite]), children)[: settings.population]
 
 
 def _children(

@@ -12,12 +12,18 @@ Evolvable Machines 4, 2003).
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, initial_state, tell
+from cgtorch.evolution.evolution import (
+    EvolutionSettings,
+    EvolutionState,
+    following,
+    initial_state,
+)
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, widened
@@ -54,9 +60,14 @@ class Tried:
     scores: Tensor
     succeeded: Tensor
 
+    @cached_property
+    def order(self) -> Tensor:
+        """(P,) long, from best to worst; of equal fitness the smaller graph first."""
+        return ranking(self.fitness, self.population.graphs)
+
     def best(self, count: int) -> "Tried":
-        """The best of them; of equal fitness the smaller graph first."""
-        rows = ranking(self.fitness, self.population.graphs.num_nodes)[:count]
+        """The best of them."""
+        rows = self.order[:count]
         return Tried.of([values.index_select(0, rows) for values in self.tensors()])
 
     def widened(self, nodes: int) -> "Tried":
@@ -116,8 +127,7 @@ def emigrants(tried: Tried, capacity: int) -> Tried:
 
 def migrated(tried: Tried, arrivals: Tried) -> Tried:
     """An island's individuals with `arrivals` in place of the worst of them."""
-    order = ranking(tried.fitness, tried.population.graphs.num_nodes)
-    stay = order[: len(order) - len(arrivals.population)].sort().values
+    stay = tried.order[: len(tried.order) - len(arrivals.population)].sort().values
     tried = tried.widened(arrivals.population.graphs.capacity)
     pairs = zip(tried.tensors(), arrivals.tensors(), strict=True)
     return Tried.of([torch.cat([old[stay], new]) for old, new in pairs])
@@ -131,16 +141,17 @@ def told_islands(
 ) -> list[Island]:
     """Each island's next generation, given how this one did; see `tell`."""
     return [
-        replace(
-            island,
-            state=tell(
+        Island(
+            following(
                 replace(island.state, population=each.population),
+                each.order,
                 each.fitness,
+                each.scores,
                 settings,
                 actions,
                 island.generator,
-                each.scores,
             ),
+            island.generator,
         )
         for island, each in zip(islands, tried, strict=True)
     ]

@@ -48,9 +48,9 @@ def deviation(scores: Tensor) -> Tensor:
 
 def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
     """(count,) parents from all P individuals of `scores` (P, B)."""
-    scores = scores + 0.0  # there is one zero only
     if compiled.takes_scores(scores):
         return compiled.lexicase(scores, compiled.deviation(scores), count, key(generator))
+    scores = scores + 0.0  # there is one zero only
     return parents(scores, deviation(scores), count, key(generator))
 
 

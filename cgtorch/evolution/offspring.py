@@ -7,8 +7,8 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
 from cgtorch.evolution.choices import Choices, Pairs
 from cgtorch.evolution.crossover import most_nodes, swapped
-from cgtorch.evolution.mutation import TAU, drift
-from cgtorch.evolution.parameters import changed, marked
+from cgtorch.evolution.drift import TAU
+from cgtorch.evolution.parameters import changed, mark_new, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import key
 from cgtorch.evolution.structure import restructured
@@ -23,6 +23,7 @@ def offspring(
     generator: Generator,
     capacity: int,
     tau: float = TAU,
+    size: int | None = None,
 ) -> Population:
     """The elite, and children of parents by `crossover` and `mutate`.
 
@@ -36,20 +37,20 @@ def offspring(
         generator: of all random choices.
         capacity: the most nodes that a child can have.
         tau: variance of the drift in eq. 2.
+        size: how many are made, all if not given; each is what it would be among all.
 
     Returns:
-        E + 2 Q individuals, the elite first, the children in the order of `crossover`, all of them
-        with their nodes in the first slots. There are as many slots as the largest may need,
-        however many there could be.
+        E + 2 Q individuals or `size`, the elite first, the children in the order of `crossover`,
+        all of them with their nodes in the first slots. There are as many slots as the largest may
+        need, however many there could be.
     """
-    graphs, rows, first = population.graphs, torch.cat([elite, parents]), len(elite)
+    graphs, rows, same = population.graphs, torch.cat([elite, parents]), len(elite)
     strategy = population.strategy.index_select(0, rows)
     keys, slots = (key(generator), key(generator)), min(graphs.capacity + 1, capacity)
     way = compiled.bred if compiled.takes(graphs, graphs.parameters, slots) else bred
-    children = way(graphs, rows, first, strategy, keys, actions, capacity)
-    made = changed(children, graphs.parameters, actions, strategy, first, generator)
-    strategy[first:] = drift(strategy[first:], tau, generator)
-    return Population(made, strategy)
+    made, first = way(graphs, rows, same, strategy, keys, actions, capacity)
+    made = made[:size]
+    return changed(made, first, graphs.parameters, actions, strategy, same, generator, tau)
 
 
 def bred(
@@ -60,8 +61,8 @@ def bred(
     keys: tuple[int, int],
     actions: ActionSet,
     capacity: int,
-) -> Graphs:
-    """Marked graphs of the elite and of children of pairs, mutated, in torch.
+) -> tuple[Graphs, list[int]]:
+    """Marked graphs of the elite and of children of pairs, mutated, in torch; see `mark_new`.
 
     Args:
         graphs: P of them.
@@ -78,4 +79,4 @@ def bred(
     elite = compacted(marked(graphs)[rows[:first]])
     same = narrowed(widened(elite, max(graphs.capacity, slots)), slots)
     children = restructured(swapped(graphs, pairs), Choices(theirs, keys[1], slots), actions, slots)
-    return concatenate([same, children])
+    return mark_new(concatenate([same, children]), len(actions))

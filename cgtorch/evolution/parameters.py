@@ -12,7 +12,8 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.population import STRATEGY
+from cgtorch.evolution.drift import drifted, factors
+from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.sampling import key, keys, normal, uniform, words
 from cgtorch.graphs import Graphs
 
@@ -31,49 +32,69 @@ def copied(graphs: Graphs, old: Tensor) -> Graphs:
     return replace(graphs, parameters=_at_marks(graphs.parameters, old, none))
 
 
+def mark_new(graphs: Graphs, actions: int) -> tuple[Graphs, list[int]]:
+    """The graphs with new nodes, which have no mark, marked with -1, -2, …: first all of action 0.
+
+    Returns:
+        The graphs, and after how many the new nodes of each action begin, and how many there are.
+    """
+    action, marks = graphs.action.flatten(), graphs.parameters.flatten()
+    new = ((action >= 0) & (marks == 0)).nonzero()[:, 0]
+    numbers = torch.bincount(action[new], minlength=actions)
+    new = new[action[new].argsort(stable=True)]
+    marks = marks.index_put((new,), torch.arange(-1, -len(new) - 1, -1))
+    made = replace(graphs, parameters=marks.view_as(graphs.parameters))
+    return made, [0, *numbers.cumsum(0).tolist()]
+
+
 def changed(
     graphs: Graphs,
+    first: list[int],
     old: Tensor,
     actions: ActionSet,
     strategy: Tensor,
     same: int,
     generator: Generator,
-) -> Graphs:
-    """Marked graphs with parameters, each of which may have changed by a Gaussian step.
+    tau: float,
+) -> Population:
+    """Marked graphs with parameters, each of which may have changed by a Gaussian step, and eq. 2.
 
     Args:
-        graphs: P of them; nodes without a mark are new, get one, and initial parameters.
+        graphs: P of them.
+        first: after how many the new nodes of each action begin, and how many there are; they get
+            initial parameters.
         old: (P', N, K) parameters of parents, which marks point to.
         actions: what the nodes are.
-        strategy: (P, S), with the probability that a parameter changes and the standard deviation
-            of the steps.
+        strategy: (P at least, S), with the probability that a parameter changes and the standard
+            deviation of the steps. It drifts after that.
         same: individuals that come first and stay as they are.
-        generator: of new parameters, of the choices and of the steps.
+        generator: of new parameters, of the choices, of the steps and of the drift.
+        tau: variance of the drift.
     """
-    native = compiled.takes(graphs, old)
-    mark = compiled.mark_new_ if native else mark_new_
-    first = mark(graphs, len(actions))
     fresh = old.new_zeros(first[-1], old.shape[2])
     for module, begin, end in zip(actions.actions, first, first[1:], strict=False):
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
-    way = compiled.parameters if native else parameters
-    made = way(graphs, old, fresh, actions, strategy, same, key(generator))
-    return replace(graphs, parameters=made)
+    all_choices, by = key(generator), factors(len(strategy) - same, tau, generator)
+    way = compiled.changed if compiled.takes(graphs, old) else _changed
+    made, after = way(graphs, old, fresh, actions, strategy, by, same, all_choices)
+    return Population(replace(graphs, parameters=made), after)
 
 
-def mark_new_(graphs: Graphs, actions: int) -> list[int]:
-    """Mark nodes without a mark with -1, -2, …, in place: first all of action 0, and so on.
-
-    Returns:
-        After how many the nodes of each action begin, and how many there are in all.
-    """
-    action, marks = graphs.action.view(-1), graphs.parameters.view(-1)
-    new = ((action >= 0) & (marks == 0)).nonzero()[:, 0]
-    numbers = torch.bincount(action[new], minlength=actions)
-    new = new[action[new].argsort(stable=True)]
-    marks[new] = torch.arange(-1, -len(new) - 1, -1)
-    return [0, *numbers.cumsum(0).tolist()]
+def _changed(
+    graphs: Graphs,
+    old: Tensor,
+    fresh: Tensor,
+    actions: ActionSet,
+    strategy: Tensor,
+    factors: Tensor,
+    same: int,
+    key: int,
+) -> tuple[Tensor, Tensor]:
+    """Parameters and strategies of P graphs, in torch; `native/parameters.c` changes both."""
+    strategy, factors = strategy[: len(graphs)], factors[: len(graphs) - same]
+    made = parameters(graphs, old, fresh, actions, strategy, same, key)
+    return made, torch.cat([strategy[:same], drifted(strategy[same:], factors)])
 
 
 def parameters(

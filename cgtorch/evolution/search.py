@@ -22,7 +22,6 @@ from cgtorch.evolution.islands import (
 )
 from cgtorch.evolution.parts import check_parts
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import SubSkill
 from cgtorch.simulation import MAX_TRANSITIONS
 
@@ -126,21 +125,27 @@ def _generation(
     """The generation of all islands, given those that this rank holds."""
     count = settings.islands
     leaders = _exchanged([each.best(1) for each in tried], settings)
-    fitness = torch.cat([each.fitness for each in leaders])
-    sizes = torch.cat([each.population.graphs.num_nodes for each in leaders])
-    winner = int(ranking(fitness, sizes)[0])
-    counts = torch.tensor([[r.transitions, r.not_finite] for r in results])
-    transitions, not_finite = ranks.exchanged(counts, count).sum(0).tolist()
+    sizes = [int(each.population.graphs.num_nodes) for each in leaders]
+    fitness = [float(each.fitness) for each in leaders]
+    winner = min(range(count), key=lambda i: (-fitness[i], sizes[i]))
+    best = leaders[winner]
     return Generation(
         number=islands[0].state.generation,
         islands=islands,
         fitness=tried[0].fitness,
-        champion=leaders[winner].widened(settings.capacity).population,
-        best=float(fitness[winner]),
-        succeeded=leaders[winner].succeeded[0],
-        transitions=transitions,
-        not_finite=not_finite,
+        champion=best.widened(settings.capacity).population,
+        best=fitness[winner],
+        succeeded=best.succeeded[0],
+        transitions=_total([each.transitions for each in results], count),
+        not_finite=_total([each.not_finite for each in results], count),
     )
+
+
+def _total(numbers: Sequence[int], count: int) -> int:
+    """The sum over all islands, given a number for each that this rank holds."""
+    if len(numbers) == count:
+        return sum(numbers)
+    return int(ranks.exchanged(torch.tensor(numbers), count).sum())
 
 
 def _exchanged(mine: Sequence[Tried], settings: EvolutionSettings) -> list[Tried]:

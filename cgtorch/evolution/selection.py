@@ -8,22 +8,28 @@ from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
 from cgtorch.evolution import compiled
+from cgtorch.graphs import Graphs
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and
 the generator of the choices, to the parents (count,)."""
 
 
-def ranking(fitness: Tensor, size: Tensor) -> Tensor:
-    """(P,) long, individuals from best to worst; of equal fitness the smaller graph first."""
-    if compiled.takes_scores(fitness):
-        return compiled.ranking(fitness, size)
-    return ranked(fitness, size)
+def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
+    """(P,) long, individuals from best to worst; of equal fitness the smaller graph first.
+
+    Args:
+        fitness: (P,), no NaN.
+        graphs: P of them.
+    """
+    if compiled.takes_scores(fitness) and compiled.is_whole(graphs.action):
+        return compiled.ranking(fitness, graphs)
+    return ranked(fitness, graphs)
 
 
-def ranked(fitness: Tensor, size: Tensor) -> Tensor:
+def ranked(fitness: Tensor, graphs: Graphs) -> Tensor:
     """The same in torch; `native/ranking.c` sorts faster."""
-    by_size = torch.argsort(size, stable=True)
+    by_size = torch.argsort(graphs.num_nodes, stable=True)
     return by_size[torch.argsort(fitness[by_size], descending=True, stable=True)]
 
 

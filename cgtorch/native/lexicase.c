@@ -18,19 +18,24 @@ typedef struct {
   _Atomic int failed;          /* for want of memory */
 } Lexicase;
 
+static int alike(const real *a, const real *b, int64_t count) {
+  int64_t i = 0;
+  while (i < count && a[i] == b[i]) i++;
+  return i == count;
+}
+
 /* Numbers individuals of equal scores alike, in the order in which each first appears. */
 static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios, int64_t *row_of,
                            int64_t *table, int64_t size) {
   int64_t rows = 0;
-  size_t bytes = (size_t)scenarios * sizeof *scores;
   for (int64_t i = 0; i < size; i++) table[i] = -1;
   for (int64_t i = 0; i < people; i++) {
     const real *mine = scores + i * scenarios;
-    uint64_t hash = 0; /* multilinear: no step waits for the one before */
+    uint64_t hash = 0; /* multilinear: no step waits for the one before; there is one zero only */
     for (int64_t j = 0; j < scenarios; j++)
-      hash += pattern_of(mine[j]) * (GOLDEN * (uint64_t)(2 * j + 1));
+      hash += pattern_of(mine[j] + 0) * (GOLDEN * (uint64_t)(2 * j + 1));
     int64_t at = (int64_t)(mixed(hash) & (uint64_t)(size - 1));
-    while (table[at] >= 0 && memcmp(scores + table[at] * scenarios, mine, bytes))
+    while (table[at] >= 0 && !alike(scores + table[at] * scenarios, mine, scenarios))
       at = (at + 1) & (size - 1);
     if (table[at] < 0) {
       table[at] = i;

@@ -1,5 +1,6 @@
 /* Crossover and mutation of nodes and edges of a whole population, one pair after the other. */
 #include "crossover.h"
+#include "marks.h"
 #include "mutation.h"
 #include "parallel.h"
 
@@ -51,30 +52,34 @@ static int64_t most_nodes(const Graphs *graphs, int64_t nodes, const int64_t *ro
   return most;
 }
 
-/* Individuals mutated. */
+/* Individuals mutated, their new nodes marked; `first` (A + 1,) is for `mark_new`. 1 for want of
+   memory. */
 int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const float *strategy,
-            int64_t key, int64_t width, const uint8_t *has_edge, int64_t actions, int64_t rows,
-            int64_t threads) {
+            int64_t key, int64_t width, const uint8_t *has_edge, int64_t actions, int64_t *first,
+            int64_t rows, int64_t threads) {
   Shape of = {shape[0], shape[1]};
   Operators all = {.from = *from, .to = *to, .shape = of};
   all.mutation = (Mutation){of, strategy, key, width, has_edge, actions};
   in_parallel(some_individuals, &all, rows, 64, threads);
-  return 0;
+  return mark_new(to->action, to->marks, rows * of.nodes, actions, first);
 }
 
-/* What children are made of. */
+/* What children are made of, and room for what they are. */
 typedef struct {
   Graphs from, to;
   const int64_t *rows;     /* (E + 2 Q,) of `from`: the elite, the first parents, the second ones */
   const float *strategy;   /* (E + 2 Q, STRATEGY) theirs */
   const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
+  int64_t *first;          /* (A + 1,) for `mark_new`, unless nothing is mutated */
   int64_t nodes, outcomes, elite, pairs, actions, pair_key, key;
   int64_t slots; /* that graphs may have in the end; set to as many as the largest may need */
 } Breeding;
 
-/* Copies of the elite, then children of pairs; where they are mutated, they may have a node more. */
+/* Copies of the elite, then children of pairs; where they are mutated, they may have a node more, and
+   their new nodes are marked. 1 for want of memory. */
 int bred(Breeding *b, int64_t threads) {
-  int64_t width = most_nodes(&b->from, b->nodes, b->rows, b->elite + 2 * b->pairs);
+  int64_t all_rows = b->elite + 2 * b->pairs;
+  int64_t width = most_nodes(&b->from, b->nodes, b->rows, all_rows);
   if (b->has_edge && b->slots > width + 1) b->slots = width + 1;
   Shape before = {b->nodes, b->outcomes}, after = {b->slots, b->outcomes};
   Operators all = {.to = b->to, .shape = after, .first = b->elite};
@@ -88,5 +93,6 @@ int bred(Breeding *b, int64_t threads) {
   all.crossover = (Crossover){b->from, before, parents, strategy, b->pair_key, width, b->pairs};
   all.mutation = (Mutation){after, strategy, b->key, b->slots, b->has_edge, b->actions};
   in_parallel(some_pairs, &all, b->pairs, 32, threads);
-  return 0;
+  if (!b->has_edge) return 0;
+  return mark_new(b->to.action, b->to.marks, all_rows * b->slots, b->actions, b->first);
 }

@@ -1,7 +1,8 @@
 /* Parameters of children (cgtorch.evolution.parameters): copied from where the marks of nodes say,
-   with Gaussian steps where they are hit. */
+   with Gaussian steps where they are hit; and the drift of their strategies (eq. 2). */
 #define _DEFAULT_SOURCE /* of madvise */
 #include "draws.h"
+#include "marks.h"
 #include "parallel.h"
 #include <stdlib.h>
 #include <string.h>
@@ -18,19 +19,6 @@
 
 typedef REAL real;
 
-typedef struct {
-  const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */
-  int64_t actions, nodes;
-} Nodes;
-
-static inline int64_t parameters_at(const Nodes *of, int64_t slot) {
-  int64_t action = of->action[slot];
-  return action < 0 || action >= of->actions ? 0 : of->num_parameters[action];
-}
-
-/* Marks nodes that have no mark with -1, -2, ..., first those of action 0, and so on, and tells after
-   how many those of each action begin; the last of `first` (A + 1,) is how many there are. 1 for want
-   of memory. */
 int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actions, int64_t *first) {
   int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
   if (!where) return 1;
@@ -60,16 +48,34 @@ static void large_pages(void *memory, size_t bytes) {
 
 enum { RATE = STRATEGY - 2, SIGMA };
 
+/* `same` individuals come first, of whom all stays as it is. */
 typedef struct {
-  const float *strategy; /* (P, STRATEGY) */
-  int64_t same, key;     /* `same` individuals come first, whose parameters stay */
-  const float *quantiles; /* (1281, 3), cgtorch.evolution.sampling.quantiles */
-  Nodes of;
+  const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */
   const int64_t *marks; /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
   const real *old, *fresh;
-  real *parameters; /* (P, N, K) */
-  int64_t most;     /* K */
+  const float *strategy; /* (P, STRATEGY) of parents */
+  const float *factors;  /* (P - same, STRATEGY) that eq. 2 multiplies it by */
+  const float *bounds;   /* (2, STRATEGY) the least and the most */
+  const float *quantiles; /* (1281, 3), cgtorch.evolution.sampling.quantiles */
+  real *parameters;       /* (P, N, K) */
+  float *drifted;         /* (P, STRATEGY) */
+  int64_t rows, nodes, most, actions, same, key; /* P, N, K, A */
 } Children;
+
+static inline int64_t parameters_at(const Children *c, int64_t slot) {
+  int64_t action = c->action[slot];
+  return action < 0 || action >= c->actions ? 0 : c->num_parameters[action];
+}
+
+/* Strategies as they were, or drifted (cgtorch.evolution.drift.drifted). */
+static inline void drift(const Children *c, int64_t row) {
+  const float *from = c->strategy + row * STRATEGY, *by = c->factors + (row - c->same) * STRATEGY;
+  for (int i = 0; i < STRATEGY; i++) {
+    float x = row < c->same ? from[i] : from[i] * by[i], most = c->bounds[STRATEGY + i];
+    if (row >= c->same) x = x < c->bounds[i] ? c->bounds[i] : x > most ? most : x;
+    c->drifted[row * STRATEGY + i] = x;
+  }
+}
 
 /* A standard normal number (cgtorch.evolution.sampling.normal). */
 static inline float normal(const float *quantiles, uint64_t word) {
@@ -102,12 +108,12 @@ static inline void some_steps(const Children *c, uint64_t key, uint64_t limit, f
 
 static void some_children(void *what, int64_t begin, int64_t end) {
   const Children *c = what;
-  int64_t n = c->of.nodes, k = c->most;
+  int64_t n = c->nodes, k = c->most;
   for (int64_t row = begin; row < end; row++) {
     const float *strategy = c->strategy + row * STRATEGY;
     uint64_t key = key_of(c->key, row), limit = row < c->same ? 0 : below(strategy[RATE]);
     for (int64_t i = row * n, first = 0; i < (row + 1) * n; i++) {
-      int64_t mark = c->marks[i], count = mark ? parameters_at(&c->of, i) : 0;
+      int64_t mark = c->marks[i], count = mark ? parameters_at(c, i) : 0;
       real *parameters = c->parameters + i * k;
       const real *from = mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k;
       if (count) memcpy(parameters, from, (size_t)count * sizeof(real));
@@ -115,16 +121,12 @@ static void some_children(void *what, int64_t begin, int64_t end) {
       some_steps(c, key, limit, strategy[SIGMA], first, count, parameters);
       first += count;
     }
+    drift(c, row);
   }
 }
 
-int parameters_of(const float *strategy, int64_t same, int64_t key, const float *quantiles,
-                  const int64_t *action, const int64_t *num_parameters, int64_t actions,
-                  int64_t nodes, const int64_t *marks, const real *old, const real *fresh,
-                  int64_t most, real *parameters, int64_t rows, int64_t threads) {
-  Nodes of = {action, num_parameters, actions, nodes};
-  large_pages(parameters, (size_t)(rows * nodes * most) * sizeof(real));
-  Children c = {strategy, same, key, quantiles, of, marks, old, fresh, parameters, most};
-  in_parallel(some_children, &c, rows, 64, threads);
+int changed(const Children *c, int64_t threads) {
+  large_pages(c->parameters, (size_t)(c->rows * c->nodes * c->most) * sizeof(real));
+  in_parallel(some_children, (void *)c, c->rows, 64, threads);
   return 0;
 }

@@ -1,4 +1,5 @@
 /* Individuals from best to worst (cgtorch.evolution.selection.ranking). */
+#include "graph.h"
 #include "order.h"
 #include <stdlib.h>
 
@@ -26,12 +27,16 @@ static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64
   return order;
 }
 
-/* Indices (count,) by fitness, of equal ones by size, of equal ones as they are; 1 for want of memory. */
-int ranking(const real *fitness, const int64_t *size, int64_t count, int64_t *out) {
+/* Indices (count,) by fitness, of equal ones by how many nodes actions (count, nodes) have, of equal
+   ones as they are; 1 for want of memory. */
+int ranking(const real *fitness, const int64_t *action, int64_t nodes, int64_t count, int64_t *out) {
   uint64_t *key = malloc((size_t)(3 * count + 1) * sizeof *key);
   if (!key) return 1;
   int64_t *order = (int64_t *)key + count, *other = order + count;
-  for (int64_t i = 0; i < count; i++) order[i] = i, key[i] = (uint64_t)size[i];
+  for (int64_t i = 0; i < count; i++) {
+    order[i] = i, key[i] = 0;
+    for (int64_t j = 0; j < nodes; j++) key[i] += action[i * nodes + j] != NO_NODE;
+  }
   int64_t *found = sorted(key, count, order, other);
   for (int64_t i = 0; i < count; i++) key[i] = downwards(fitness[i]);
   found = sorted(key, count, found, found == order ? other : order);

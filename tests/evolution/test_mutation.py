@@ -10,14 +10,9 @@ from support import custom_actions, random_graphs, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
-from cgtorch.evolution.mutation import (
-    PROBABILITY_MAX,
-    SIGMA_MAX,
-    STRATEGY_MIN,
-    drift,
-    mutate,
-)
-from cgtorch.evolution.parameters import changed, marked
+from cgtorch.evolution.drift import TAU
+from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.parameters import changed, mark_new, marked
 from cgtorch.evolution.structure import (
     add_node,
     change_edges,
@@ -105,7 +100,11 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     assert torch.equal(new.start, old.start)
     assert (new.parameters == 0).all()
     unmarked = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
-    made = changed(unmarked, old.parameters, ACTIONS, initial_strategy(P), P, seeded(seed))
+    marks, first = mark_new(unmarked, len(ACTIONS))
+    rates = initial_strategy(P)
+    made = changed(marks, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
+    assert torch.equal(made.strategy, rates)
+    made = made.graphs
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
     assert (made.parameters != old.parameters).any(2)[real].all()
     assert (made.parameters[~real] == 0).all()
@@ -149,7 +148,8 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
     strategy = initial_strategy(4000)
     strategy[:, STRATEGY.index("mutate_parameter")] = rate
     strategy[:, STRATEGY.index("sigma")] = sigma
-    new = changed(marked(many), many.parameters, ACTIONS, strategy, 0, seeded(0))
+    none = [0] * (len(ACTIONS) + 1)
+    new = changed(marked(many), none, many.parameters, ACTIONS, strategy, 0, seeded(0), TAU).graphs
     change = new.parameters - many.parameters
     count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
     real = torch.arange(change.shape[2]) < count[:, None]
@@ -174,35 +174,6 @@ def test_a_new_start_leads_to_another_node(seed: int) -> None:
         leads = {tail for (tail, _), head in edges_of(old, i).items() if head != tail}
         assert int(new.start[i]) in (leads or {int(old.start[i])})
     assert same(Graphs(new.action, new.edges, new.parameters, old.start), old)
-
-
-def test_drift_is_log_normal_with_variance_tau() -> None:
-    strategy: Tensor = torch.full((20_000, len(STRATEGY)), 0.05)
-    for tau in (0.01, 0.05):
-        log = (drift(strategy, tau, seeded(0)) / strategy).log()
-        assert log.mean().item() == pytest.approx(0, abs=0.002)
-        assert log.var().item() == pytest.approx(tau, rel=0.02)
-        within = (log.abs() < tau**0.5).float().mean()
-        assert within == pytest.approx(math.erf(0.5**0.5), abs=0.005)
-        together = torch.corrcoef(log.T) - torch.eye(len(STRATEGY))
-        assert together.abs().max() < 0.05  # every parameter drifts by itself
-
-
-def test_drift_without_variance_changes_nothing() -> None:
-    strategy = torch.rand(50, len(STRATEGY)).clamp_min(STRATEGY_MIN)
-    assert torch.equal(drift(strategy, 0.0, seeded(0)), strategy)
-
-
-def test_drift_stays_within_its_bounds() -> None:
-    strategy = torch.full((50, len(STRATEGY)), 0.5)
-    generator = seeded(0)
-    for _ in range(200):
-        strategy = drift(strategy, 1.0, generator)
-        assert strategy.min() >= STRATEGY_MIN
-        assert strategy[:, :-1].max() <= PROBABILITY_MAX
-        assert strategy[:, -1].max() <= SIGMA_MAX
-    assert STRATEGY[-1] == "sigma"
-    assert strategy[:, -1].max() > PROBABILITY_MAX
 
 
 def test_mutate_uses_each_individuals_own_rates() -> None:

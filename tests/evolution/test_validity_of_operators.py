@@ -19,6 +19,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution import structure as m
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.parameters import changed, marked
 from cgtorch.evolution.population import random_population, seeded_population
@@ -103,12 +104,15 @@ def test_each_mutation(
     def draws(columns: int) -> Tensor:
         return torch.rand(SIZE, columns, generator=generator)
 
+    none, strategy = [0] * (len(actions) + 1), rate_of[:, None].repeat(1, len(STRATEGY))
+    old = graphs.parameters
+    steps = changed(marked(graphs), none, old, actions, strategy, 0, generator, TAU)
     for mutated in (
         m.add_node(graphs, actions, rate_of, draws(3 + graphs.edges.shape[2])),
         m.delete_node(graphs, rate_of, draws(3), heads),
         m.replace_nodes(graphs, actions, rate_of, draws(graphs.capacity), heads),
         m.change_edges(graphs, rate_of, draws(graphs.capacity), heads),
-        changed(marked(graphs), graphs.parameters, actions, rate_of, rate_of, generator),
+        steps.graphs,
         m.new_start(graphs, rate_of, draws(2)),
     ):
         # Pruning comes last, once for all mutations; all else must hold after each.
