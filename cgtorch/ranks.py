@@ -188,6 +188,16 @@ def gathered(part: Tensor, rows: int, crew: Crew | None = None) -> Tensor:
     return _gathered(part, [each.stop - each.start for each in shares], crew.group)
 
 
+def total(number: int, crew: Crew | None = None) -> int:
+    """The sum of a number that each rank of a crew has, given this one's."""
+    crew = crew or everyone()
+    if crew.size == 1:
+        return number
+    sum_of_all = torch.tensor(number)
+    torch.distributed.all_reduce(sum_of_all, group=crew.group)
+    return int(sum_of_all)
+
+
 def exchanged(mine: Tensor, parts: int) -> Tensor:
     """Of all parts (parts, ...), given one row for each that this rank holds."""
     if len(mine) == parts:  # on every rank

@@ -56,8 +56,8 @@ with the actions of section VI."""
 Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
 """What P individuals of an action set achieve in an environment."""
 
-Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor]
-"""Scores (P, B), successes (P, B), actions executed (P,) and whether all was finite (P,)."""
+Parts: TypeAlias = tuple[Tensor, Tensor, int, int]
+"""Scores (P, B), successes (P, B), actions executed, and individuals that are not finite."""
 
 
 def evaluate(
@@ -119,15 +119,14 @@ def evaluator(
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), crew)]
         parts = [at_once(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
-        scores, succeeded, transitions, finite = (
+        *tensors, transitions, not_finite = zip(*parts, strict=True)
+        scores, succeeded = (
             ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
-            for column in zip(*parts, strict=True)
+            for column in tensors
         )
-        lost = p - int(finite.sum())
-        if lost:
-            scores, succeeded = scores * finite[:, None], succeeded & finite[:, None]
+        counts = (ranks.total(sum(each), crew) for each in (transitions, not_finite))
         # The mean of all at once: that of some rows may round otherwise.
-        return Evaluation(scores.mean(1), scores, succeeded, int(transitions.sum()), lost)
+        return Evaluation(scores.mean(1), scores, succeeded, *counts)
 
     return evaluation
 
@@ -187,10 +186,11 @@ def _by_rollouts(
         score[alive[:, None], part] = torch.nan_to_num(worth).clamp_min(0)
         finite[alive] &= (real & worth.isfinite()).all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
-    lost = torch.ones(p, dtype=torch.bool, device=device)
-    lost[alive] = False
-    score[lost] = 0
-    return score.to(home), succeeded.to(home), transitions.to(home), finite.to(home)
+    stands = torch.zeros(p, dtype=torch.bool, device=device)
+    stands[alive] = True
+    score, succeeded = score * (stands & finite)[:, None], succeeded & finite[:, None]
+    lost = p - int(finite.sum())
+    return score.to(home), succeeded.to(home), int(transitions.sum()), lost
 
 
 def last_success(

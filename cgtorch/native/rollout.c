@@ -88,11 +88,19 @@ typedef struct {
   int64_t keep;
   real *score;              /* (P, B) */
   unsigned char *succeeded; /* (P, B) */
-  unsigned char *finite;    /* (P,) */
-  int64_t *transitions;     /* (P,) */
+  int64_t transitions;      /* that all graphs make */
+  int64_t not_finite;       /* graphs with a number that is none; nothing of what they did counts */
   const Chunk *chunks;
   int64_t count; /* of chunks */
 } Evaluation;
+
+/* What one graph came to. */
+typedef struct {
+  real *score;
+  unsigned char *succeeded;
+  int64_t transitions;
+  int finite, lost;
+} Came;
 
 INLINE int all_finite(const real *x, int64_t count) {
   real total = 0; /* 0 times what is not finite is not a number */
@@ -101,9 +109,9 @@ INLINE int all_finite(const real *x, int64_t count) {
   return total == 0;
 }
 
-/* Runs a graph on a chunk's scenarios; whether it has succeeded on all of them. */
-static int evaluate_chunk(const Evaluation *e, Layout layout, int64_t graph, const Chunk *chunk) {
-  const Task *task = &e->task;
+/* Runs a graph on a chunk's scenarios. */
+static void evaluate_chunk(const Task *task, Layout layout, int64_t graph, const Chunk *chunk,
+                           int64_t keep, Came *came) {
   Lanes lanes;
   run_lanes(task, layout, graph, chunk, &lanes);
   ask_chance(task, layout, &lanes, first_lanes(chunk->count));
@@ -111,34 +119,35 @@ static int evaluate_chunk(const Evaluation *e, Layout layout, int64_t graph, con
   for (int i = 0; i < layout.size; i++) finite &= finite_vec(lanes.percept[i]);
   vec c = vec_max(all(0), vec_min(all(1), lanes.chance));
   c = select_vec(finite, select_vec(success, c, c / 2), all(0));
-  int solved = 1;
   for (int i = 0; i < chunk->count; i++) {
-    int64_t place = graph * task->count + lanes.scenario[i];
-    e->score[place] = c[i];
-    e->succeeded[place] = success[i] != 0;
-    e->finite[graph] &= finite[i] != 0;
-    e->transitions[graph] += lanes.step[i];
-    solved &= success[i] != 0;
+    came->score[lanes.scenario[i]] = c[i];
+    came->succeeded[lanes.scenario[i]] = success[i] != 0;
+    came->finite &= finite[i] != 0;
+    came->transitions += lanes.step[i];
+    came->lost |= chunk->from < keep && !success[i];
   }
-  return solved;
 }
 
 static void evaluate_graphs(void *what, int64_t begin, int64_t end) {
   Evaluation *e = what;
   const Program *program = e->task.program;
   Layout layout = layout_of(e->task.models->size);
-  int64_t numbers = program->nodes * program->each;
+  int64_t numbers = program->nodes * program->each, scenarios = e->task.count;
+  int64_t transitions = 0, not_finite = 0;
   for (int64_t graph = begin; graph < end; graph++) {
-    int lost = 0;
+    Came came = {e->score + graph * scenarios, e->succeeded + graph * scenarios, 0, 0, 0};
     if (!good(&e->task, graph)) continue;
-    e->transitions[graph] = 0;
-    e->finite[graph] = (unsigned char)all_finite(program->parameters + graph * numbers, numbers);
+    came.finite = all_finite(program->parameters + graph * numbers, numbers);
+    memset(came.succeeded, 0, (size_t)scenarios);
     for (const Chunk *chunk = e->chunks; chunk < e->chunks + e->count; chunk++)
-      if (chunk->from < e->keep) lost |= !evaluate_chunk(e, layout, graph, chunk);
-      else if (!lost) evaluate_chunk(e, layout, graph, chunk);
-    if (lost)
-      memset(e->score + graph * e->task.count, 0, (size_t)e->task.count * sizeof(real));
+      if (!came.lost || chunk->from < e->keep)
+        evaluate_chunk(&e->task, layout, graph, chunk, e->keep, &came);
+    if (came.lost || !came.finite) memset(came.score, 0, (size_t)scenarios * sizeof(real));
+    if (!came.finite) memset(came.succeeded, 0, (size_t)scenarios);
+    transitions += came.transitions, not_finite += !came.finite;
   }
+  __atomic_fetch_add(&e->transitions, transitions, __ATOMIC_RELAXED);
+  __atomic_fetch_add(&e->not_finite, not_finite, __ATOMIC_RELAXED);
 }
 
 /* Like `rollouts`. */
