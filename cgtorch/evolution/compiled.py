@@ -16,6 +16,7 @@ from cgtorch import native
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.choices import Choices
 from cgtorch.evolution.drift import bounds
+from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs
 
@@ -33,8 +34,11 @@ class _Breeding(ctypes.Structure):
 
     _fields_ = (
         *((name, _Pointers) for name in ("before", "after")),
-        *((name, c_void_p) for name in ("rows", "strategy", "has_edge", "first")),
-        *((name, c_int64) for name in ("nodes", "outcomes", "elite", "pairs", "actions")),
+        *(
+            (name, c_void_p)
+            for name in ("elite", "parents", "strategy", "theirs", "has_edge", "first")
+        ),
+        *((name, c_int64) for name in ("nodes", "outcomes", "elites", "pairs", "actions")),
         *((name, c_int64) for name in ("pair_key", "key", "slots")),
     )
 
@@ -108,32 +112,32 @@ def restructured(
 
 def swapped(graphs: Graphs, strategy: Tensor, key: int) -> Graphs:
     """Children of first and second parents (2 Q); see `cgtorch.evolution.crossover.swapped`."""
-    every, keys = torch.arange(len(graphs)), (key, 0)
-    return bred(graphs, every, 0, strategy, keys, None, graphs.capacity)[0]
+    every, slots = torch.arange(len(graphs)), graphs.capacity
+    return bred(Population(graphs, strategy), every[:0], every, (key, 0), None, slots)[0]
 
 
 def bred(
-    graphs: Graphs,
-    rows: Tensor,
-    same: int,
-    strategy: Tensor,
+    population: Population,
+    elite: Tensor,
+    parents: Tensor,
     keys: tuple[int, int],
     actions: ActionSet | None,
     capacity: int,
-) -> tuple[Graphs, list[int]]:
+) -> tuple[Graphs, Tensor, list[int]]:
     """See `cgtorch.evolution.offspring.bred`; without actions nothing is mutated."""
+    graphs, count = _contiguous(population.graphs), len(elite) + len(parents)
     n, o = graphs.edges.shape[1:]
-    graphs, count = _contiguous(graphs), len(rows)
-    rows, strategy = rows.contiguous(), strategy.float().contiguous()
-    room = _room(count, min(n + 1, capacity), o)
+    given = elite, parents, population.strategy.float()
+    kept = [tensor.contiguous() for tensor in given]
+    room, theirs = _room(count, min(n + 1, capacity), o), torch.empty(count, kept[2].shape[1])
     kinds, has_edge = (0, None) if actions is None else (len(actions), actions.has_edge.data_ptr())
     first = (c_int64 * (kinds + 1))()
     breeding = _Breeding(
-        _pointers(graphs, marks=False), _pointers(room), rows.data_ptr(), strategy.data_ptr(),
-        has_edge, addressof(first), n, o, same, (count - same) // 2, kinds, *keys, capacity,
+        _pointers(graphs, marks=False), _pointers(room), *(x.data_ptr() for x in (*kept, theirs)),
+        has_edge, addressof(first), n, o, len(elite), len(parents) // 2, kinds, *keys, capacity,
     )  # fmt: skip
     _call("bred", torch.float32, byref(breeding))
-    return _in_slots(room, breeding.slots), list(first)
+    return _in_slots(room, breeding.slots), theirs, list(first)
 
 
 def changed(

@@ -44,39 +44,42 @@ def offspring(
         all of them with their nodes in the first slots. There are as many slots as the largest may
         need, however many there could be.
     """
-    graphs, rows, same = population.graphs, torch.cat([elite, parents]), len(elite)
-    strategy = population.strategy.index_select(0, rows)
+    graphs, same = population.graphs, len(elite)
     keys, slots = (key(generator), key(generator)), min(graphs.capacity + 1, capacity)
     way = compiled.bred if compiled.takes(graphs, graphs.parameters, slots) else bred
-    made, first = way(graphs, rows, same, strategy, keys, actions, capacity)
+    made, strategy, first = way(population, elite, parents, keys, actions, capacity)
     made = made[:size]
     return changed(made, first, graphs.parameters, actions, strategy, same, generator, tau)
 
 
 def bred(
-    graphs: Graphs,
-    rows: Tensor,
-    first: int,
-    strategy: Tensor,
+    population: Population,
+    elite: Tensor,
+    parents: Tensor,
     keys: tuple[int, int],
     actions: ActionSet,
     capacity: int,
-) -> tuple[Graphs, list[int]]:
-    """Marked graphs of the elite and of children of pairs, mutated, in torch; see `mark_new`.
+) -> tuple[Graphs, Tensor, list[int]]:
+    """Marked graphs of the elite and of children of pairs, mutated, in torch.
 
     Args:
-        graphs: P of them.
-        rows: (E + 2 Q,) long, the elite and then the parents; see `offspring`.
-        first: E.
-        strategy: (E + 2 Q, S) theirs.
+        population: who all are of.
+        elite: (E,) long; see `offspring`, like all but the keys.
+        parents: (2 Q,) long.
         keys: of all numbers of pairs, and of children.
         actions: what nodes can do.
         capacity: the most nodes that a child can have.
+
+    Returns:
+        E + 2 Q graphs, the strategies (E + 2 Q, S) of the elite and of parents, and after how many
+        the new nodes of each action begin, and how many there are, as `mark_new` says.
     """
-    width, theirs = most_nodes(graphs, rows), strategy[first:].float()
+    graphs, strategy = population.graphs, population.strategy[torch.cat([elite, parents])]
+    width, theirs = most_nodes(graphs, torch.cat([elite, parents])), strategy[len(elite) :].float()
     slots = min(width + 1, capacity)
-    pairs = Pairs(rows[first:], theirs, keys[0], width)
-    elite = compacted(marked(graphs)[rows[:first]])
-    same = narrowed(widened(elite, max(graphs.capacity, slots)), slots)
+    pairs = Pairs(parents, theirs, keys[0], width)
+    first = compacted(marked(graphs)[elite])
+    same = narrowed(widened(first, max(graphs.capacity, slots)), slots)
     children = restructured(swapped(graphs, pairs), Choices(theirs, keys[1], slots), actions, slots)
-    return mark_new(concatenate([same, children]), len(actions))
+    made, begins = mark_new(concatenate([same, children]), len(actions))
+    return made, strategy, begins

@@ -78,7 +78,7 @@ def changed(
     all_choices, by = key(generator), factors(len(strategy) - same, tau, generator)
     way = compiled.changed if compiled.takes(graphs, old) else _changed
     made, after = way(graphs, old, fresh, actions, strategy, by, same, all_choices)
-    return Population(replace(graphs, parameters=made), after)
+    return Population(Graphs(graphs.action, graphs.edges, made, graphs.start), after)
 
 
 def _changed(

@@ -124,20 +124,25 @@ def _generation(
 ) -> Generation:
     """The generation of all islands, given those that this rank holds."""
     count = settings.islands
-    leaders = _exchanged([each.best(1) for each in tried], settings)
-    sizes = [int(each.population.graphs.num_nodes) for each in leaders]
-    fitness = [float(each.fitness) for each in leaders]
-    winner = min(range(count), key=lambda i: (-fitness[i], sizes[i]))
-    best = leaders[winner]
+    best = _best(_exchanged([each.best(1) for each in tried], settings))
     return Generation(
         number=islands[0].state.generation,
         islands=islands,
         fitness=tried[0].fitness,
-        champion=best.widened(settings.capacity).population,
-        best=fitness[winner],
+        champion=best.population,
+        best=float(best.fitness),
         succeeded=best.succeeded[0],
         transitions=_total([each.transitions for each in results], count),
         not_finite=_total([each.not_finite for each in results], count),
+    )
+
+
+def _best(leaders: Sequence[Tried]) -> Tried:
+    """The first of the smallest of the best of individuals."""
+    if len(leaders) == 1:
+        return leaders[0]
+    return min(
+        leaders, key=lambda each: (-float(each.fitness), int(each.population.graphs.num_nodes))
     )
 
 

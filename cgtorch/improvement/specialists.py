@@ -11,6 +11,7 @@ from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
+from cgtorch.graphs import widened
 from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
 from cgtorch.improvement.journal import Journal, NoJournal
 from cgtorch.improvement.standing import (
@@ -46,7 +47,8 @@ def evolve_candidate(
     the `journal` knows is not evolved again.
 
     Returns:
-        The best individual, as a population of one, and (B,) bool what it solves in the models.
+        The best individual, as a population of one with `settings.capacity` slots, and (B,) bool
+        what it solves in the models.
     """
     journal, step = journal or NoJournal(), f"evolution {name}"
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
@@ -55,7 +57,7 @@ def evolve_candidate(
         found = found_from(known, actions, len(keep))
         watch(_recalled(stage, name, found))
         restore(generator, known)
-        return found.champion, found.solved
+        return _roomy(found.champion, settings.capacity), found.solved
     if standing := journal.recall_standing(step):
         found = found_from(standing.about, actions, len(keep))
         islands = islands_from(standing, actions, generator, settings.islands)
@@ -83,7 +85,11 @@ def evolve_candidate(
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.told(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
-    return found.champion, found.solved
+    return _roomy(found.champion, settings.capacity), found.solved
+
+
+def _roomy(individual: Population, capacity: int) -> Population:
+    return Population(widened(individual.graphs, capacity), individual.strategy)
 
 
 def _recalled(stage: str, name: str, found: Found) -> EvolutionRecalled:

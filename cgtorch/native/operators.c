@@ -67,32 +67,43 @@ int mutated(const Graphs *from, const Graphs *to, const int64_t *shape, const fl
 /* What children are made of, and room for what they are. */
 typedef struct {
   Graphs from, to;
-  const int64_t *rows;     /* (E + 2 Q,) of `from`: the elite, the first parents, the second ones */
-  const float *strategy;   /* (E + 2 Q, STRATEGY) theirs */
+  const int64_t *elite;    /* (E,) of `from` */
+  const int64_t *parents;  /* (2 Q,) of `from`, the first ones and then the second ones */
+  const float *strategy;   /* (P, STRATEGY) of `from` */
+  float *theirs;           /* (E + 2 Q, STRATEGY) of the elite and of parents */
   const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
   int64_t *first;          /* (A + 1,) for `mark_new`, unless nothing is mutated */
-  int64_t nodes, outcomes, elite, pairs, actions, pair_key, key;
+  int64_t nodes, outcomes, elites, pairs, actions, pair_key, key;
   int64_t slots; /* that graphs may have in the end; set to as many as the largest may need */
 } Breeding;
+
+static void take_rows(const float *from, const int64_t *rows, int64_t count, float *to) {
+  for (int64_t i = 0; i < count; i++)
+    memcpy(to + i * STRATEGY, from + rows[i] * STRATEGY, STRATEGY * sizeof *to);
+}
 
 /* Copies of the elite, then children of pairs; where they are mutated, they may have a node more, and
    their new nodes are marked. 1 for want of memory. */
 int bred(Breeding *b, int64_t threads) {
-  int64_t all_rows = b->elite + 2 * b->pairs;
-  int64_t width = most_nodes(&b->from, b->nodes, b->rows, all_rows);
+  int64_t children = 2 * b->pairs;
+  int64_t width = most_nodes(&b->from, b->nodes, b->elite, b->elites);
+  int64_t other = most_nodes(&b->from, b->nodes, b->parents, children);
+  if (width < other) width = other;
   if (b->has_edge && b->slots > width + 1) b->slots = width + 1;
   Shape before = {b->nodes, b->outcomes}, after = {b->slots, b->outcomes};
-  Operators all = {.to = b->to, .shape = after, .first = b->elite};
-  const int64_t *parents = b->rows + b->elite;
-  const float *strategy = b->strategy + b->elite * STRATEGY;
-  for (int64_t row = 0; row < b->elite; row++) {
+  Operators all = {.to = b->to, .shape = after, .first = b->elites};
+  float *theirs = b->theirs + b->elites * STRATEGY;
+  take_rows(b->strategy, b->elite, b->elites, b->theirs);
+  take_rows(b->strategy, b->parents, children, theirs);
+  for (int64_t row = 0; row < b->elites; row++) {
     Graph graph;
-    read_graph(&graph, &b->from, before, b->rows[row]);
+    read_graph(&graph, &b->from, before, b->elite[row]);
     write_reached(&graph, &b->to, after, row);
   }
-  all.crossover = (Crossover){b->from, before, parents, strategy, b->pair_key, width, b->pairs};
-  all.mutation = (Mutation){after, strategy, b->key, b->slots, b->has_edge, b->actions};
+  all.crossover = (Crossover){b->from, before, b->parents, theirs, b->pair_key, width, b->pairs};
+  all.mutation = (Mutation){after, theirs, b->key, b->slots, b->has_edge, b->actions};
   in_parallel(some_pairs, &all, b->pairs, 32, threads);
   if (!b->has_edge) return 0;
-  return mark_new(b->to.action, b->to.marks, all_rows * b->slots, b->actions, b->first);
+  int64_t slots = (b->elites + children) * b->slots;
+  return mark_new(b->to.action, b->to.marks, slots, b->actions, b->first);
 }
