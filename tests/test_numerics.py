@@ -1,11 +1,11 @@
-"""The logistic function and the angle of a vector, and that no neighbour changes them."""
+"""The logistic function, the angle of a vector and means, and that no neighbour changes them."""
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.numerics import atan2, sigmoid
+from cgtorch.numerics import atan2, row_means, sigmoid
 
 
 def test_sigmoid_is_the_logistic_function() -> None:
@@ -41,3 +41,12 @@ def test_no_neighbour_changes_an_angle(dtype: torch.dtype, first: int, count: in
     torch.testing.assert_close(whole, torch.atan2(y, x))
     assert torch.equal(atan2(y[part], x[part]), whole[part])
     assert torch.equal(atan2(y[part][:, None], x[part][:, None])[:, 0], whole[part])
+
+
+@given(rows=st.integers(1, 9), columns=st.integers(0, 700), first=st.integers(0, 8))
+def test_no_neighbour_changes_a_mean(rows: int, columns: int, first: int) -> None:
+    x = torch.rand(rows, columns, generator=torch.Generator().manual_seed(columns))
+    found = row_means(x)
+    torch.testing.assert_close(found, x.mean(1), rtol=1e-6, atol=0, equal_nan=True)
+    part = slice(first, first + 2)
+    assert torch.equal(row_means(x[part]).nan_to_num(), found[part].nan_to_num())

@@ -11,6 +11,7 @@ from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, start_lanes
 from cgtorch.graphs import Graphs
+from cgtorch.numerics import row_means
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_evaluation
 from cgtorch.simulation.interpreter import interpreter
@@ -56,8 +57,8 @@ with the actions of section VI."""
 Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
 """What P individuals of an action set achieve in an environment."""
 
-Parts: TypeAlias = tuple[Tensor, Tensor, int, int]
-"""Scores (P, B), successes (P, B), actions executed, and individuals that are not finite."""
+Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int]
+"""Fitness (P,), scores (P, B), successes (P, B), actions executed, and how many are not finite."""
 
 
 def evaluate(
@@ -120,13 +121,12 @@ def evaluator(
         p, mine = len(graphs), graphs[ranks.share(len(graphs), crew)]
         parts = [at_once(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
         *tensors, transitions, not_finite = zip(*parts, strict=True)
-        scores, succeeded = (
+        means, scores, succeeded = (
             ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
             for column in tensors
         )
         counts = (ranks.total(sum(each), crew) for each in (transitions, not_finite))
-        # The mean of all at once: that of some rows may round otherwise.
-        return Evaluation(scores.mean(1), scores, succeeded, *counts)
+        return Evaluation(means, scores, succeeded, *counts)
 
     return evaluation
 
@@ -190,7 +190,8 @@ def _by_rollouts(
     stands[alive] = True
     score, succeeded = score * (stands & finite)[:, None], succeeded & finite[:, None]
     lost = p - int(finite.sum())
-    return score.to(home), succeeded.to(home), int(transitions.sum()), lost
+    results = (row_means(score).to(home), score.to(home), succeeded.to(home))
+    return *results, int(transitions.sum()), lost
 
 
 def last_success(

@@ -62,8 +62,8 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
     )  # fmt: skip
     evaluation = structure(
         "Evaluation",
-        task=task, keep=WHOLE, score=POINTER, succeeded=POINTER, transitions=WHOLE,
-        not_finite=WHOLE, chunks=POINTER, count=WHOLE,
+        task=task, keep=WHOLE, fitness=POINTER, score=POINTER, succeeded=POINTER,
+        transitions=WHOLE, not_finite=WHOLE, chunks=POINTER, count=WHOLE,
     )  # fmt: skip
     collision = structure(
         "Collision",

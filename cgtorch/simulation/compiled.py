@@ -71,7 +71,7 @@ def compiled_evaluation(
     max_transitions: int,
     max_steps: int,
     ticks: Tensor | None = None,
-) -> tuple[Tensor, Tensor, int, int] | None:
+) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
     """What P graphs achieve on all B scenarios, by eq. 3.
 
     W comes first: a graph that has failed there is not run on the rest.
@@ -87,9 +87,10 @@ def compiled_evaluation(
             check of motions take, and how often each was timed; then one thread runs.
 
     Returns:
-        Scores (P, B), C(p_t) or half of it without success, and 0 where W is lost; successes
-        (P, B); actions executed by all; and of how many graphs some number was not finite, whose
-        scores and successes are 0. Or None, where it has to be done in torch.
+        Fitness (P,), the means of scores (P, B), which are C(p_t) or half of it without success,
+        and 0 where W is lost; successes (P, B); actions executed by all; and of how many graphs
+        some number was not finite, whose scores and successes are 0. Or None, where it has to be
+        done in torch.
 
     Raises:
         GraphError: see `compiled_rollout`.
@@ -97,17 +98,19 @@ def compiled_evaluation(
     """
     p, b, like = len(graphs), len(scenarios), graphs.parameters
     score, succeeded = like.new_empty(p, b), torch.empty(p, b, dtype=torch.bool)
+    fitness = torch.empty(p)
     given = structures(like.dtype).Evaluation()
 
     def run(task: Any) -> int:
         task.ticks = None if ticks is None else ticks.data_ptr()
         given.task, given.keep = task, kept
-        given.score, given.succeeded = score.data_ptr(), succeeded.data_ptr()
+        made = fitness, score, succeeded
+        given.fitness, given.score, given.succeeded = (x.data_ptr() for x in made)
         return _function("evaluations", like.dtype)(ctypes.addressof(given), threads())
 
     if not _done(run, interpreter, graphs, scenarios, max_transitions, max_steps):
         return None
-    return score.float(), succeeded, given.transitions, given.not_finite
+    return fitness, score.float(), succeeded, given.transitions, given.not_finite
 
 
 def _done(

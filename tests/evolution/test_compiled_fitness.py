@@ -10,6 +10,7 @@ from support import as_double, as_double_actions, nested_actions, random_graphs,
 from cgtorch.actions import ActionSet, edge_actions, paper_actions
 from cgtorch.evolution.fitness import Evaluation, evaluate
 from cgtorch.native import available
+from cgtorch.numerics import row_means
 from cgtorch.simulation import ModelEnvironment
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
@@ -37,6 +38,8 @@ def both(
 
 
 def assert_same(found: Evaluation, wanted: Evaluation) -> None:
+    for each in (found, wanted):
+        assert torch.equal(each.fitness, row_means(each.scores))
     assert torch.equal(found.succeeded, wanted.succeeded)
     assert found.transitions == wanted.transitions
     assert found.not_finite == wanted.not_finite
