@@ -45,7 +45,6 @@ their step, so they are in a folder of their own, `by_rows`: `gamma/learning_cur
 `gamma/learning_curve/test`, `classifier/learning_curve/train`, `classifier/learning_curve/test`.
 """
 
-import io
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -55,7 +54,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import RunError
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import NO_NODE, Graphs, Skill
 from cgtorch.improvement.events import (
@@ -73,18 +71,17 @@ from cgtorch.improvement.knowledge import Knowledge
 from cgtorch.models import LearningCurve
 from cgtorch.report.graph_picture import draw_skill
 from cgtorch.report.histograms import histograms
+from cgtorch.report.records import Records
 from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
 from cgtorch.world import Scenarios
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from tensorboard.compat.proto.summary_pb2 import Summary
 
 BINS = 24
 STRATEGY_TAGS = [f"strategy/{name}" for name in STRATEGY]
 BY_ROWS = "by_rows"
-DPI = 80
 METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
 
 
@@ -123,30 +120,13 @@ class TensorBoardWatch:
         Raises:
             RunError: the folder cannot be written.
         """
-        from torch.utils.tensorboard import SummaryWriter
-        from torch.utils.tensorboard.summary import hparams
-
-        try:
-            self._writer = SummaryWriter(str(folder), purge_step=first_step or None, flush_secs=10)
-        except OSError as e:
-            reason = e.strerror or str(e)
-            raise RunError(
-                f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
-            ) from e
+        self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
         self._actions, self._footprint = actions, footprint
         self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
         self._last_picture = float("-inf")
         self._latest: tuple[str, Population] | None = None
         self._in_stage = False
-        plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
-                 for k, v in settings.items()}  # fmt: skip
-        experiment, begin, self._session_end = hparams(plain, dict.fromkeys(METRICS, 0.0))
-        self._writer.file_writer.add_summary(experiment)
-        self._writer.file_writer.add_summary(begin)
-        rows = [f"| {k} | {v} |" for k, v in plain.items()]
-        self._writer.add_text("settings", "\n".join(["| setting | value |", "|---|---|", *rows]))
-        self._writer.flush()
 
     def __call__(self, event: Event) -> None:
         """Write what an event says."""
@@ -158,7 +138,7 @@ class TensorBoardWatch:
             self._latest = event.candidate, event.champion
             return
         if isinstance(event, AboutToKeep):
-            self._writer.flush()
+            self._records.flush()
             return
         self._evolution_over()
         if isinstance(event, StageStarted):
@@ -176,8 +156,7 @@ class TensorBoardWatch:
     def close(self) -> None:
         """Draw what is still to be drawn, and finish the file."""
         self._evolution_over()
-        self._writer.file_writer.add_summary(self._session_end)
-        self._writer.close()
+        self._records.close()
 
     def __enter__(self) -> Self:
         """The watch itself."""
@@ -199,7 +178,7 @@ class TensorBoardWatch:
         self._scalars(
             {
                 "fitness/best": generation.best,
-                "fitness/mean": float(generation.fitness.mean()),
+                "fitness/mean": float(fitness.mean(dtype=np.float64)),
                 "solved/W": event.solved_w,
                 "solved/M": event.solved_m,
                 "graph/nodes_best": _nodes(generation.champion.graphs),
@@ -210,7 +189,7 @@ class TensorBoardWatch:
             }
         )
         if generation.number % self._histogram_every == 0:
-            self._write(histograms(STRATEGY_TAGS, population.strategy, BINS))
+            self._records.write(histograms(STRATEGY_TAGS, population.strategy, BINS), self.step)
         self._latest = event.candidate, generation.champion
         self.step += 1
 
@@ -255,7 +234,7 @@ class TensorBoardWatch:
             self._picture("classifier/reliability", draw_reliability(quality.reliability))
         self._scalars(values)
         self._curves({"gamma": gamma.learning_curve, "classifier": classifier.learning_curve})
-        self._writer.flush()
+        self._records.flush()
         self.step += 1  # so that all generations can be hidden and the first models still be seen
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
@@ -296,44 +275,15 @@ class TensorBoardWatch:
                 title=event.stage,
             )
             self._picture("table/successes", table)
-        self._writer.flush()
+        self._records.flush()
 
     def _scalars(self, values: Mapping[str, float]) -> None:
-        """Write scalars as one record, which is far cheaper than one for each."""
-        from tensorboard.compat.proto.summary_pb2 import Summary
-
-        entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
-        self._write(Summary(value=entries))
+        self._records.scalars(values, self.step)
 
     def _picture(self, tag: str, figure: "Figure") -> None:
-        from tensorboard.compat.proto.summary_pb2 import Summary
-
-        entry = Summary.Value(tag=tag, image=Summary.Image(**_encoded(figure)))
-        self._write(Summary(value=[entry]))
-
-    def _write(self, summary: "Summary") -> None:
-        """Write unless an earlier file holds it."""
-        if self.step >= self._first:
-            self._writer.file_writer.add_summary(summary, self.step)
+        self._records.picture(tag, figure, self.step)
 
 
 def _nodes(graphs: Graphs) -> int:
     """How many nodes all graphs have together."""
     return int(np.count_nonzero(graphs.action.numpy() != NO_NODE))
-
-
-def _encoded(figure: "Figure") -> dict[str, Any]:
-    """A figure as PNG, with what TensorBoard wants to know about it."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure.set_dpi(DPI)
-    canvas = FigureCanvasAgg(figure)
-    width, height = canvas.get_width_height()
-    out = io.BytesIO()
-    canvas.print_png(out)
-    return {
-        "height": height,
-        "width": width,
-        "colorspace": 4,
-        "encoded_image_string": out.getvalue(),
-    }
