@@ -15,7 +15,7 @@ from torch import Tensor
 
 from benchmarks.measure import Comparison, Effort, Line, cores, run_threads, timing
 from benchmarks.stopwatch import Stopwatch
-from benchmarks.workload import POPULATION, Workload, workload
+from benchmarks.workload import POPULATION, Workload, larger_workload, workload
 from cgtorch.evolution import EvolutionSettings, Generation, Population, search
 from cgtorch.evolution.fitness import Evaluation, Evaluator, evaluator
 from cgtorch.graphs import Graphs
@@ -34,7 +34,7 @@ INSIDE = (*MODELS, "possible motions")
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 READINGS = 100_000
 """Of the clock with nothing in between."""
-LOOKED_AT = (1, 10, 50)
+LOOKED_AT, LATER = (1, 10, 50), (10,)
 """Generations of an evolution, of which a search of a training has 5 to more than 100; events of
 others, one in twenty, have histograms, which take 1 ms more."""
 HISTOGRAMS_EVERY = 20  # generations
@@ -55,14 +55,7 @@ class Looked:
 
 def overhead_share(effort: Effort) -> Line:
     """What part of a generation is neither Γ, C nor the networks."""
-    work = workload()
-    with run_threads(cores()):
-        samples = [_sample(work) for _ in range(effort.repeats + 1)][1:]
-    scenarios = work.environment.num_scenarios
-    parts = tuple(
-        _comparison(number, scenarios, [sample[number] for sample in samples])
-        for number in LOOKED_AT
-    )
+    parts = (*_parts(workload(), LOOKED_AT, effort), *_parts(larger_workload(), LATER, effort))
     return Line(
         name="overhead_share",
         compared="seconds of a generation that are not Γ, C or networks / the whole generation "
@@ -76,9 +69,17 @@ def overhead_share(effort: Effort) -> Line:
     )
 
 
-def _sample(work: Workload) -> dict[int, dict[str, float]]:
+def _parts(work: Workload, numbers: tuple[int, ...], effort: Effort) -> list[Comparison]:
+    """A comparison for each of some generations."""
+    with run_threads(cores()):
+        samples = [_sample(work, numbers) for _ in range(effort.repeats + 1)][1:]
+    scenarios = work.environment.num_scenarios
+    return [_comparison(n, scenarios, [sample[n] for sample in samples]) for n in numbers]
+
+
+def _sample(work: Workload, numbers: tuple[int, ...]) -> dict[int, dict[str, float]]:
     """Seconds of each of `PARTS` in each of the generations that are looked at."""
-    looked = one_evolution(work, POPULATION, LOOKED_AT)
+    looked = one_evolution(work, POPULATION, numbers)
     return {number: generation_split(work, each) for number, each in looked.items()}
 
 

@@ -54,6 +54,12 @@ def workload() -> Workload:
     return workload_of(fit_models(data, seed=0), robot, SCENARIOS, generator)
 
 
+@cache
+def larger_workload() -> Workload:
+    """The same models on five times as many placements, as W soon has more than twenty."""
+    return workload_of(workload().knowledge, load_robot(), 5 * SCENARIOS, _seeded(4))
+
+
 def workload_of(knowledge: Knowledge, robot: Robot, count: int, generator: Generator) -> Workload:
     """The models as an environment of so many random placements around the table."""
     world = tabletop_of(robot, LAB_NOISE)(random_scenarios("perimeter", count, generator))
