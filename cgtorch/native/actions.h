@@ -31,11 +31,11 @@ INLINE Done move_base(const Task *task, Layout layout, const vec *errors, Lanes 
   vwhole ready = here & lanes->spoken & ~(lanes->lost > 0), moves = ready;
   for (int i = 0; i < 3; i++) u[i] = select_vec(ready, lanes->message[i], all(0));
   if (bits_of(ready))
-    TIMED(task->ticks, IN_POSSIBLE,
+    PART(task->again, IN_POSSIBLE,
           moves = motion_possible(lanes->percept, u, layout, &m->body, ready));
   uint32_t bits = bits_of(moves);
   if (bits) {
-    TIMED(task->ticks, IN_GAMMA,
+    PART(task->again, IN_GAMMA,
           gamma_vec(&m->gamma, layout, lanes->percept, u, bits, after, &novelty));
     for (int i = 0; i < layout.size; i++)
       lanes->percept[i] = select_vec(moves, after[i], lanes->percept[i]);
@@ -53,7 +53,7 @@ INLINE vwhole ask_chance(const Task *task, Layout layout, Lanes *lanes, vwhole h
   vwhole unknown = here & (lanes->chance == UNKNOWN);
   vec chance;
   if (bits_of(unknown)) {
-    TIMED(task->ticks, IN_C, chance = success_vec(&task->models->classifier, layout,
+    PART(task->again, IN_C, chance = success_vec(&task->models->classifier, layout,
                                                   lanes->percept, bits_of(unknown)));
     lanes->chance = select_vec(unknown, chance, lanes->chance);
   }
@@ -103,7 +103,7 @@ INLINE Done act(const Task *task, Graph graph, Layout layout, const vec *errors,
     return (Done){lanes->chance <= (real)0.5, asked};
   case DETECT: return (Done){every(0), every(0)}; /* Γ predicts what would be perceived */
   default:
-    TIMED(task->ticks, IN_NETWORKS, answer(action, parameters_of_node(program, graph, node), layout,
+    PART(task->again, IN_NETWORKS, answer(action, parameters_of_node(program, graph, node), layout,
                                            lanes->percept, out));
     if (action->kind == BRANCHING || action->kind == EDGE_BRANCHING)
       return (Done){branch(out), every(0)};

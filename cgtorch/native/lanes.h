@@ -31,7 +31,7 @@ typedef struct {
   int64_t graphs, count, max_transitions, max_steps;
   real *percept, *state;
   int64_t *status, *transitions;
-  int64_t *ticks; /* (2, PARTS) or NULL: clock ticks spent in each part, and how often it was timed */
+  const int64_t *again; /* (PARTS,) how often more each part is done, by which it can be timed; or NULL */
   int64_t wrong;  /* set where a graph has numbers that are none of its nodes or actions */
 } Task;
 
@@ -46,23 +46,12 @@ typedef struct {
   vec percept[MOST_PERCEPT];
 } Lanes;
 
-INLINE int64_t now(void) {
-#if defined(__x86_64__)
-  return (int64_t)__builtin_ia32_rdtsc();
-#elif defined(__aarch64__)
-  int64_t ticks;
-  __asm__ volatile("mrs %0, cntvct_el0" : "=r"(ticks));
-  return ticks;
-#else
-  return 0;
-#endif
-}
-#define TIMED(ticks, part, what)                                           \
-  do {                                                                     \
-    int64_t before = (ticks) ? now() : 0;                                  \
-    what;                                                                  \
-    if (ticks) (ticks)[part] += now() - before, (ticks)[PARTS + (part)]++; \
-  } while (0)
+/* Does a part as often as it is asked for more than once; the results are the same. */
+#define PART(again, part, what)                              \
+  for (int64_t left = (again) ? 1 + (again)[part] : 1; left > 0; left--) { \
+    what;                                                    \
+    __asm__ volatile("" ::: "memory"); /* or it would be done once */      \
+  }
 
 /* Some scenarios, WIDTH at most: the lanes at their beginnings, and as many errors of Γ (T, D). */
 typedef struct {

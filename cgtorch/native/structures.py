@@ -58,7 +58,7 @@ def structures(dtype: torch.dtype) -> SimpleNamespace:
         "Task",
         program=POINTER, models=POINTER, scenarios=POINTER, graphs=WHOLE, count=WHOLE,
         max_transitions=WHOLE, max_steps=WHOLE, percept=POINTER, state=POINTER, status=POINTER,
-        transitions=POINTER, ticks=POINTER, wrong=WHOLE,
+        transitions=POINTER, again=POINTER, wrong=WHOLE,
     )  # fmt: skip
     evaluation = structure(
         "Evaluation",

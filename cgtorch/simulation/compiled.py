@@ -70,7 +70,7 @@ def compiled_evaluation(
     kept: int,
     max_transitions: int,
     max_steps: int,
-    ticks: Tensor | None = None,
+    again: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
     """What P graphs achieve on all B scenarios, by eq. 3.
 
@@ -83,8 +83,8 @@ def compiled_evaluation(
         kept: how many are of W.
         max_transitions: see `cgtorch.simulation.rollout`.
         max_steps: likewise.
-        ticks: (2, 4) long to which ticks of the CPU's clock are added that Γ, C, networks and the
-            check of motions take, and how often each was timed; then one thread runs.
+        again: (4,) long, how often more Γ, C, networks and the check of motions are done, which
+            changes no result: how much longer it takes says how long each of them does.
 
     Returns:
         Fitness (P,), the means of scores (P, B), which are C(p_t) or half of it without success,
@@ -102,7 +102,7 @@ def compiled_evaluation(
     given = structures(like.dtype).Evaluation()
 
     def run(task: Any) -> int:
-        task.ticks = None if ticks is None else ticks.data_ptr()
+        task.again = None if again is None else again.data_ptr()
         given.task, given.keep = task, kept
         made = fitness, score, succeeded
         given.fitness, given.score, given.succeeded = (x.data_ptr() for x in made)

@@ -11,7 +11,6 @@ from itertools import islice
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from benchmarks.measure import Comparison, Effort, Line, cores, run_threads, timing
 from benchmarks.stopwatch import Stopwatch
@@ -20,8 +19,6 @@ from cgtorch.evolution import EvolutionSettings, Generation, Population, search
 from cgtorch.evolution.fitness import Evaluation, Evaluator, evaluator
 from cgtorch.graphs import Graphs
 from cgtorch.improvement.events import GenerationDone
-from cgtorch.native import function
-from cgtorch.native.structures import POINTER, WHOLE
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
 from cgtorch.simulation.compiled import compiled_evaluation
@@ -30,10 +27,9 @@ from cgtorch.simulation.interpreter import interpreter
 MODELS = ("Γ", "C", "networks")
 """What a generation is for; the rest is overhead."""
 INSIDE = (*MODELS, "possible motions")
-"""What compiled code counts the ticks of, in the order of rollout.c."""
+"""What compiled code can be told to do more than once, in the order of lanes.h."""
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
-READINGS = 100_000
-"""Of the clock with nothing in between."""
+MORE, TRIES = 2, 4
 LOOKED_AT, LATER = (1, 10, 50), (10,)
 """Generations of an evolution, of which a search of a training has 5 to more than 100; events of
 others, one in twenty, have histograms, which take 1 ms more."""
@@ -196,47 +192,32 @@ def _logger(work: Workload) -> Iterator[TensorBoardWatch]:
 def rollout_parts(work: Workload, population: Population) -> list[float]:
     """Seconds that Γ, C, networks and checks of motions take of an evaluation on all cores.
 
-    Compiled code counts the ticks of the CPU's clock around each of them, on one thread. What it
-    reads where there is nothing to time is what reading takes, and does not count. These parts are
-    compared with the time of the same call that counts nothing, on one thread and on all, less what
-    it takes for no graphs: all of the time outside of the compiled loops is overhead.
+    Each is done `MORE` times again wherever it is done, and the evaluation takes so much longer.
+    What is done again finds everything in the CPU's caches, so this is rather too little, and the
+    rest, which is overhead, too much. No clock is read within: to read it takes longer than some of
+    these parts, and what has not been completed by then goes on afterwards.
     """
-    graphs, none = population.graphs, population.graphs[:0]
     known = interpreter(work.actions, work.environment)
     assert known is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
     call = partial(
         compiled_evaluation,
         known,
+        population.graphs,
         scenarios=torch.arange(work.environment.num_scenarios),
         kept=0,
         max_transitions=MAX_TRANSITIONS,
         max_steps=MAX_STEPS,
     )
-    ticks, nothing, ends = (torch.zeros(2, size, dtype=torch.long) for size in (4, 4, 1))
-    # The least of several: one that was interrupted is longer than what it is taken from.
-    empty = min(_seconds(lambda: call(none)) for _ in range(5))
-    together = _seconds(lambda: call(graphs)) - empty
-    with run_threads(1):
-        _clock("clock_now", ends[0])
+    once, *more = torch.cat([torch.zeros(1, len(INSIDE)), MORE * torch.eye(len(INSIDE))]).long()
+    alone, *longer = (_least_seconds(partial(call, again=each)) for each in (once, *more))
+    return [max(0.0, seconds - alone) / MORE for seconds in longer]
+
+
+def _least_seconds(work: Callable[[], object]) -> float:
+    """The least of several: one that was interrupted is longer than what it is taken from."""
+    found = []
+    for _ in range(TRIES):
         begin = time.perf_counter()
-        alone = _seconds(lambda: call(graphs))
-        lapse = time.perf_counter() - begin
-        _clock("clock_now", ends[1])
-        call(graphs, ticks=ticks)
-        _clock("clock_alone", nothing, READINGS)
-    reading = nothing[0].sum() / nothing[1].sum()
-    inside = (ticks[0] - reading * ticks[1]) * (lapse / float(ends[1] - ends[0]))
-    return (inside * together / (alone - empty)).tolist()
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
-
-
-def _clock(name: str, ticks: Tensor, *times: int) -> None:
-    """Let compiled code read its clock."""
-    clock = function(name, torch.float32, POINTER, *[WHOLE] * len(times))
-    assert clock is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
-    clock(ticks.data_ptr(), *times)
+        work()
+        found.append(time.perf_counter() - begin)
+    return min(found)
