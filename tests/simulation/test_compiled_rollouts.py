@@ -24,7 +24,7 @@ from cgtorch.actions import ActionSet, edge_actions, paper_actions
 from cgtorch.graphs import Graphs, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
-from cgtorch.simulation.compiled import compiled_rollout
+from cgtorch.simulation.compiled import compiled_evaluation, compiled_rollout
 from cgtorch.simulation.interpreter import interpreter
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
@@ -309,3 +309,21 @@ def test_models_that_change_between_two_rollouts_are_looked_at_again() -> None:
     seen.append(check())
     changed = [not equal(a, b) for a, b in itertools.pairwise(seen[1:])]
     assert all(changed), changed
+
+
+def test_parts_that_are_done_again_change_nothing() -> None:
+    environment = random_models(7, 20)
+    actions = sets_for(environment.percept_size)[0]
+    known, graphs, some = interpreter(actions, environment), graphs_of(3, actions, 60), range(20)
+    assert known is not None
+
+    def evaluation(again: list[int]) -> tuple[Tensor, Tensor, Tensor, int, int]:
+        scenarios, more = torch.tensor(some), torch.tensor(again)
+        found = compiled_evaluation(known, graphs, scenarios, 4, 20, 400, more)
+        assert found is not None
+        return found
+
+    once, again = evaluation([0, 0, 0, 0]), evaluation([3, 1, 2, 4])
+    assert all(torch.equal(a, b) for a, b in zip(once[:3], again[:3], strict=True))
+    assert once[3:] == again[3:]
+    assert once[3] > 2000
