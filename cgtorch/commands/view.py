@@ -21,7 +21,7 @@ from cgtorch.commands.options import (
 from cgtorch.errors import SettingsError
 
 if TYPE_CHECKING:
-    from cgtorch.viewer.page import Candidate
+    from cgtorch.viewer.choice import Candidate
 
 EXAMPLES = """\b
 Examples:
@@ -83,7 +83,8 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     with importing():
         import torch
 
-        from cgtorch.viewer.page import Wish, open_page, play_for_ever
+        from cgtorch.viewer.choice import Wish
+        from cgtorch.viewer.page import open_page, play_for_ever
         from cgtorch.world import draw_of
 
     torch.set_num_threads(1)
@@ -120,7 +121,7 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
     from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
     from cgtorch.experiments.settings import RunSettings
     from cgtorch.kinematics import load_robot
-    from cgtorch.viewer.page import Candidate
+    from cgtorch.viewer.choice import Candidate
     from cgtorch.world import LAB_NOISE
 
     if path.is_file():

@@ -6,83 +6,30 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 import viser
-from torch import Generator, Tensor
+from torch import Tensor
 
 from cgtorch.errors import CgtorchError, SettingsError
 from cgtorch.experiments.evaluate import check_percepts
-from cgtorch.graphs import Skill
-from cgtorch.kinematics import Robot
+from cgtorch.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.viewer.execution import execute
 from cgtorch.viewer.graph_levels import levels_html
 from cgtorch.viewer.postures import rest_postures
 from cgtorch.viewer.readings import headline, readings_html
 from cgtorch.viewer.scene import Scene
 from cgtorch.viewer.timeline import FPS, Timeline, timeline_of
-from cgtorch.world import Scenarios, TabletopWorld, draw_of
+from cgtorch.world import Scenarios, TabletopWorld
 from cgtorch.world.draws import DRAWS
-from cgtorch.world.geometry import rotate
 
 NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
 APART = 4.5  # m between two skills that are compared
-FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
 GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A skill that can be shown.
-
-    Attributes:
-        skill: the skill.
-        robot: the robot that it is for.
-        world_of: makes the world that it acts in.
-    """
-
-    skill: Skill
-    robot: Robot
-    world_of: Callable[[Scenarios], TabletopWorld]
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is to be shown first.
-
-    Attributes:
-        skill: name of a candidate.
-        against: name of another one, or None.
-        scenarios: which kind.
-        count: how many there are to choose from.
-        seed: of the scenarios and their noise.
-    """
-
-    skill: str
-    against: str | None
-    scenarios: str
-    count: int
-    seed: int
-
-
-def scenario_of(kind: str, count: int, seed: int, number: int) -> Scenarios:
-    """The scenario of a number, from 0 on, of those that `cgtorch-evaluate` tries."""
-    drawn = draw_of(kind)(count, Generator().manual_seed(seed))
-    return drawn[torch.tensor([number])]
-
-
-def put_object(scenario: Scenarios, at: Tensor) -> Scenarios:
-    """The scenario with its object at (2,) m, or at the nearest place on the table."""
-    table = scenario.table[0]
-    half = table[3:5] / 2 - FROM_EDGE
-    local = rotate(at - table[:2], -table[2])
-    placed = rotate(local.clamp(-half, half), table[2]) + table[:2]
-    return replace(scenario, object=placed[None])
 
 
 class Page:

@@ -7,9 +7,9 @@ from support import custom_actions, random_skill, world
 
 from cgtorch.experiments.run import last_skill
 from cgtorch.graphs import Skill
+from cgtorch.viewer.choice import scenario_of
 from cgtorch.viewer.execution import Execution, execute
 from cgtorch.viewer.graph_levels import LIT, levels_html
-from cgtorch.viewer.page import scenario_of
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 LIT_RULE = re.compile(rf'\[id="(node:[^"]+)"\] path {{fill: {LIT}')

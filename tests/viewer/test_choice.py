@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.errors import SettingsError
-from cgtorch.viewer.page import FROM_EDGE, put_object, scenario_of
+from cgtorch.viewer.choice import FROM_EDGE, put_object, scenario_of
 from cgtorch.world import draw_of
 from cgtorch.world.draws import DRAWS
 from cgtorch.world.geometry import rotate
