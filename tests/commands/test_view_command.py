@@ -50,9 +50,17 @@ def test_without_viser_it_says_what_to_install(
     assert "pip install 'cgtorch[view]'" in shell.refuses(VIEW, REFERENCE)
 
 
+def heed_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_it_serves_on_loopback_until_it_is_told_to_end() -> None:
     words = [sys.executable, "-u", "-m", "cgtorch.commands.view", str(REFERENCE), "--port", "0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as view:
+    pipe = subprocess.PIPE
+    # Where the tests run in the background of a script, Ctrl-C would be ignored.
+    with subprocess.Popen(
+        words, stdout=pipe, stderr=pipe, text=True, preexec_fn=heed_interrupts
+    ) as view:
         assert view.stdout is not None
         assert view.stderr is not None
         line = view.stdout.readline()
