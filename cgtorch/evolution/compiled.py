@@ -21,6 +21,7 @@ from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs
 
 MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
+NO_PARENT = 2  # as in native/operators.c
 
 
 class _Pointers(ctypes.Structure):
@@ -38,8 +39,8 @@ class _Breeding(ctypes.Structure):
             (name, c_void_p)
             for name in ("elite", "parents", "strategy", "theirs", "has_edge", "first")
         ),
-        *((name, c_int64) for name in ("nodes", "outcomes", "elites", "pairs", "actions")),
-        *((name, c_int64) for name in ("pair_key", "key", "slots")),
+        *((name, c_int64) for name in ("people", "nodes", "outcomes", "elites", "pairs")),
+        *((name, c_int64) for name in ("actions", "pair_key", "key", "slots")),
     )
 
 
@@ -134,7 +135,8 @@ def bred(
     first = (c_int64 * (kinds + 1))()
     breeding = _Breeding(
         _pointers(graphs, marks=False), _pointers(room), *(x.data_ptr() for x in (*kept, theirs)),
-        has_edge, addressof(first), n, o, len(elite), len(parents) // 2, kinds, *keys, capacity,
+        has_edge, addressof(first), len(graphs), n, o, len(elite), len(parents) // 2, kinds, *keys,
+        capacity,
     )  # fmt: skip
     _call("bred", torch.float32, byref(breeding))
     return _in_slots(room, breeding.slots), theirs, list(first)
@@ -196,7 +198,10 @@ def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
     kept = [a.contiguous() if isinstance(a, Tensor) else a for a in arguments]
     plain = [a.data_ptr() if isinstance(a, Tensor) else a for a in kept]
     more = len(_TYPES[name]) - len(plain)
-    if _function(name, dtype)(*plain, *[native.threads()] * more):
+    why = _function(name, dtype)(*plain, *[native.threads()] * more)
+    if why == NO_PARENT:
+        raise IndexError("a parent is none of the individuals; choose indices from 0 on")
+    if why:
         raise MemoryError(f"no memory to run {name}")
 
 

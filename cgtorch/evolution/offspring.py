@@ -43,6 +43,9 @@ def offspring(
         E + 2 Q individuals or `size`, the elite first, the children in the order of `crossover`,
         all of them with their nodes in the first slots. There are as many slots as the largest may
         need, however many there could be.
+
+    Raises:
+        IndexError: one of the elite or of the parents is none of the population.
     """
     graphs, same = population.graphs, len(elite)
     keys, slots = (key(generator), key(generator)), min(graphs.capacity + 1, capacity)
@@ -74,8 +77,9 @@ def bred(
         E + 2 Q graphs, the strategies (E + 2 Q, S) of the elite and of parents, and after how many
         the new nodes of each action begin, and how many there are, as `mark_new` says.
     """
-    graphs, strategy = population.graphs, population.strategy[torch.cat([elite, parents])]
-    width, theirs = most_nodes(graphs, torch.cat([elite, parents])), strategy[len(elite) :].float()
+    graphs, rows = population.graphs, torch.cat([elite, parents])
+    strategy = population.strategy.index_select(0, rows)
+    width, theirs = most_nodes(graphs, rows), strategy[len(elite) :].float()
     slots = min(width + 1, capacity)
     pairs = Pairs(parents, theirs, keys[0], width)
     first = compacted(marked(graphs)[elite])

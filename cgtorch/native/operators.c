@@ -73,7 +73,7 @@ typedef struct {
   float *theirs;           /* (E + 2 Q, STRATEGY) of the elite and of parents */
   const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
   int64_t *first;          /* (A + 1,) for `mark_new`, unless nothing is mutated */
-  int64_t nodes, outcomes, elites, pairs, actions, pair_key, key;
+  int64_t people, nodes, outcomes, elites, pairs, actions, pair_key, key;
   int64_t slots; /* that graphs may have in the end; set to as many as the largest may need */
 } Breeding;
 
@@ -82,10 +82,18 @@ static void take_rows(const float *from, const int64_t *rows, int64_t count, flo
     memcpy(to + i * STRATEGY, from + rows[i] * STRATEGY, STRATEGY * sizeof *to);
 }
 
+static int all_there(const int64_t *rows, int64_t count, int64_t people) {
+  int there = 1;
+  for (int64_t i = 0; i < count; i++) there &= rows[i] >= 0 && rows[i] < people;
+  return there;
+}
+
 /* Copies of the elite, then children of pairs; where they are mutated, they may have a node more, and
-   their new nodes are marked. 1 for want of memory. */
+   their new nodes are marked. 1 for want of memory, 2 where a parent is none of the individuals. */
 int bred(Breeding *b, int64_t threads) {
   int64_t children = 2 * b->pairs;
+  if (!all_there(b->elite, b->elites, b->people) || !all_there(b->parents, children, b->people))
+    return 2;
   int64_t width = most_nodes(&b->from, b->nodes, b->elite, b->elites);
   int64_t other = most_nodes(&b->from, b->nodes, b->parents, children);
   if (width < other) width = other;

@@ -69,11 +69,16 @@ static inline int64_t parameters_at(const Children *c, int64_t slot) {
 
 /* Strategies as they were, or drifted (cgtorch.evolution.drift.drifted). */
 static inline void drift(const Children *c, int64_t row) {
-  const float *from = c->strategy + row * STRATEGY, *by = c->factors + (row - c->same) * STRATEGY;
+  const float *from = c->strategy + row * STRATEGY, *least = c->bounds, *most = least + STRATEGY;
+  float *to = c->drifted + row * STRATEGY;
+  if (row < c->same) {
+    memcpy(to, from, STRATEGY * sizeof *to);
+    return;
+  }
+  const float *by = c->factors + (row - c->same) * STRATEGY;
   for (int i = 0; i < STRATEGY; i++) {
-    float x = row < c->same ? from[i] : from[i] * by[i], most = c->bounds[STRATEGY + i];
-    if (row >= c->same) x = x < c->bounds[i] ? c->bounds[i] : x > most ? most : x;
-    c->drifted[row * STRATEGY + i] = x;
+    float x = from[i] * by[i];
+    to[i] = x < least[i] ? least[i] : x > most[i] ? most[i] : x;
   }
 }
 

@@ -133,6 +133,20 @@ def test_operators_that_outgrow_what_is_compiled_run_in_torch() -> None:
     assert valid(children.graphs, actions).all()
 
 
+@pytest.mark.parametrize("wrong", [-1, 10, 2**40])
+def test_a_parent_that_is_none_is_refused_by_both(wrong: int) -> None:
+    whole = population(1, SETS[0], 14)
+    good, bad = torch.arange(4), torch.tensor([0, 1, wrong, 2])
+    for elite, parents in ((good, bad), (bad, good)):
+
+        def made(elite: Tensor = elite, parents: Tensor = parents) -> Population:
+            return offspring(whole, elite, parents, SETS[0], seeded(2), 14)
+
+        for way in (made, lambda made=made: in_torch(made)):
+            with pytest.raises(IndexError):
+                way()
+
+
 tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))
 
 
