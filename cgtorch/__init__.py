@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cgtorch.actions import Action as Action
     from cgtorch.actions import ActionSet as ActionSet
-    from cgtorch.actions import edge_actions as edge_actions
     from cgtorch.actions import paper_actions as paper_actions
     from cgtorch.actions import resolve_actions as resolve_actions
+    from cgtorch.domains.domain import Domain as Domain
+    from cgtorch.domains.settings import DomainSettings as DomainSettings
+    from cgtorch.domains.settings import option as option
+    from cgtorch.domains.world import World as World
     from cgtorch.environment import Environment as Environment
     from cgtorch.environment import Lanes as Lanes
+    from cgtorch.environment import ScenarioBatch as ScenarioBatch
+    from cgtorch.environment.fields import Field as Field
     from cgtorch.evolution import EvolutionSettings as EvolutionSettings
     from cgtorch.evolution import ask as ask
     from cgtorch.evolution import evolve as evolve
@@ -23,26 +28,29 @@ if TYPE_CHECKING:
     from cgtorch.graphs import Skill as Skill
     from cgtorch.graphs import load_skill as load_skill
     from cgtorch.graphs import save_skill as save_skill
-    from cgtorch.kinematics import graspable as graspable
-    from cgtorch.kinematics import load_robot as load_robot
     from cgtorch.report import draw_skill as draw_skill
     from cgtorch.simulation.rollout import rollout as rollout
-    from cgtorch.world import TabletopWorld as TabletopWorld
-    from cgtorch.world import random_scenarios as random_scenarios
-    from cgtorch.world import stage_scenarios as stage_scenarios
+    from cgtorch.tabletop.edge_networks import edge_actions as edge_actions
+    from cgtorch.tabletop.kinematics import graspable as graspable
+    from cgtorch.tabletop.kinematics import load_robot as load_robot
+    from cgtorch.tabletop.world import TabletopWorld as TabletopWorld
+    from cgtorch.tabletop.world import random_scenarios as random_scenarios
+    from cgtorch.tabletop.world import stage_scenarios as stage_scenarios
 
 __version__ = "0.1.0"
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {
-    "actions": ("Action", "ActionSet", "edge_actions", "paper_actions", "resolve_actions"),
+    "actions": ("Action", "ActionSet", "paper_actions", "resolve_actions"),
+    "domains": ("Domain", "DomainSettings", "Field", "ScenarioBatch", "World", "option"),
     "environment": ("Environment", "Lanes"),
     "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),
     "graphs": ("Skill", "load_skill", "save_skill"),
-    "kinematics": ("graspable", "load_robot"),
     "report": ("draw_skill",),
     "simulation": ("rollout",),
-    "world": ("TabletopWorld", "random_scenarios", "stage_scenarios"),
+    "tabletop.edge_networks": ("edge_actions",),
+    "tabletop.kinematics": ("graspable", "load_robot"),
+    "tabletop.world": ("TabletopWorld", "random_scenarios", "stage_scenarios"),
 }
 _HOME = {name: folder for folder, names in _FOLDERS.items() for name in names}
 __all__ = ["__version__", *_HOME]

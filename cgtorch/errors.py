@@ -51,5 +51,9 @@ class WorldError(CgtorchError, ValueError):
     """A world or another environment breaks the environment interface."""
 
 
+class DomainError(CgtorchError, ValueError):
+    """A domain is unknown, or breaks the domain interface."""
+
+
 class RunError(CgtorchError, OSError):
     """A run folder is missing, unwritable, of another version, or damaged."""

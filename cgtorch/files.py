@@ -6,11 +6,15 @@ import os
 import secrets
 from collections import Counter
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.errors import CgtorchError, RunError
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 MAX_JSON_BYTES = 64 * 2**20
+_LENGTH = 8  # bytes of a safetensors file that say how long its JSON is
 
 
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
@@ -91,6 +95,28 @@ def read_json(
         )
     except (ValueError, RecursionError) as e:
         raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
+
+
+def tensors_of(data: bytes) -> dict[str, "Tensor"]:
+    """The tensors of a safetensors file, whatever its bytes are.
+
+    Raises:
+        ValueError: They are not those of such a file, or it has a type or shape that torch lacks.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load  # which imports torch
+
+    try:
+        return load(data)  # checks that the tensors are as large as the file and no larger
+    except (SafetensorError, ValueError, RuntimeError, TypeError, KeyError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(said[:200]) from error
+
+
+def notes_of(data: bytes) -> dict[str, Any]:
+    """The notes in the JSON at the beginning of a safetensors file that has been checked."""
+    length = int.from_bytes(data[:_LENGTH], "little")
+    return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
 
 def _refuse(number: str) -> NoReturn:

@@ -16,13 +16,13 @@ import click
 import torch
 from support import model, seeded, stochastic_actions
 
-from cgtorch import ranks
+from cgtorch.parallel import distributed as ranks
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.experiments.journal import FileJournal
+from cgtorch.runs.journal import FileJournal
 from cgtorch.improvement.events import Event, GenerationDone
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.standing import Budget
-from cgtorch.models.storage import notes_of
+from cgtorch.improvement.stopping import Budget
+from cgtorch.svm.storage import notes_of
 
 COUNTS = range(1, 5)
 BUDGET = Budget(generations=9, patience=99)

@@ -6,17 +6,17 @@ import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.models import SuccessClassifier, TransitionModel
-from cgtorch.models.grasp_features import grasp_features
+from cgtorch.tabletop.models import SuccessClassifier, TransitionModel
+from cgtorch.tabletop.models.grasp_features import grasp_features
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.world import (
+from cgtorch.tabletop.world import (
     ClearWay,
     TabletopWorld,
     cluttered_scenarios,
     general_scenarios,
     random_scenarios,
 )
-from cgtorch.world.percepts import PERCEPTS
+from cgtorch.tabletop.world.percepts import PERCEPTS
 
 CENTRES = 50
 

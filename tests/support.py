@@ -13,7 +13,7 @@ from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
-from cgtorch.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
+from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 
 FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
 

@@ -13,11 +13,11 @@ from typing import Any
 from safetensors.torch import load
 from torch import Tensor
 
-from cgtorch.experiments.run import Run, create_run, open_run
-from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.train import train
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.training.train import train
 from cgtorch.improvement.events import Event, WorldTested
-from cgtorch.models.storage import notes_of
+from cgtorch.svm.storage import notes_of
 
 SMALL = RunSettings(
     seed=6,

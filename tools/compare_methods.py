@@ -23,19 +23,19 @@ import torch
 from comparison.table import summary, table
 
 from cgtorch.evolution import EvolutionSettings, tournament
-from cgtorch.experiments.auto import ENOUGH, act, train_until
-from cgtorch.experiments.beginning import beginning
-from cgtorch.experiments.evaluate import evaluate_skill
-from cgtorch.experiments.goal import Goal
-from cgtorch.experiments.run import Run, create_run, open_run
-from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.stages import PERIMETER, STAGES, exercise, round_name, stage_generator
-from cgtorch.experiments.train import NotImprovedError, make_setup, train
+from cgtorch.training.auto import ENOUGH, act, train_until
+from cgtorch.training.initial_models import beginning
+from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.training.stages import PERIMETER, STAGES, exercise, round_name, stage_generator
+from cgtorch.training.train import NotImprovedError, make_setup, train
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.standing import Budget
+from cgtorch.improvement.stopping import Budget
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
 

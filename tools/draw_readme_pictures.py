@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from cgtorch.experiments.evaluate import evaluate_skill
-from cgtorch.experiments.run import last_skill
+from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.runs.run import last_skill
 from cgtorch.report import draw_skill, draw_table_top
 
 ROOT = Path(__file__).resolve().parent.parent

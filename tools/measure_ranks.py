@@ -20,14 +20,14 @@ from typing import Any
 import click
 import torch
 
-from cgtorch import ranks
+from cgtorch.parallel import distributed as ranks
 from cgtorch.evolution import EvolutionSettings, evaluate
 from cgtorch.evolution.population import random_population
-from cgtorch.experiments.run import open_run
-from cgtorch.experiments.storage import load_knowledge
-from cgtorch.improvement.knowledge import imagine
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_knowledge
+from cgtorch.domains.knowledge import imagine
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.world import random_scenarios
+from cgtorch.tabletop.world import random_scenarios
 
 REFERENCE = Path(__file__).resolve().parent.parent / "runs" / "reference"
 SCENARIOS = 20

@@ -19,9 +19,9 @@ from typing import Any
 import click
 import torch
 
-from cgtorch.experiments.evaluate import evaluate_skill
-from cgtorch.experiments.ledger import read_index
-from cgtorch.experiments.run import last_skill
+from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.runs.ledger import read_index
+from cgtorch.runs.run import last_skill
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill
 

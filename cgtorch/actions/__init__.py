@@ -2,10 +2,8 @@
 
 from cgtorch.actions.action import Action as Action
 from cgtorch.actions.action_set import ActionSet as ActionSet
-from cgtorch.actions.action_set import edge_actions as edge_actions
+from cgtorch.actions.action_set import named_actions as named_actions
 from cgtorch.actions.action_set import paper_actions as paper_actions
-from cgtorch.actions.edge_networks import EdgeBranchingNN as EdgeBranchingNN
-from cgtorch.actions.edge_networks import EdgeNN as EdgeNN
 from cgtorch.actions.networks import BranchingNN as BranchingNN
 from cgtorch.actions.networks import ContinuousNN as ContinuousNN
 from cgtorch.actions.registry import check_action as check_action

@@ -3,13 +3,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch import chance
 from cgtorch.environment import Environment, Lanes, seeds_of
 from cgtorch.errors import ActionError
+from cgtorch.numerics import counter_rng as chance
 
 
 class Action(nn.Module, ABC):
@@ -26,6 +27,10 @@ class Action(nn.Module, ABC):
         memory_size: numbers of the common memory that it uses; they are zero when a skill begins.
         memory_part: name of the part of the memory that these are. Actions that give the same name
             share it; without a name the part is the action's own.
+        native_kind: name of the compiled counterpart in the enumeration of native/lanes.h, for
+            just this class; "" if there is none.
+        plain_module: name of the module that has the same class in plain Python, for exported
+            state machines; "" if there is none.
         deterministic: whether equal lanes and parameters always give equal results; one that draws
             random numbers says False.
     """
@@ -36,6 +41,8 @@ class Action(nn.Module, ABC):
     message_size: int = 0
     memory_size: int = 0
     memory_part: str = ""
+    native_kind: ClassVar[str] = ""
+    plain_module: ClassVar[str] = ""
     deterministic: bool = True
 
     @abstractmethod
@@ -60,7 +67,7 @@ class Action(nn.Module, ABC):
         return torch.randn(n, self.num_parameters, generator=generator)
 
     def uniform(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
-        """Random numbers, for an action that is stochastic (`cgtorch.chance`).
+        """Random numbers, for an action that is stochastic (`cgtorch.numerics.counter_rng`).
 
         They depend on the seed of a lane's scenario, the name of the action's class, and how often
         the lane has drawn with it, which the last number of the action's memory counts. So they

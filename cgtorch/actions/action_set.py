@@ -8,7 +8,6 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
-from cgtorch.actions.edge_networks import EdgeBranchingNN, EdgeNN
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
 from cgtorch.actions.routines import Detect, Grasp, MoveBase
 from cgtorch.errors import ActionError
@@ -120,15 +119,10 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
 
 def paper_actions(percept_size: int = 7) -> ActionSet:
     """The five actions of section VI, with networks that read percepts of that length."""
-    return _named(ContinuousNN(percept_size), BranchingNN(percept_size))
+    return named_actions(ContinuousNN(percept_size), BranchingNN(percept_size))
 
 
-def edge_actions(percept_size: int = 9) -> ActionSet:
-    """The same with networks that see and act from the edge nearest to the object."""
-    return _named(EdgeNN(percept_size), EdgeBranchingNN(percept_size))
-
-
-def _named(*networks: Action) -> ActionSet:
+def named_actions(*networks: Action) -> ActionSet:
     """The routines of section VI and networks, under the names of their classes."""
     actions = (MoveBase(), Detect(), Grasp(), *networks)
     return ActionSet(tuple(type(a).__name__ for a in actions), actions)

@@ -57,6 +57,9 @@ class _Network(Action):
 class ContinuousNN(_Network):
     """From the percept to a motion: 7-3-3, sigmoid hidden layer, linear output, sent as message."""
 
+    native_kind = "CONTINUOUS"
+    plain_module = "cgtorch.export.plain.networks"
+
     def __init__(self, inputs: int = 7, hidden: int = 3, outputs: int = 3):
         super().__init__(inputs, hidden, outputs)
         self.message_size = outputs
@@ -75,6 +78,8 @@ class BranchingNN(_Network):
     """From the percept to one of two branches: 7-3-2, all sigmoid, the larger output wins."""
 
     outcomes: tuple[str, ...] = ("out1", "out2")
+    native_kind = "BRANCHING"
+    plain_module = "cgtorch.export.plain.networks"
 
     def __init__(self, inputs: int = 7, hidden: int = 3):
         super().__init__(inputs, hidden, outputs=2)

@@ -9,15 +9,23 @@ from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
-from cgtorch.dry_run import ROWS, copied, expect, expect_lanes, expect_pair, returned, two_rows
 from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.environment.dry_run import (
+    ROWS,
+    copied,
+    expect,
+    expect_lanes,
+    expect_pair,
+    returned,
+    two_rows,
+)
 from cgtorch.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
 
 
 def resolve_actions(names: Sequence[str] = (), basic: ActionSet | None = None) -> ActionSet:
-    """The five actions of the paper, or others, and those named.
+    """Basic actions, those of the paper if no others are given, and those named.
 
     Args:
         names: each the name of a built-in action, the name of an entry point of the group

@@ -9,13 +9,18 @@ from cgtorch.environment import Environment, Lanes
 
 
 class MoveBase(Action):
-    """Move the robot base by the message (dx, dy in m, dθ in rad), in the robot's own frame.
+    """Carry out the message as a control; for the robot of the paper dx, dy in m and dθ in rad.
 
-    Fails, without moving, if an obstacle lies along the way or no message has been sent.
+    Fails, and changes nothing, if the environment says that it cannot be done or no message has
+    been sent.
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")
-    message_size: int = 3
+    native_kind = "MOVE_BASE"
+
+    def __init__(self, control_size: int = 3):
+        super().__init__()
+        self.message_size = control_size
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
@@ -29,9 +34,10 @@ class MoveBase(Action):
 
 
 class Detect(Action):
-    """Detect the table and the object again; always succeeds, the table being in view."""
+    """Perceive again, as the robot of the paper detects the table; always succeeds."""
 
     outcomes: tuple[str, ...] = ("success",)
+    native_kind = "DETECT"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
@@ -41,7 +47,7 @@ class Detect(Action):
 
 
 class Grasp(Action):
-    """Try to grasp the object; success ends the computation.
+    """Test whether the task succeeds here, as by a grasp; success ends the computation.
 
     Where the environment answers with a probability, it counts as success above one half
     (section III: C(p) > 0.5).
@@ -49,6 +55,7 @@ class Grasp(Action):
 
     outcomes: tuple[str, ...] = ("success", "failure")
     terminal: Mapping[str, bool] = {"success": True}
+    native_kind = "GRASP"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment

@@ -12,7 +12,7 @@ from typing import Any, NoReturn, TypeVar
 
 import click
 
-from cgtorch.commands.completion import one_of
+from cgtorch.commands.completion import Completer, one_of
 from cgtorch.errors import CgtorchError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -21,32 +21,33 @@ F = TypeVar("F", bound=Callable[..., Any])
 def options_of(
     settings: type,
     skip: Sequence[str] = (),
-    choices: Mapping[str, Sequence[str]] = MappingProxyType({}),
-) -> Callable[[F], F]:
-    """Decorator: one option per field of a dataclass, with its default and help text.
+    defaults: Mapping[str, Any] = MappingProxyType({}),
+    complete: Mapping[str, Completer] = MappingProxyType({}),
+) -> list[click.Option]:
+    """One option per field of a dataclass of options, with its default and help text.
 
     Args:
-        settings: the dataclass.
+        settings: the dataclass (`cgtorch.domains.settings`).
         skip: fields that get no option.
-        choices: what shells complete for a field.
+        defaults: in place of those of the fields.
+        complete: what shells complete for a field that has no choices.
     """
-
-    def decorate(function: F) -> F:
-        for f in reversed(fields(settings)):
-            if f.name in skip:
-                continue
-            function = click.option(
-                "--" + f.name.replace("_", "-"),
-                f.name,
-                type=type(f.default),
-                default=f.default,
-                show_default=True,
-                help=f.metadata["help"],
-                shell_complete=one_of(choices[f.name]) if f.name in choices else None,
-            )(function)
-        return function
-
-    return decorate
+    made = []
+    for f in fields(settings):
+        choices = f.metadata["choices"]
+        completer = one_of(choices) if choices else complete.get(f.name)
+        if f.name not in skip:
+            made.append(
+                click.Option(
+                    [f"--{f.name.replace('_', '-')}", f.name],
+                    type=type(f.default),
+                    default=defaults.get(f.name, f.default),
+                    show_default=f.default != "",
+                    help=f.metadata["help"],
+                    shell_complete=completer,
+                )
+            )
+    return made
 
 
 def import_from_here(specs: Sequence[str]) -> None:

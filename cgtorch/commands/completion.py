@@ -41,6 +41,32 @@ def one_of(words: Iterable[str]) -> Completer:
     return complete
 
 
+def domains(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Names of the domains of the library and of installed packages."""
+    from cgtorch.domains.registry import known_names
+
+    return one_of(known_names())(context, parameter, incomplete)
+
+
+def kinds_of_domain(
+    context: Context, parameter: Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """The kinds of scenarios of the domain that a command line is about."""
+    from cgtorch.commands.domain_command import domain_kinds
+
+    return one_of(domain_kinds(context))(context, parameter, incomplete)
+
+
+def stages(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """The stages of the domain that a command line is about, and auto."""
+    from cgtorch.commands.domain_command import KEY
+    from cgtorch.domains.registry import TABLETOP, domain_class
+
+    spec = context.meta.get(KEY, TABLETOP)
+    words = STAGES if spec == TABLETOP else (*domain_class(spec).stages, "auto")
+    return one_of(words)(context, parameter, incomplete)
+
+
 def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """Folders of runs beginning with a word, those in runs/ to begin with; else any folder."""
     place, slash, begins = (incomplete or "runs/").rpartition("/")

@@ -1,8 +1,9 @@
 """`cgtorch-evaluate`: try a skill in the world on fresh scenarios."""
 
 import json
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -11,6 +12,7 @@ from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     actions_option,
     common_options,
+    domain_option,
     epilog,
     quiet_option,
     run_or_skill,
@@ -19,11 +21,10 @@ from cgtorch.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cgtorch.experiments.evaluate import Score
+    from cgtorch.domains.domain import Domain
     from cgtorch.graphs import Skill
-    from cgtorch.world import Scenarios, TabletopWorld
+    from cgtorch.runs.run import Run
+    from cgtorch.training.evaluate import Score
 
 EXAMPLES = """\b
 Examples:
@@ -38,14 +39,24 @@ Examples:
 PICTURED = 24
 
 
+class Chosen(NamedTuple):
+    """What is tried: the skill, its domain and kind of scenarios; the stage and run it is of."""
+
+    skill: "Skill"
+    domain: "Domain[Any]"
+    kind: str
+    stage: Path | None = None
+    run: "Run | None" = None
+
+
 @click.command("cgtorch-evaluate", epilog=epilog(EXAMPLES))
 @run_or_skill
 @click.option(
     "--scenarios",
     shell_complete=one_of(SCENARIOS),
-    help="near, left, right, far or perimeter of the paper's table; general: any table, from any "
-    "side; general-clutter: half of them with a box in the way.  [those of the run; perimeter for "
-    "a skill file]",
+    help="Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
+    "table, from any side; general-clutter: half of them with a box in the way; of another domain "
+    "one of its own kinds.  [those of the run; the usual ones for a skill file]",
 )
 @click.option(
     "--count",
@@ -62,12 +73,13 @@ PICTURED = 24
     help="Seed of the scenarios and their noise.",
 )
 @skill_option
+@domain_option
 @actions_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
-    help=f"Also draw the first {PICTURED} scenes from above into this PNG file.",
+    help=f"Also draw the first {PICTURED} scenarios into this PNG file, if the domain can.",
 )
 @quiet_option
 @common_options
@@ -78,47 +90,50 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     how W did under other noise when the skill was accepted.
 
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
-    skill file, which is tried on the built-in PR2 with the default noise.
+    skill file, which is tried in its domain as it is by default: the built-in PR2.
     """
+    import_from_here([*rest["actions"], rest["domain"] or ""])
     with importing():
         import torch
 
-        from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
-        from cgtorch.experiments.ledger import read_index
-        from cgtorch.experiments.storage import holds_models, load_knowledge
+        from cgtorch.runs.ledger import read_index
+        from cgtorch.runs.storage import holds_models, load_knowledge
+        from cgtorch.training.evaluate import evaluate_skill, promise_kept
 
     torch.set_num_threads(1)
-    import_from_here(rest["actions"])
-    chosen = _chosen(path, rest["name"], rest["actions"], rest["scenarios"])
-    skill, world_of, stage, scenarios = chosen
+    chosen = _chosen(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
+    skill, domain, kind, stage, run = chosen
     quiet = rest["quiet"]
-    with waiting(f"trying {skill.name} on {scenarios} scenarios", quiet, count) as done:
-        score = evaluate_skill(skill, world_of, scenarios, count, seed, done)
+    with waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
+        score = evaluate_skill(skill, domain, kind, count, seed, done)
     if rest["picture"]:
-        _draw(rest["picture"], score, skill.name)
+        _draw(rest["picture"], score, chosen)
     kept, again = None, None
-    if stage is not None:
+    if stage is not None and run is not None:
         if holds_models(stage):
-            knowledge = load_knowledge(stage)
+            knowledge = load_knowledge(stage, domain.unfitted())
             with waiting(f"asking the models what they promise of {skill.name}", quiet):
-                kept = kept_promises(score, skill, knowledge, world_of(score.scenarios), seed)
-        index = {line["name"]: line for line in read_index(stage.absolute().parent)}
+                kept = promise_kept(score, skill, knowledge, domain, seed)
+        index = {line["name"]: line for line in read_index(run.folder)}
         again = index.get(skill.name, {}).get("w_other_noise")
     if as_json:
         result = {
             "skill": skill.name,
-            "scenarios": scenarios,
+            "scenarios": kind,
             "seed": seed,
             **_share(score.successes, score.tried),
+            "mean_return": score.mean_return,
             "promised": None if kept is None else _share(kept.successes, kept.tried),
             "w_other_noise": None if again is None else _share(again["succeeded"], again["tried"]),
         }
         click.echo(json.dumps(result))
         return
     click.echo(
-        f"{skill.name} on {scenarios}: {score.successes} / {score.tried} succeeded, "
+        f"{skill.name} on {kind}: {score.successes} / {score.tried} succeeded, "
         f"{_as_text(score.successes, score.tried)}"
     )
+    if score.returns is not None:
+        click.echo(_returns_as_text(score, domain.target_return))
     if kept is not None:
         click.echo(
             f"the models promised {kept.tried} of {score.tried}, of which {kept.successes} "
@@ -132,32 +147,47 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
 
 
 def _chosen(
-    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None
-) -> tuple["Skill", "Callable[[Scenarios], TabletopWorld]", Path | None, str]:
-    """The skill to try, its world, the stage that made it, if that is known, and the scenarios."""
-    from cgtorch.experiments.ledger import read_entry
-    from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
-    from cgtorch.experiments.settings import RunSettings
-    from cgtorch.kinematics import load_robot
-    from cgtorch.world import LAB_NOISE
+    path: Path,
+    name: str | None,
+    actions: tuple[str, ...],
+    scenarios: str | None,
+    domain: str | None,
+) -> Chosen:
+    """What is to be tried."""
+    from cgtorch.runs.ledger import read_entry
+    from cgtorch.runs.run import last_skill, lone_skill, open_run
+    from cgtorch.runs.settings import RunSettings
 
-    if name is not None:
-        run = open_run(path, actions)
-        skill = read_entry(path, name, run.actions).skill
-        stage = path / name if (path / name).is_dir() else None
-        return skill, run.world_of, stage, scenarios or run.settings.scenarios
     if path.is_file():
-        kind = scenarios or RunSettings.scenarios
-        percept, skill = lone_skill(path, actions, kind)
-        return skill, tabletop_of(load_robot(), LAB_NOISE, percept), None, kind
-    run, skill = last_skill(path, actions)
-    stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
-    return skill, run.world_of, stage, scenarios or run.settings.scenarios
+        spec = domain or RunSettings.domain
+        made, kind, skill = lone_skill(path, actions, scenarios, spec)
+        return Chosen(skill, made, kind)
+    if name is not None:
+        run = open_run(path, actions, domain)
+        skill = read_entry(path, name, run.actions, run.like()).skill
+        stage = path / name if (path / name).is_dir() else None
+    else:
+        run, skill = last_skill(path, actions, domain)
+        stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
+    return Chosen(skill, run.domain, scenarios or run.kind, stage, run)
+
+
+def _returns_as_text(score: "Score", target: float) -> str:
+    """The mean of the returns, and how many episodes were not finished."""
+    returns = [] if score.returns is None else score.returns.tolist()
+    finite = [r for r in returns if isfinite(r)]
+    if len(finite) < score.tried:
+        return f"{score.tried - len(finite)} of {score.tried} episodes were not finished"
+    low, high = min(finite), max(finite)
+    return (
+        f"mean return {score.mean_return:.5g} (from {low:.5g} to {high:.5g}), where {target:.5g} "
+        "counts as solved"
+    )
 
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:
     """A counted share with its interval, for programs."""
-    from cgtorch.experiments.interval import wilson
+    from cgtorch.numerics.interval import wilson
 
     interval = list(wilson(succeeded, tried, 0.95))
     rate = succeeded / max(1, tried)
@@ -171,16 +201,24 @@ def _as_text(succeeded: int, tried: int) -> str:
     return f"{share['rate']:.1%} (95 % confidence {low:.1%} to {high:.1%})"
 
 
-def _draw(path: Path, score: "Score", name: str) -> None:
-    """Write the first scenes and whether they were reached as a PNG file."""
+def _draw(path: Path, score: "Score", chosen: Chosen) -> None:
+    """Write the first scenarios and whether they were solved as a PNG file."""
     import io
 
-    from cgtorch.files import write_bytes
-    from cgtorch.report import draw_scenes
+    import torch
 
+    from cgtorch.errors import SettingsError
+    from cgtorch.files import write_bytes
+
+    scenarios, succeeded = score.scenarios[:PICTURED], score.succeeded[:PICTURED]
+    nothing = torch.zeros_like(succeeded)
+    figure = chosen.domain.draw_scenarios(scenarios, succeeded, nothing, chosen.skill.name)
+    if figure is None:
+        raise SettingsError(
+            f"{type(chosen.domain).__name__} cannot draw its scenarios; leave --picture out"
+        )
     image = io.BytesIO()
-    some = slice(0, PICTURED)
-    draw_scenes(score.scenarios[some], score.succeeded[some], title=name).savefig(image)
+    figure.savefig(image)
     write_bytes(path, image.getvalue())
 
 

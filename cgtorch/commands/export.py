@@ -1,7 +1,7 @@
 """`cgtorch-export`: a skill as something that others read or run."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,6 +10,7 @@ from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     actions_option,
     common_options,
+    domain_option,
     epilog,
     quiet_option,
     run_or_skill,
@@ -54,26 +55,17 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
 )
 @skill_option
 @actions_option
+@domain_option
 @click.option(
     "--scenarios",
-    default="perimeter",
-    show_default=True,
     shell_complete=one_of(SCENARIOS),
-    help="Of a skill file: what the skill was evolved on, which says what it perceives.",
+    help="Of a skill file: what the skill was evolved on, which says what it perceives.  "
+    "[the usual ones of the domain]",
 )
 @click.option("--force", is_flag=True, help="Replace the file if there is one.")
 @quiet_option
 @common_options
-def command(
-    path: Path,
-    form: str,
-    output: Path,
-    name: str | None,
-    actions: tuple[str, ...],
-    scenarios: str,
-    force: bool,
-    quiet: bool,
-) -> None:
+def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
     """Write a skill as something that others read or run, without cgtorch.
 
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
@@ -84,26 +76,32 @@ def command(
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.files import write_bytes
 
-    import_from_here(actions)
-    skill = _chosen(path, name, actions, scenarios)
+    import_from_here([*rest["actions"], rest["domain"] or ""])
+    skill = _chosen(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
     with waiting(f"exporting {skill.name} as {form}", quiet):
         data = WRITERS[form](skill)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
 
 
-def _chosen(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str) -> "Skill":
+def _chosen(
+    path: Path,
+    name: str | None,
+    actions: tuple[str, ...],
+    scenarios: str | None,
+    domain: str | None,
+) -> "Skill":
     """The skill to export."""
-    from cgtorch.experiments.ledger import read_entry
-    from cgtorch.experiments.run import last_skill, lone_skill, open_run
-    from cgtorch.world import draw_of
+    from cgtorch.runs.ledger import read_entry
+    from cgtorch.runs.run import last_skill, lone_skill, open_run
+    from cgtorch.runs.settings import RunSettings
 
-    if name is not None:
-        return read_entry(path, name, open_run(path, actions).actions).skill
     if path.is_file():
-        draw_of(scenarios)  # there must be such scenarios
-        return lone_skill(path, actions, scenarios)[1]
-    return last_skill(path, actions)[1]
+        return lone_skill(path, actions, scenarios, domain or RunSettings.domain)[2]
+    if name is not None:
+        run = open_run(path, actions, domain)
+        return read_entry(path, name, run.actions, run.like()).skill
+    return last_skill(path, actions, domain)[1]
 
 
 def main() -> None:

@@ -60,6 +60,13 @@ actions_option = click.option(
     "than once.",
 )
 
+domain_option = click.option(
+    "--domain",
+    shell_complete=completion.domains,
+    help="The run's domain, where that is code of its own that may be imported; of a skill file "
+    "what it is for.  [tabletop]",
+)
+
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress, only the result.")
 
 

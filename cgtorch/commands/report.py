@@ -9,6 +9,7 @@ from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
     actions_option,
     common_options,
+    domain_option,
     epilog,
     quiet_option,
     waiting,
@@ -33,14 +34,22 @@ Examples:
     required=True,
     help="The HTML file to write.",
 )
+@domain_option
 @actions_option
 @click.option("--force", is_flag=True, help="Replace the file if there is one.")
 @quiet_option
 @common_options
-def command(run: Path, output: Path, actions: tuple[str, ...], force: bool, quiet: bool) -> None:
+def command(
+    run: Path,
+    output: Path,
+    domain: str | None,
+    actions: tuple[str, ...],
+    force: bool,
+    quiet: bool,
+) -> None:
     """Write one HTML page about a run that needs no other file, no script and no network.
 
-    Its stages beside the paper's figures, success seen from above, fitness and rates over
+    Its stages beside what others report, pictures of what is solved, fitness and rates over
     generations, the graphs, Γ and C, settings, versions, and how to make it again. Everything
     comes from the folder RUN; of an unfinished run the page tells what is there and what is not.
     """
@@ -52,9 +61,9 @@ def command(run: Path, output: Path, actions: tuple[str, ...], force: bool, quie
     from cgtorch.report.page import report_page
 
     torch.set_num_threads(1)
-    import_from_here(actions)
+    import_from_here([*actions, domain or ""])
     with waiting(f"drawing {run}", quiet):
-        page = report_page(run, actions)
+        page = report_page(run, actions, domain)
     write_bytes(output, page)
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")
 

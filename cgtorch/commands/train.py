@@ -1,4 +1,4 @@
-"""`cgtorch-train`: evolve a skill, stage by stage, from a robot description to a tested skill."""
+"""`cgtorch-train`: evolve a skill for a domain, in stages or until a goal is met."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -8,33 +8,57 @@ from typing import Any
 import click
 
 from cgtorch.commands.command import import_from_here, importing, options_of, run_command
-from cgtorch.commands.completion import DEVICES, STAGES, one_of, runs
+from cgtorch.commands.completion import DEVICES, domains, kinds_of_domain, one_of, runs, stages
+from cgtorch.commands.domain_command import KEY, DomainCommand
 from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
-from cgtorch.errors import RunError, SettingsError
-from cgtorch.experiments.goal import AUTO, Goal
-from cgtorch.experiments.settings import CHOICES, RunSettings
+from cgtorch.domains.registry import settings_class
+from cgtorch.errors import SettingsError
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.settings import NAMES, RunSettings, defaults_of
 
+AUTO = "auto"
 EXAMPLES = """\b
 Examples:
   cgtorch-train --stage S2
   cgtorch-train --stage S3 --seed 1 --run-dir runs/one
-  cgtorch-train --resume runs/one --stage S3
+  cgtorch-train --resume runs/one
   cgtorch-train --resume runs/one --stage S3 --override population=600
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage auto --scenarios general --run-dir runs/general
   cgtorch-train --stage auto --robot fetch --run-dir runs/fetch
+  cgtorch-train --domain gymnasium:CartPole-v1 --run-dir runs/cartpole
+  cgtorch-train --domain my_package.cart:Cart --run-dir runs/cart
+  cgtorch-train --domain my_package.cart:Cart --help
   cgtorch-train --stage S1 --actions my_package.actions:Wait
   torchrun --nproc-per-node 4 -m cgtorch.commands.train --stage S3
 """
 
 
-@click.command("cgtorch-train", epilog=epilog(EXAMPLES))
+def _options(spec: str) -> list[click.Option]:
+    """The options of all settings of a run about a domain, and of its goal."""
+    own = settings_class(spec)
+    skip, complete = ("actions", "domain"), {"scenarios": kinds_of_domain}
+    return [
+        *options_of(Goal),
+        *options_of(RunSettings, skip, defaults_of(own), complete),
+        *options_of(own, ("environment", "target_return")),
+    ]
+
+
+@click.command("cgtorch-train", cls=DomainCommand, add=_options, epilog=epilog(EXAMPLES))
+@click.option(
+    "--domain",
+    default=RunSettings.domain,
+    show_default=True,
+    shell_complete=domains,
+    help="What the run is about: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
+    "package.module:Class. With --help, its settings are among the options below.",
+)
 @click.option(
     "--stage",
-    default="S2",
-    show_default=True,
-    shell_complete=one_of(STAGES),
-    help="Last stage to make, S0 to S3, or auto: go on until a goal is met.",
+    shell_complete=stages,
+    help="Last stage to make, S0 to S3 of the tabletop, or auto: go on until a goal is met.  "
+    "[what the run was begun for; else S2 of the tabletop, auto where a domain has no stages]",
 )
 @click.option(
     "--run-dir", type=click.Path(path_type=Path), help="Folder of the run.  [runs/seed-N]"
@@ -52,15 +76,6 @@ Examples:
     help="With --resume, go on with another value of a setting; may be given more than once.",
 )
 @click.option(
-    "--robot",
-    type=click.Path(path_type=Path),
-    help="Another robot than the PR2: fetch, a folder with a URDF and a robot.json, or a "
-    "robot description.",
-)
-@click.option(
-    "--urdf", type=click.Path(path_type=Path), help="Its URDF.  [the one beside the description]"
-)
-@click.option(
     "--device",
     default="auto",
     show_default=True,
@@ -76,67 +91,76 @@ Examples:
     help="Keep this often where an evolution stands, s; what is finished is kept at once.",
 )
 @quiet_option
-@options_of(Goal)
-@options_of(RunSettings, skip=("actions",), choices=CHOICES)
 @common_options
 @click.pass_context
 def command(context: click.Context, /, **options: Any) -> None:
-    """Evolve a robot skill: collect data, fit Γ and C, evolve, and test it in the world.
+    """Evolve a skill: collect data, fit Γ and C, evolve, and test it in the world.
 
-    A stage needs the ones before it; those the run lacks are made first. S0 reaches objects along
-    the near edge of the table, S1 the left, S2 the right, S3 the far edge. With --stage auto
-    nobody sets stages: the robot tries its skill all around the table and improves it on what it
-    missed, round by round, until the target holds on fresh placements.
+    Without --domain it is a robot that reaches objects on a table. A stage needs the ones before
+    it; those the run lacks are made first. S0 reaches objects along the near edge of the table, S1
+    the left, S2 the right, S3 the far edge. With --stage auto nobody sets stages: the skill is
+    tried on fresh scenarios and improved on what it missed, round by round, until the target
+    holds.
     """
+    import_from_here([*options["actions"], options["domain"]])
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
-        from cgtorch.commands.training import begin, carry_on
-        from cgtorch.ranks import together
+        from cgtorch.commands.training import Wish, begin, carry_on
+        from cgtorch.parallel.distributed import together
 
-    of_goal = {f.name for f in fields(Goal)}
-    of_run = {f.name for f in fields(RunSettings)} - {"actions"}
-    every = options["checkpoint_seconds"]
     given = {
         name
         for name in options
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
-    stage, quiet, device = options["stage"], options["quiet"], options["device"]
-    goal = Goal(**{name: options[name] for name in of_goal})
-    if stage != AUTO and (odd := sorted(given & of_goal)):
-        raise SettingsError(f"--{odd[0]} is for --stage {AUTO}; add that or leave it out")
-    import_from_here(options["actions"])
+    goal_names = {f.name for f in fields(Goal)}
+    own = settings_class(context.meta[KEY])
+    of_domain = {f.name for f in fields(own)}
+    target = options["target"] if "target" in given and "target_return" in of_domain else None
+    goal = Goal(
+        **{name: options[name] for name in goal_names if target is None or name != "target"}
+    )
+    wish = Wish(
+        stage=options["stage"],
+        goal=goal,
+        goal_given=bool(given & goal_names),
+        device=options["device"],
+        quiet=options["quiet"],
+        checkpoint_seconds=options["checkpoint_seconds"],
+    )
     overrides = _overrides(context, options["override"])
+    settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
+    wanted = {name: options[name] for name in given & settings}
+    if target is not None:
+        wanted["target_return"] = target
     if options["resume"]:
-        if odd := sorted(given & {"run_dir", "urdf", "robot"}):
-            raise SettingsError(
-                f"--{odd[0].replace('_', '-')} cannot change in a run that has begun; leave it out"
-            )
-        wanted = {name: options[name] for name in given & of_run}
-        about = options["resume"], options["actions"], wanted, overrides
+        if "run_dir" in given:
+            raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
+        spec = options["domain"] if "domain" in given else None
         with together():
-            carry_on(*about, stage, goal, device, quiet, every)
+            carry_on(options["resume"], options["actions"], spec, wanted, overrides, wish)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
-    values = {name: options[name] for name in of_run}
-    settings = RunSettings(**values, actions=tuple(options["actions"]))
-    folder = options["run_dir"] or Path("runs") / f"seed-{settings.seed}"
-    if (folder / "run.json").is_file() and (options["urdf"] or options["robot"]):
-        raise RunError(f"run {str(folder)!r} has its robot already; choose another --run-dir")
-    robot = options["urdf"], options["robot"]
+    values = {name: options[name] for name in settings & set(NAMES)}
+    run_settings = RunSettings(
+        **values, actions=tuple(options["actions"]), domain=options["domain"]
+    )
+    domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
+    folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
-        begin(folder, settings, *robot, stage, goal, device, quiet, every)
+        begin(folder, run_settings, domain_settings, wish)
 
 
 def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
     """Settings by name from NAME=VALUE, read as their own options read them."""
-    options = {option.name: option for option in context.command.params}
+    options = {option.name: option for option in context.command.get_params(context)}
+    own = {f.name for f in fields(settings_class(context.meta[KEY]))}
     found = {}
     for word in words:
         name, _, text = word.partition("=")
         name = name.removeprefix("--").replace("-", "_")
-        if "=" not in word or name not in {f.name for f in fields(RunSettings)}:
+        if "=" not in word or name not in {*NAMES, *own} or name not in options:
             raise SettingsError(
                 f"--override {word!r:.40} names no setting; give NAME=VALUE, such as population=600"
             )

@@ -3,98 +3,102 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from rich.console import Console
 
-from cgtorch import native, ranks
+from cgtorch import native
+from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.errors import SettingsError
-from cgtorch.experiments.auto import reached, train_until
-from cgtorch.experiments.goal import AUTO, Goal
-from cgtorch.experiments.journal import recalled_generations
-from cgtorch.experiments.run import Run, create_run, open_run
-from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.stages import check_stages, stages_up_to
-from cgtorch.experiments.takeover import TakenOver, overridden, refuse_others, take_over
-from cgtorch.experiments.train import finished_generations, train
 from cgtorch.improvement.events import Event, Watch
+from cgtorch.parallel import distributed as ranks
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.journal import recalled_generations
+from cgtorch.runs.resume_settings import (
+    TakenOver,
+    goes_on_to,
+    overridden,
+    refuse_others,
+    remember_goal,
+    take_over,
+)
+from cgtorch.runs.run import AUTO, Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.training.auto import reached, train_until
+from cgtorch.training.context import Training
+from cgtorch.training.stages import check_stages, stages_up_to
+from cgtorch.training.train import finished_generations, train
 
 
-def begin(
-    folder: Path,
-    settings: RunSettings,
-    urdf: Path | None,
-    robot: Path | None,
-    stage: str,
-    goal: Goal,
-    device: str,
-    quiet: bool,
-    checkpoint_seconds: float,
-) -> None:
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of `cgtorch-train` besides settings.
+
+    Attributes:
+        stage: the last stage to make, "auto" to go on until the goal is met, or None for what the
+            run was begun for, or its domain's usual one.
+        goal: of "auto".
+        goal_given: whether any of the goal was given.
+        device: where populations are evaluated.
+        quiet: print the final table only.
+        checkpoint_seconds: between two notes of where an evolution stands.
+    """
+
+    stage: str | None
+    goal: Goal
+    goal_given: bool
+    device: str
+    quiet: bool
+    checkpoint_seconds: float
+
+
+def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, wish: Wish) -> None:
     """Begin a run, or go on with one that was begun with the same settings.
 
     Args:
         folder: of the run.
         settings: of the run.
-        urdf: of the robot, or None for the one beside its description.
-        robot: its name or description, or None for that beside the URDF or the PR2's.
-        stage: the last stage to make, or "auto" to go on until the goal is met.
-        goal: of "auto".
-        device: where populations are evaluated.
-        quiet: print the final table only.
-        checkpoint_seconds: between two notes of where an evolution stands.
+        domain_settings: of its domain.
+        wish: what else is asked for.
     """
-    _check(stage, settings)
-    where = device_of(device)
-    run = None
+    where, run = device_of(wish.device), None
     if not (folder / "run.json").is_file() and ranks.first():
-        run = create_run(folder, settings, urdf, robot)
+        run = create_run(folder, settings, domain_settings)
     ranks.wait()
-    run = run or open_run(folder, settings.actions)
-    refuse_others(run, vars(settings), "choose another --run-dir")
-    _train(run, settings, stage, goal, where, quiet, checkpoint_seconds)
+    run = run or open_run(folder, settings.actions, settings.domain)
+    given = {**to_plain(settings), **to_plain(domain_settings)}
+    refuse_others(run, given, "choose another --run-dir")
+    _train(run, settings, wish, where)
 
 
 def carry_on(
     folder: Path,
     trusted: Sequence[str],
+    domain: str | None,
     given: Mapping[str, Any],
     overrides: Mapping[str, Any],
-    stage: str,
-    goal: Goal,
-    device: str,
-    quiet: bool,
-    checkpoint_seconds: float,
+    wish: Wish,
 ) -> None:
     """Go on with a run under the settings it has, but for those that are taken over.
 
     Args:
         folder: of the run.
         trusted: actions of its own that may be imported.
+        domain: the domain, if it is code of its own that may be imported.
         given: settings that must be the run's.
         overrides: settings to go on with in place of the run's.
-        stage: this and the others as in `begin`.
-        goal: of "auto".
-        device: where populations are evaluated.
-        quiet: print the final table only.
-        checkpoint_seconds: between two notes of where an evolution stands.
+        wish: what else is asked for.
     """
-    run = open_run(folder, trusted)
-    _check(stage, run.settings)
-    where = device_of(device)
+    run = open_run(folder, trusted, domain)
+    where = device_of(wish.device)
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")
-    _train(run, settings, stage, goal, where, quiet, checkpoint_seconds)
-
-
-def _check(stage: str, settings: RunSettings) -> None:
-    if stage != AUTO:
-        stages_up_to(stage)
-        check_stages(settings.scenarios)
+    _train(run, settings, wish, where)
 
 
 def device_of(name: str) -> torch.device:
@@ -114,44 +118,66 @@ def device_of(name: str) -> torch.device:
     return device
 
 
-def _train(
-    run: Run,
-    settings: RunSettings,
-    stage: str,
-    goal: Goal,
-    device: torch.device,
-    quiet: bool,
-    checkpoint_seconds: float,
-) -> None:
+def _asked(run: Run, wish: Wish) -> Wish:
+    """The wish with the stage and goal that the run was begun for where none is given.
+
+    Raises:
+        SettingsError: there is no such stage, or a goal is given for one.
+    """
+    before = goes_on_to(run)
+    stage = wish.stage or str(before.get("stage") or type(run.domain.settings).usual_stage)
+    if stage != AUTO:
+        if wish.goal_given:
+            raise SettingsError(
+                f"--target, --minutes and --rounds are for --stage {AUTO}; add that or leave them "
+                "out"
+            )
+        stages_up_to(run.domain, stage)
+        check_stages(run)
+    goal = wish.goal
+    if wish.stage is None and not wish.goal_given and isinstance(before.get("goal"), dict):
+        try:
+            goal = Goal(**before["goal"])
+        except TypeError as e:
+            raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
+    remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
+    return replace(wish, stage=stage, goal=goal)
+
+
+def _train(run: Run, settings: RunSettings, wish: Wish, device: torch.device) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
     native.use_threads(ranks.cores())
+    wish = _asked(run, wish)
+    stage, goal = str(wish.stage), wish.goal
     taken = take_over(run, settings, stage)
     run = taken.run
-    with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+    with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
         if native.to_be_compiled():
             with display.working("compiling for this CPU, once"):
                 native.available()
-        missing = [s for s in stages_up_to(stage) if s not in run.stages] if stage != AUTO else []
+        missing = [s for s in _up_to(run, stage) if s not in run.stages]
         if missing and missing != [stage]:
             earlier = ", ".join(missing[:-1])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
         for line in _changes(taken):
             display.say(line)
-        shown = run.settings.to_dict() | (vars(goal) if stage == AUTO else {})
+        shown = run.all_settings() | (vars(goal) if stage == AUTO else {})
         with _board(run, shown) as board:
 
             def watch(event: Event) -> None:
                 board(event)
                 display(event)
 
-            common = watch, display.working, device, checkpoint_seconds
-            if stage == AUTO:
-                results = train_until(run, goal, *common)
-            else:
-                results = train(run, stage, *common)
+            training = Training(run, watch, display.working, device, wish.checkpoint_seconds)
+            auto = stage == AUTO
+            results = train_until(training, goal) if auto else train(training, stage)
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
-        Console().print(final_table(results))
+        Console().print(final_table(results, run.domain))
+
+
+def _up_to(run: Run, stage: str) -> tuple[str, ...]:
+    return () if stage == AUTO else stages_up_to(run.domain, stage)
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:
@@ -188,7 +214,7 @@ def _board(run: Run, settings: dict[str, Any]) -> Iterator[Watch]:
         models + finished_generations(run) + len(run.stages) + recalled,
         recalled=recalled,
         actions=run.actions,
-        footprint=run.robot.description.footprint,
+        draw_scenarios=run.domain.draw_scenarios,
     ) as board:
         yield board
 
@@ -198,8 +224,9 @@ def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) ->
     if stage != AUTO:
         return f"is complete up to {stage}"
     rounds = results[len(results) - len(run.rounds) :]
+    aim = run.domain.target_return if run.domain.rewarded else goal.target
     if reached(goal, rounds):
-        return f"has reached its goal of {goal.target:.4g}"
+        return f"has reached its goal of {aim:.4g}"
     if not rounds:
         return "has made no round; raise --minutes"
-    return f"has not reached its goal of {goal.target:.4g}; go on with --resume"
+    return f"has not reached its goal of {aim:.4g}; go on with --resume"

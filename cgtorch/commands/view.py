@@ -21,7 +21,7 @@ from cgtorch.commands.options import (
 from cgtorch.errors import SettingsError
 
 if TYPE_CHECKING:
-    from cgtorch.viewer.choice import Candidate
+    from cgtorch.tabletop.viewer.choice import Candidate
 
 EXAMPLES = """\b
 Examples:
@@ -83,9 +83,9 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     with importing():
         import torch
 
-        from cgtorch.viewer.choice import Wish
-        from cgtorch.viewer.page import open_page, play_for_ever
-        from cgtorch.world import draw_of
+        from cgtorch.tabletop.viewer.choice import Wish
+        from cgtorch.tabletop.viewer.page import open_page, play_for_ever
+        from cgtorch.tabletop.world import draw_of
 
     torch.set_num_threads(1)
     import_from_here(rest["actions"])
@@ -117,28 +117,32 @@ class Offer(NamedTuple):
 
 def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None) -> Offer:
     """The skills of a run, or the skill of a file."""
-    from cgtorch.experiments.ledger import read_entry, read_index
-    from cgtorch.experiments.run import last_skill, lone_skill, open_run, tabletop_of
-    from cgtorch.experiments.settings import RunSettings
-    from cgtorch.kinematics import load_robot
-    from cgtorch.viewer.choice import Candidate
-    from cgtorch.world import LAB_NOISE
+    from cgtorch.runs.ledger import read_entry, read_index
+    from cgtorch.runs.run import last_skill, lone_skill, open_run
+    from cgtorch.tabletop.domain import Tabletop
+    from cgtorch.tabletop.viewer.choice import Candidate
 
     if path.is_file():
-        kind = scenarios or RunSettings.scenarios
-        percept, skill = lone_skill(path, actions, kind)
-        robot = load_robot()
-        lone = Candidate(skill, robot, tabletop_of(robot, LAB_NOISE, percept))
+        domain, kind, skill = lone_skill(path, actions, scenarios)
+        assert isinstance(domain, Tabletop)  # noqa: S101  nothing else was asked for
+        lone = Candidate(skill, domain.robot, domain.world)
         return Offer(path.resolve(), skill.name, kind, {skill.name: lone})
     if name is None:
         run, skill = last_skill(path, actions)
     else:
         run = open_run(path, actions)
-        skill = read_entry(path, name, run.actions).skill
+        skill = read_entry(path, name, run.actions, run.like()).skill
+    domain = run.domain
+    if not isinstance(domain, Tabletop):
+        raise SettingsError(
+            f"run {str(path)!r} is about domain {run.settings.domain!r}, and only the tabletop can "
+            "be watched; see cgtorch-report"
+        )
     names = [line["name"] for line in read_index(run.folder)]
-    skills = {n: read_entry(run.folder, n, run.actions).skill for n in names} | {skill.name: skill}
-    found = {n: Candidate(s, run.robot, run.world_of) for n, s in skills.items()}
-    return Offer(run.folder.resolve(), skill.name, scenarios or run.settings.scenarios, found)
+    entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
+    skills = entries | {skill.name: skill}
+    found = {n: Candidate(s, domain.robot, domain.world) for n, s in skills.items()}
+    return Offer(run.folder.resolve(), skill.name, scenarios or run.kind, found)
 
 
 def main() -> None:

@@ -1,5 +1,7 @@
 """Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
 
+from cgtorch.evolution.custom_operators import Crossover as Crossover
+from cgtorch.evolution.custom_operators import Mutation as Mutation
 from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
 from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import ask as ask
@@ -9,13 +11,12 @@ from cgtorch.evolution.fitness import Evaluation as Evaluation
 from cgtorch.evolution.fitness import Evaluator as Evaluator
 from cgtorch.evolution.fitness import Fitness as Fitness
 from cgtorch.evolution.fitness import chance_of_success as chance_of_success
+from cgtorch.evolution.fitness import episode_return as episode_return
 from cgtorch.evolution.fitness import evaluate as evaluate
 from cgtorch.evolution.fitness import evaluator as evaluator
 from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.mutation import mutate as mutate
-from cgtorch.evolution.own_operators import Crossover as Crossover
-from cgtorch.evolution.own_operators import Mutation as Mutation
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy

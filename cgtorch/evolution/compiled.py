@@ -14,8 +14,8 @@ from torch import Tensor
 
 from cgtorch import native
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.choices import Choices
 from cgtorch.evolution.drift import bounds
+from cgtorch.evolution.operator_draws import Choices
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import quantiles
 from cgtorch.graphs import Graphs

@@ -4,7 +4,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import Pairs, numbers, pair_parts
+from cgtorch.evolution.operator_draws import Pairs, numbers, pair_parts
 from cgtorch.evolution.parameters import copied, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import BITS, fields, key, nth_true, pick, uniform

@@ -6,15 +6,15 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.dry_run import kind
+from cgtorch.environment.dry_run import kind
 from cgtorch.errors import DataError, SettingsError
 from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.custom_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.drift import TAU
-from cgtorch.evolution.fitness import Fitness, chance_of_success
+from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.offspring import offspring
-from cgtorch.evolution.own_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -24,8 +24,6 @@ from cgtorch.evolution.population import (
 )
 from cgtorch.evolution.selection import Selection, ranking
 from cgtorch.graphs import compacted, resized
-
-WORST = -1e30  # a score in place of one that is not a number, of which differences can be taken
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,24 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch import ranks
 from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, start_lanes
+from cgtorch.environment import Environment, Rewarded, start_lanes
+from cgtorch.errors import SettingsError
 from cgtorch.graphs import Graphs
 from cgtorch.numerics import row_means
-from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS, Rollouts, rollout
+from cgtorch.parallel import distributed as ranks
+from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
 from cgtorch.simulation.compiled import compiled_evaluation
-from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.engine_inputs import interpreter
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
-each. More is better, and 1 is as good as can be: what is less than 0 counts as 0, which is what an
-individual gets that has lost W, and searches end by `Budget.enough`. Rows must not influence one
-another, and equal arguments must give equal results."""
+each. More is better. What is less than 0 counts as 0, which is what an individual gets that has lost
+W; but where the environment gives rewards the worth may be any number, and who has lost W gets
+`WORST`. Rows must not influence one another, and equal arguments must give equal results."""
+
+WORST = -1e30
+"""The worth of an episode that was not finished: finite, so that differences can be taken."""
 
 
 def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
@@ -28,14 +32,24 @@ def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
     return torch.where(runs.succeeded, probability, probability / 2)
 
 
+def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
+    """The return of each episode, where the environment gives rewards."""
+    if runs.returns is None:
+        raise SettingsError(
+            "fitness is episode_return, but the environment gives no rewards; implement over and "
+            "returns (`cgtorch.environment.Rewarded`), or use chance_of_success"
+        )
+    return runs.returns
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """What P individuals achieved.
 
     Attributes:
-        fitness: (P,), from 0 on; of eq. 3 in [0, 1].
-        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0 where W is
-            lost.
+        fitness: (P,); of eq. 3 in [0, 1].
+        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0, or `WORST`,
+            where W is lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
         transitions: actions executed in all.
         not_finite: individuals whose parameters, last percepts, C(p_t) or scores were not all
@@ -110,7 +124,7 @@ def evaluator(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
-        crew: the ranks (`cgtorch.ranks`) that have this population, all if not given. Individuals
+        crew: the ranks (`cgtorch.parallel.distributed`) that have this population, all if not given. Individuals
             are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """
@@ -140,12 +154,13 @@ def _all_at_once(
 ) -> Callable[[Graphs], Parts]:
     """An evaluation of some individuals, compiled where that is possible."""
     known = interpreter(actions, environment) if fitness is chance_of_success else None
+    steps = most_steps(actions, max_transitions)
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
 
     def parts(graphs: Graphs) -> Parts:
         found = None
         if known:
-            found = compiled_evaluation(known, graphs, order, kept, max_transitions, MAX_STEPS)
+            found = compiled_evaluation(known, graphs, order, kept, max_transitions, steps)
         if found is None:
             found = _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
         return found
@@ -163,6 +178,7 @@ def _by_rollouts(
 ) -> Parts:
     """The same from what `rollout` says, for any fitness, actions, environment and device."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
+    least = WORST if isinstance(environment, Rewarded) else 0.0
     graphs = graphs.to(device)
     succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
@@ -183,12 +199,13 @@ def _by_rollouts(
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
         worth = fitness(runs, probability).float()
-        score[alive[:, None], part] = torch.nan_to_num(worth).clamp_min(0)
-        finite[alive] &= (real & worth.isfinite()).all(1)
+        score[alive[:, None], part] = torch.nan_to_num(worth, neginf=least).clamp_min(least)
+        finite[alive] &= (real & (worth.isfinite() | (worth == -torch.inf))).all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
     stands = torch.zeros(p, dtype=torch.bool, device=device)
     stands[alive] = True
-    score, succeeded = score * (stands & finite)[:, None], succeeded & finite[:, None]
+    score = torch.where((stands & finite)[:, None], score, least)
+    succeeded = succeeded & finite[:, None]
     lost = p - int(finite.sum())
     results = (row_means(score).to(home), score.to(home), succeeded.to(home))
     return *results, int(transitions.sum()), lost

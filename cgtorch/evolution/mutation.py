@@ -4,8 +4,8 @@ from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import choices_for
 from cgtorch.evolution.drift import TAU
+from cgtorch.evolution.operator_draws import choices_for
 from cgtorch.evolution.parameters import changed, mark_new, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.structure import restructured

@@ -5,9 +5,9 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.choices import Choices, Pairs
 from cgtorch.evolution.crossover import most_nodes, swapped
 from cgtorch.evolution.drift import TAU
+from cgtorch.evolution.operator_draws import Choices, Pairs
 from cgtorch.evolution.parameters import changed, mark_new, marked
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.sampling import key

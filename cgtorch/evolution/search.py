@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from cgtorch import ranks
 from cgtorch.actions import ActionSet, check_action
-from cgtorch.dry_run import check_environment
 from cgtorch.environment import Environment
+from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution.evolution import EvolutionSettings
 from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.evolution.islands import (
@@ -20,9 +19,10 @@ from cgtorch.evolution.islands import (
     migrated,
     told_islands,
 )
-from cgtorch.evolution.parts import check_parts
+from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
 from cgtorch.graphs import SubSkill
+from cgtorch.parallel import distributed as ranks
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
@@ -70,7 +70,7 @@ def evolve(
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
 
-    Islands are shared out among all ranks (`cgtorch.ranks`), each of which is told the same but
+    Islands are shared out among all ranks (`cgtorch.parallel.distributed`), each of which is told the same but
     for the islands that it holds itself.
 
     Args:

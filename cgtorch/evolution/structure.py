@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.choices import Choices, numbers, parts
+from cgtorch.evolution.operator_draws import Choices, numbers, parts
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.evolution.sampling import nth_true, pick, uniform
 from cgtorch.graphs import (

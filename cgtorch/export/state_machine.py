@@ -9,20 +9,13 @@ import builtins
 import itertools
 import keyword
 import re
+from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill, indent
 
-from cgtorch.actions import (
-    Action,
-    BranchingNN,
-    ContinuousNN,
-    Detect,
-    EdgeBranchingNN,
-    EdgeNN,
-    Grasp,
-    MoveBase,
-)
+from cgtorch.actions import Action, Detect, Grasp, MoveBase
 from cgtorch.actions.memory import memory_parts
+from cgtorch.errors import ActionError
 from cgtorch.export.clusters import numbered
 from cgtorch.export.computed import named_primitives
 from cgtorch.graphs import Skill, SubSkill, to_networkx
@@ -30,7 +23,8 @@ from cgtorch.simulation import MAX_STEPS
 
 PLAIN = Path(__file__).with_name("plain")
 ROUTINES = (MoveBase, Detect, Grasp)
-NETWORKS = (ContinuousNN, BranchingNN, EdgeNN, EdgeBranchingNN)
+BASE = "cgtorch.export.plain.networks"
+"""Has what the plain classes of other modules stand on."""
 
 HEADER = '''\
 """A robot skill as a state machine. Needs Python 3.10 or later and nothing else.
@@ -72,9 +66,10 @@ def to_state_machine(skill: Skill) -> bytes:
     own = {
         classes[id(action)]: _to_fill_in(classes[id(action)], name, action, part)
         for (name, action), part in zip(primitives, memory, strict=True)
-        if type(action) not in (*ROUTINES, *NETWORKS)
+        if type(action) not in ROUTINES and not _plain(action)
     }
     fill_in = [*(routine.__name__ for routine in ROUTINES), *own]
+    modules = dict.fromkeys([BASE, *filter(None, (_plain(action) for _, action in primitives))])
     message_size = max(one.actions.message_size for _, one in numbered(skill))
     parts = [
         HEADER,
@@ -83,8 +78,7 @@ def to_state_machine(skill: Skill) -> bytes:
         _body("routines.py"),
         *own.values(),
         _title("Networks"),
-        _body("networks.py"),
-        _body("edge_networks.py"),
+        *(_text_after_imports(_source(module)) for module in modules),
         _title("The skill"),
         _build(skill, classes, fill_in),
         RUN.format(message=message_size, memory=memory_size),
@@ -92,9 +86,25 @@ def to_state_machine(skill: Skill) -> bytes:
     return ("\n\n\n".join(part.strip("\n") for part in parts) + "\n").encode()
 
 
+def _plain(action: Action) -> str:
+    """The module that has the action's own class in plain Python, "" if none has."""
+    return str(vars(type(action)).get("plain_module", ""))
+
+
+def _source(module: str) -> str:
+    """The text of a module, which is not run."""
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        raise ActionError(f"plain_module {module!r} is no module; name one, or none")
+    return Path(spec.origin).read_text()
+
+
 def _body(file: str) -> str:
-    """A plain module's text after its docstring and imports."""
-    text = (PLAIN / file).read_text()
+    """What a file of this folder has after its docstring and imports."""
+    return _text_after_imports((PLAIN / file).read_text())
+
+
+def _text_after_imports(text: str) -> str:
     imports = (ast.Import, ast.ImportFrom)
     *_, last = (node for node in ast.parse(text).body if isinstance(node, imports))
     return "\n".join(text.splitlines()[last.end_lineno :])
@@ -106,14 +116,13 @@ def _title(text: str) -> str:
 
 def _classes(skill: Skill) -> dict[int, str]:
     """The class of every action by its identity; names of one's own made into unique ones."""
-    taken = {
-        name
-        for file in PLAIN.glob("*.py")
-        for name in re.findall(r"^(?:class |def )?(\w+)", file.read_text(), re.MULTILINE)
-    }
+    modules = {_plain(action) for _, action in named_primitives(skill)} - {""}
+    texts = [file.read_text() for file in PLAIN.glob("*.py")] + [_source(m) for m in modules]
+    pattern = re.compile(r"^(?:class |def )?(\w+)", re.MULTILINE)
+    taken = {name for text in texts for name in pattern.findall(text)}
     classes: dict[int, str] = {}
     for name, action in named_primitives(skill):
-        if type(action) in (*ROUTINES, *NETWORKS):
+        if type(action) in ROUTINES or _plain(action):
             classes[id(action)] = type(action).__name__
             continue
         base = re.sub(r"\W", "_", name, flags=re.ASCII)[:40]
@@ -189,7 +198,7 @@ def _state(
     values = fill(", ".join(map(repr, parameters)), 92)
     values = f"[\n{indent(values, ' ' * 8)},\n    ]" if parameters else "[]"
     name = classes[id(action)]
-    if isinstance(action, ContinuousNN | BranchingNN) and type(action) in NETWORKS:
+    if _plain(action):
         sizes = f"inputs={action.inputs}, hidden={action.hidden}, outputs={action.outputs}"
         return f"{name}({values}, {sizes})"
     return f'use["{name}"]({values if parameters else ""})'

@@ -14,9 +14,9 @@ from cgtorch.errors import SettingsError
 from cgtorch.export.computed import Computed, Sizes, named_primitives
 from cgtorch.graphs import Skill
 from cgtorch.simulation import MAX_STEPS
-from cgtorch.simulation.frames import TIMEOUT
+from cgtorch.simulation.action_table import SUCCESS
+from cgtorch.simulation.call_stack import TIMEOUT
 from cgtorch.simulation.program import compile_graphs
-from cgtorch.simulation.vocabulary import SUCCESS
 
 ENDS = ("success", "failure", "timeout")
 ROUTINES: dict[type[Action], str] = {MoveBase: "MoveBase", Detect: "Detect", Grasp: "Grasp"}
@@ -152,7 +152,7 @@ class SkillStep(nn.Module):
     def _follow(self, place: Tensor, outcome: Tensor) -> Tensor:
         """Along the edge of an outcome, out of skills that end with it and into those it leads to.
 
-        The same as `cgtorch.simulation.frames.follow` without shortcuts; who does not run stays.
+        The same as `cgtorch.simulation.call_stack.follow` without shortcuts; who does not run stays.
         """
         caller, left = place[:, STACK:].split(self.depth, 1)
         level = place[:, LEVEL]

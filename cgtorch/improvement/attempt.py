@@ -5,12 +5,12 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
-from cgtorch.data import Dataset
+from cgtorch.environment import Dataset
 from cgtorch.errors import RunError
 from cgtorch.graphs import Skill
-from cgtorch.improvement.domain import S
+from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.trial import Trial, try_skill
+from cgtorch.improvement.trial import Trial, run_skill, try_skill
 
 
 def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
@@ -23,7 +23,7 @@ def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
     known = setup.journal.recall(step)
     if known is not None:
         return trial_from(known, len(scenarios), world.percept_size)
-    trial = try_skill(skill, world)
+    trial = run_skill(skill, world) if setup.learn is None else try_skill(skill, world)
     own = {"succeeded": trial.succeeded, "transitions": trial.transitions}
     setup.journal.record(step, {**own, **vars(trial.experience)})
     return trial

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
-from cgtorch.improvement.domain import Models, S
-from cgtorch.models import SuccessQuality, TransitionQuality
+from cgtorch.improvement.interfaces import S
+from cgtorch.improvement.model_summary import ModelSummary
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,11 @@ class StageStarted:
 
 @dataclass(frozen=True)
 class ModelsFitted:
-    """Γ and C were trained, in `seconds`.
-
-    After the first fit it is told, too, how good Γ is on fresh transitions and C on fresh labels.
-    """
+    """Γ and C were trained, in `seconds`."""
 
     stage: str
-    knowledge: Models
+    summary: ModelSummary
     seconds: float
-    gamma_quality: TransitionQuality | None = None
-    classifier_quality: SuccessQuality | None = None
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,7 @@ class FreshTested:
     """A round's skill was tried on fresh placements: it solved `succeeded` of `tried`.
 
     `target` is the share that is aimed at, `decisive` whether this is the test that says if it
-    holds.
+    holds. Where the domain gives rewards, the target is one of the mean return.
     """
 
     stage: str
@@ -136,6 +131,7 @@ class FreshTested:
     tried: int
     target: float
     decisive: bool
+    mean_return: float | None = None
 
 
 Event: TypeAlias = (

@@ -9,12 +9,12 @@ from torch import Generator, Tensor
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
 from cgtorch.improvement.attempt import attempt
-from cgtorch.improvement.domain import S
-from cgtorch.improvement.events import ModelsFitted, SkillAccepted, Watch
+from cgtorch.improvement.events import SkillAccepted, Watch
 from cgtorch.improvement.improve import Draw
+from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.team import make_task, world_tested
+from cgtorch.improvement.team import learned, make_task, world_tested
 
 
 def grow(
@@ -42,7 +42,9 @@ def grow(
         solved = attempt(setup, skill, task.scenarios).succeeded
     accepted = None
     for number in range(setup.attempts):
-        environment = setup.imagine(knowledge, task.percepts, 1, generator, setup.device)
+        environment = setup.imagine(
+            knowledge, task.scenarios, task.percepts, 1, generator, setup.device
+        )
         champion, _ = evolve_candidate(
             environment,
             setup.actions,
@@ -67,9 +69,7 @@ def grow(
             keep = solved
         if solved.all():
             break
-        now = time.perf_counter()
-        knowledge = setup.learn(knowledge, trial.experience, generator)
-        watch(ModelsFitted(stage, knowledge, time.perf_counter() - now))
+        knowledge = learned(setup, knowledge, trial.experience, stage, generator, watch)
     if accepted is None:
         return replace(progress, knowledge=knowledge)
     seconds = time.perf_counter() - began

@@ -18,8 +18,8 @@ from torch import Generator, Tensor
 from cgtorch.graphs import Skill
 from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.coreset import cover
-from cgtorch.improvement.domain import S
 from cgtorch.improvement.events import SkillAccepted, Watch
+from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import (
     Task,

@@ -10,10 +10,15 @@ from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
-from cgtorch.improvement.domain import Imagine, Learn, Models, S
+from cgtorch.improvement.interfaces import Imagine, Learn, Models, S
 from cgtorch.improvement.journal import Journal, NoJournal
+from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.specialists import Grouping, local_group
-from cgtorch.improvement.standing import Budget
+from cgtorch.improvement.stopping import Budget
+
+
+def _has_learned(models: Models) -> ModelSummary:
+    return ModelSummary("the models have learned")
 
 
 @dataclass(frozen=True)
@@ -23,8 +28,9 @@ class Setup(Generic[S]):
     Attributes:
         actions: the primitive actions.
         world_of: makes the world of given scenarios.
-        imagine: makes of the models the environment that skills are evolved in.
-        learn: teaches the models what was experienced in the world.
+        imagine: makes the environment that skills are evolved in.
+        learn: teaches the models what was experienced in the world; None if there are none.
+        describe: tells of models that have learned on.
         evolution: settings of each evolution.
         budget: when each evolution ends.
         attempts: the most evolutions in one stage.
@@ -32,8 +38,8 @@ class Setup(Generic[S]):
         rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
         group_of: chooses the scenarios that a specialist is evolved on.
         group: how many these are.
-        lanes: runs of a specialist in the models, each scenario of its group at least twice, with
-            different errors of Γ.
+        lanes: runs of a specialist on its group, each scenario at least `replicas` times.
+        replicas: 2 so that each is met under different errors of Γ, or other noise.
         trials: runs in the world, with different noise, that a member must all pass to count as
             solving a scenario.
         core: scenarios of W at most that members are tried on; a new skill is tried on all.
@@ -44,8 +50,9 @@ class Setup(Generic[S]):
 
     actions: ActionSet
     world_of: Callable[[S], Environment]
-    imagine: Imagine
-    learn: Learn
+    imagine: Imagine[S]
+    learn: Learn | None = None
+    describe: Callable[[Models], ModelSummary] = _has_learned
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
     budget: Budget = field(default_factory=Budget)
     attempts: int = 24
@@ -54,6 +61,7 @@ class Setup(Generic[S]):
     group_of: Grouping = local_group
     group: int = 12
     lanes: int = 24
+    replicas: int = 2
     trials: int = 3
     core: int = 1000
     max_transitions: int = 20

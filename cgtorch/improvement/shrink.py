@@ -51,7 +51,7 @@ def shrunk(
             break
         nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)
         best = nodes == nodes.amin()
-        index = int(fitnesses.masked_fill(~best, -1.0).argmax())
+        index = int(fitnesses.masked_fill(~best, -torch.inf).argmax())
         champion = replace(champion, graphs=smaller[index : index + 1])
     return champion
 

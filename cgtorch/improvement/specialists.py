@@ -2,19 +2,19 @@
 
 import time
 from collections.abc import Callable
+from math import inf
 from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch import ranks
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
 from cgtorch.graphs import widened
 from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
 from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.standing import (
+from cgtorch.improvement.stopping import (
     Budget,
     Found,
     found_from,
@@ -23,6 +23,7 @@ from cgtorch.improvement.standing import (
     restore,
     standing_of,
 )
+from cgtorch.parallel import distributed as ranks
 
 
 def evolve_candidate(
@@ -73,7 +74,7 @@ def evolve_candidate(
         islands=islands,
         max_transitions=max_transitions,
     ):
-        found = found or Found(generation.champion, keep, -1.0)
+        found = found or Found(generation.champion, keep, -inf)
         stands = standing_of(found, generation.islands, settings.islands)
         journal.record_standing(step, stands)
         now = time.perf_counter()

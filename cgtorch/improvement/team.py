@@ -7,15 +7,15 @@ from typing import Any, Generic
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data import Dataset
-from cgtorch.dry_run import check_environment
+from cgtorch.environment import Dataset
+from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
-from cgtorch.improvement.domain import Models, S
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
-from cgtorch.improvement.gate import train_branches
+from cgtorch.improvement.gating import train_branches
+from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
@@ -140,8 +140,11 @@ def recruit(
     """
     group = setup.group_of(task.percepts, missed, setup.group, generator)
     percepts = task.percepts[group]
-    replicas = max(2, setup.lanes // len(group))
-    environment = setup.imagine(team.knowledge, percepts, replicas, generator, setup.device)
+    replicas = max(setup.replicas, setup.lanes // len(group))
+    scenarios = task.scenarios[group]
+    environment = setup.imagine(
+        team.knowledge, scenarios, percepts, replicas, generator, setup.device
+    )
     champion, solved = evolve_candidate(
         environment,
         setup.actions,
@@ -180,12 +183,27 @@ def recruit(
         team = replace(team, members=(*team.members, member), rates=rates, population=population)
     team = replace(team, hints=None)
     if (rate[group] < 1).any():
-        began = time.perf_counter()
-        knowledge = setup.learn(team.knowledge, experience, generator)
-        watch(ModelsFitted(task.stage, knowledge, time.perf_counter() - began))
+        knowledge = learned(setup, team.knowledge, experience, task.stage, generator, watch)
         hints = join(champion, team.population) if team.population else champion
         team = replace(team, knowledge=knowledge, hints=hints)
     return team
+
+
+def learned(
+    setup: Setup[S],
+    models: Models,
+    experience: Dataset,
+    stage: str,
+    generator: Generator,
+    watch: Watch,
+) -> Models:
+    """The models with what was experienced; as they are where nothing learns."""
+    if setup.learn is None:
+        return models
+    began = time.perf_counter()
+    models = setup.learn(models, experience, generator)
+    watch(ModelsFitted(stage, setup.describe(models), time.perf_counter() - began))
+    return models
 
 
 def compose_team(

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from cgtorch.data import Dataset
-from cgtorch.environment import Environment
+from cgtorch.environment import Dataset, Environment
 from cgtorch.graphs import Skill
-from cgtorch.simulation import Recording, rollout
+from cgtorch.simulation import Recording, Rollouts, recording_of, rollout
 
 
 @dataclass(frozen=True)
@@ -26,19 +25,35 @@ class Trial:
     Attributes:
         succeeded: (B,) bool.
         transitions: (B,) long, actions executed.
-        experience: the transitions and grasps it went through.
+        experience: the transitions and tests it went through, none if nobody learns from them.
+        returns: (B,) of its episodes; None where the world gives no rewards.
     """
 
     succeeded: Tensor
     transitions: Tensor
     experience: Dataset
+    returns: Tensor | None = None
 
 
 def try_skill(skill: Skill, world: Environment) -> Trial:
-    """Run a skill once on every scenario."""
-    recording = Recording(world)
-    runs = rollout(skill.graph, skill.actions, recording, max_transitions=skill.max_transitions)
-    return Trial(runs.succeeded[0], runs.transitions[0], Dataset(*recording.experience()))
+    """Run a skill once on every scenario, and keep what it experiences."""
+    recording = recording_of(world)
+    runs = _runs(skill, recording)
+    return _trial(runs, Dataset(*recording.experience()))
+
+
+def run_skill(skill: Skill, world: Environment) -> Trial:
+    """The same without keeping anything: long episodes are a lot to keep."""
+    return _trial(_runs(skill, world), Dataset(*Recording(world).experience()))
+
+
+def _runs(skill: Skill, world: Environment) -> Rollouts:
+    return rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
+
+
+def _trial(runs: Rollouts, experience: Dataset) -> Trial:
+    returns = None if runs.returns is None else runs.returns[0]
+    return Trial(runs.succeeded[0], runs.transitions[0], experience, returns)
 
 
 def first_percepts(world: Environment) -> Tensor:

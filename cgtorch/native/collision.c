@@ -1,4 +1,4 @@
-/* Whether capsules touch boxes, and arms their table and body (cgtorch.kinematics), posture after
+/* Whether capsules touch boxes, and arms their table and body (cgtorch.tabletop.kinematics), posture after
    posture. */
 #include "parallel.h"
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Γ and C for many rows (cgtorch.models.compiled). */
+/* Γ and C for many rows (cgtorch.svm.compiled). */
 #include "models.h"
 #include "parallel.h"
 

@@ -1,4 +1,4 @@
-/* Γ and C, a vector of rows at once: cgtorch.models.{transition,geometry,success,grasp_features}. */
+/* Γ and C, a vector of rows at once: cgtorch.svm.{transition,geometry,success,grasp_features}. */
 #ifndef CGTORCH_MODELS_H
 #define CGTORCH_MODELS_H
 #include "rbf.h"

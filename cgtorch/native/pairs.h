@@ -1,5 +1,5 @@
 /* Steps on pairs of coefficients: sequential minimal optimisation with libsvm's choice of the second
-   one (Fan, Chen & Lin 2005, WSS 2), for problems as cgtorch.models.problems has them. */
+   one (Fan, Chen & Lin 2005, WSS 2), for problems as cgtorch.svm.problems has them. */
 #ifndef CGTORCH_PAIRS_H
 #define CGTORCH_PAIRS_H
 #include "real.h"

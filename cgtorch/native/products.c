@@ -1,4 +1,4 @@
-/* Products of sparse coefficients with a kernel matrix (cgtorch.models.gram). */
+/* Products of sparse coefficients with a kernel matrix (cgtorch.svm.gram). */
 #include "parallel.h"
 #include <stdlib.h>
 #include <string.h>

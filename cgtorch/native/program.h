@@ -1,4 +1,4 @@
-/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.interpreter).
+/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.engine_inputs).
 
    Nodes are counted from the first of all sub-skills, which are laid out once; after theirs come those
    of the graph that runs. */

@@ -1,4 +1,4 @@
-/* Values of RBF machines for many rows (cgtorch.models.fused). */
+/* Values of RBF machines for many rows (cgtorch.svm.rbf_predict). */
 #include "parallel.h"
 #include "rbf.h"
 

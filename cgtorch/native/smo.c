@@ -1,4 +1,4 @@
-/* Dual problems on one kernel matrix (cgtorch.models.compiled_smo).
+/* Dual problems on one kernel matrix (cgtorch.svm.compiled_smo).
 
    The rows that violate their conditions most, or come nearest to it, have their kernel values
    gathered side by side in the cache, where a step (pairs.h) takes a tenth of a microsecond. When

@@ -13,6 +13,10 @@ WHOLE = ctypes.c_int64
 REAL = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 WIDTH = {torch.float32: 16, torch.float64: 8}
 """Numbers in a vector of real.h."""
+ACTION_KINDS = (
+    "MOVE_BASE", "DETECT", "GRASP", "CONTINUOUS", "BRANCHING", "EDGE", "EDGE_BRANCHING",
+)  # fmt: skip
+"""The actions that C knows, in the order of its enumeration in lanes.h."""
 MOST_FEATURES, MOST_OUTPUTS, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DEPTH = (
     64, 16, 64, 16, 64, 16,
 )  # fmt: skip

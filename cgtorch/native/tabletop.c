@@ -1,4 +1,4 @@
-/* Which motions of the base are clear of what stands around it (cgtorch.world.clear_way). */
+/* Which motions of the base are clear of what stands around it (cgtorch.tabletop.world.clear_way). */
 #include "parallel.h"
 #include "tabletop.h"
 

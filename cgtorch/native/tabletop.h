@@ -1,4 +1,4 @@
-/* The tabletop as percepts show it, a vector of rows at once: cgtorch.world.{percepts,sweep} and
+/* The tabletop as percepts show it, a vector of rows at once: cgtorch.tabletop.world.{percepts,sweep} and
    motion_possible. */
 #ifndef CGTORCH_TABLETOP_H
 #define CGTORCH_TABLETOP_H
@@ -57,7 +57,7 @@ INLINE Rectangle table_seen(const vec *p, Layout layout) {
   return table;
 }
 
-/* ---- Whether the base can drive: separating axes of two rectangles, as cgtorch.world.sweep ---- */
+/* ---- Whether the base can drive: separating axes of two rectangles, as cgtorch.tabletop.world.sweep ---- */
 
 typedef struct {
   real bx, by, hx, hy; /* centre and half sides of the footprint, clearance included */

@@ -4,6 +4,4 @@ from cgtorch.report.final_table import final_table as final_table
 from cgtorch.report.final_table import final_text as final_text
 from cgtorch.report.graph_picture import draw_skill as draw_skill
 from cgtorch.report.progress import ProgressDisplay as ProgressDisplay
-from cgtorch.report.table_picture import draw_scenes as draw_scenes
-from cgtorch.report.table_picture import draw_table_top as draw_table_top
 from cgtorch.report.tensorboard import TensorBoardWatch as TensorBoardWatch

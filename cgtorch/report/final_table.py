@@ -1,4 +1,4 @@
-"""The stages of a run beside what the paper reports."""
+"""The stages of a run as a table, beside what others report of them."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -8,85 +8,89 @@ from cgtorch.report.estimate import as_time
 if TYPE_CHECKING:
     from rich.table import Table
 
-PAPER = {
-    "S0": "5/5",
-    "S1": "5/5",
-    "S2": "4/5, not the corner",
-    "S3": "3/5",
-}
-PAPER_PERIMETER = "34/40 = 85 %"
-HEADER = (
-    "stage",
-    "edge",
-    "ours",
-    "the paper",
-    "W kept",
-    "fresh",
-    "nodes",
-    "gens",
-    "time",
-)
-WRAPS = {"ours": 7, "the paper": 9}
+    from cgtorch.domains.domain import Domain
+
+COLUMNS = ("stage", "scenarios", "ours", "published", "W kept", "fresh", "nodes", "gens", "time")
+PUBLISHED = 3  # the column of what others report
+WRAPS = {"ours": 7}
 LEFT = 4  # columns of text, from the left; the others are numbers
-TITLE = "Objects reached"
 MISSING = "–"
 
 Result = Mapping[str, Any]
 """What a stage's result.json holds."""
 
 
-def final_table(results: Sequence[Result]) -> "Table":
-    """The stages and the test all around, as a table for a terminal.
+def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
+    """The stages and the test on all kinds of scenarios, as a table for a terminal.
 
     Args:
         results: of each stage in order, as stored in its result.json; what is missing or null
-            becomes a dash. The perimeter is that of the last stage that was tested on it.
+            becomes a dash. The last line is that of the last stage that was tested on all.
+        domain: what the run is about.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
 
     table = Table(
-        title=TITLE,
+        title=domain.solved[1],
         title_justify="left",
         header_style="bold",
         box=SIMPLE_HEAD,
         pad_edge=False,
         padding=(0, 1, 0, 0),
     )
-    for i, name in enumerate(HEADER):
-        # In a narrow terminal results and the paper's remarks wrap; no number is cut.
+    header, rows = _table(results, domain)
+    left = LEFT - (len(header) < len(COLUMNS))
+    for i, name in enumerate(header):
+        # In a narrow terminal results wrap; no number is cut.
         wraps = name in WRAPS
-        justify: Literal["left", "right"] = "left" if i < LEFT else "right"
+        justify: Literal["left", "right"] = "left" if i < left else "right"
         table.add_column(name, justify=justify, no_wrap=not wraps, min_width=WRAPS.get(name))
-    for row in _rows(results):
+    for row in rows[:-1]:
         table.add_row(*map(Text, row))
     table.add_section()
-    table.add_row(*map(Text, _perimeter(results)))
+    table.add_row(*map(Text, rows[-1]))
     return table
 
 
-def final_text(results: Sequence[Result]) -> str:
+def final_text(results: Sequence[Result], domain: "Domain[Any]") -> str:
     """The same as text in columns, without colour or frame."""
-    rows = [HEADER, *_rows(results), _perimeter(results)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADER))]
+    header, body = _table(results, domain)
+    rows, left = [header, *body], LEFT - (len(header) < len(COLUMNS))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(header))]
     lines = [
         "  ".join(
-            cell.ljust(width) if i < LEFT else cell.rjust(width)
+            cell.ljust(width) if i < left else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows
     ]
-    return "\n".join([TITLE, *lines])
+    return "\n".join([domain.solved[1], *lines])
 
 
-def _rows(results: Sequence[Result]) -> list[tuple[str, ...]]:
+def _table(
+    results: Sequence[Result], domain: "Domain[Any]"
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """The header and all rows; without the column of what others report if there is nothing."""
+    header = [*COLUMNS]
+    header[PUBLISHED] = domain.publisher
+    rows = [header, *map(list, _rows(results, domain)), list(_overall(results, domain))]
+    if not domain.published:
+        for row in rows:
+            del row[PUBLISHED]
+    first, *others = map(tuple, rows)
+    return first, others
+
+
+def _rows(results: Sequence[Result], domain: "Domain[Any]") -> list[tuple[str, ...]]:
+    published = domain.published
     return [
         (
             _text(r, "stage"),
-            _text(r, "edge"),
+            _text(r, "scenarios"),
             _share(r, "targets_succeeded", "targets"),
-            PAPER.get(str(r.get("stage")), MISSING),
+            published[name].text if (name := str(r.get("stage"))) in published else MISSING,
             _kept(r),
             _share(r.get("fresh") or {}, "succeeded", "tried"),
             _text(r, "nodes"),
@@ -97,17 +101,24 @@ def _rows(results: Sequence[Result]) -> list[tuple[str, ...]]:
     ]
 
 
-def _perimeter(results: Sequence[Result]) -> tuple[str, ...]:
-    tested = [r for r in results if r.get("perimeter")]
-    ours, stage, placement = MISSING, MISSING, "perimeter"
+def _overall(results: Sequence[Result], domain: "Domain[Any]") -> tuple[str, ...]:
+    tested = [r for r in results if r.get("overall")]
+    ours, stage, kind = MISSING, MISSING, domain.usual_kind
     if tested:
-        last = tested[-1]["perimeter"]
+        last = tested[-1]["overall"]
         ours, stage = _share(last, "succeeded", "tried"), _text(tested[-1], "stage")
-        placement = last.get("placement", placement)
+        kind = last.get("scenarios", kind)
         if last.get("tried"):
             ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
-    theirs = PAPER_PERIMETER if placement == "perimeter" else MISSING
-    return (stage, placement, ours, theirs, *[""] * (len(HEADER) - 4))
+        if last.get("mean_return") is not None:
+            ours += f", mean return {last['mean_return']:.5g}"
+    theirs = domain.published.get("") if kind == domain.usual_kind else None
+    said = (
+        MISSING
+        if theirs is None
+        else f"{theirs.text} = {100 * theirs.succeeded / theirs.tried:.3g} %"
+    )
+    return (stage, kind, ours, said, *[""] * (len(COLUMNS) - 4))
 
 
 def _text(data: Mapping[str, Any], key: str) -> str:

@@ -24,7 +24,7 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.report import wording
+from cgtorch.report import event_messages as wording
 from cgtorch.report.estimate import Estimate, as_time, stage_number
 
 
@@ -82,7 +82,7 @@ class ProgressDisplay:
             self._plain(wording.stage_started(event))
         elif isinstance(event, ModelsFitted):
             # What Γ and C are worth before all learning on is a result and stays.
-            tell = self._plain if event.gamma_quality is None else self.say
+            tell = self.say if event.summary.first else self._plain
             tell(wording.models_fitted(event))
         elif isinstance(event, WorldTested):
             self._estimate.evolution_over()

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from cgtorch.domains.reports import Reliability
 from cgtorch.errors import DataError
-from cgtorch.models.success import Reliability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

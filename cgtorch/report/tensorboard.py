@@ -29,11 +29,12 @@ classifier/reliability              image       C's probabilities against freque
 models/fit_seconds                  scalar      how long fitting Γ and C took
 models/rows                         scalar      transitions that Γ is fitted on
 world/solved_W, world/solved_M      scalar      what a candidate solves in the world
-world/fresh_rate                    scalar      share of fresh placements that a round solves
+world/fresh_rate                    scalar      share of fresh scenarios that a round solves
+world/mean_return                   scalar      of fresh episodes, where there are rewards
 world/promised, world/kept          scalar      scenarios its group solves in models, and in world
 stage/targets                       scalar      test placements that an accepted skill reaches
 graph/best                          image       the best graph after an evolution, or as accepted
-table/successes                     image       what an accepted skill reaches
+scenarios/solved                    image       what an accepted skill solves, if it can be drawn
 settings                            text        hyper-parameters; also in the HPARAMS tab
 ==================================  ==========  ===================================================
 
@@ -46,7 +47,7 @@ their step, so they are in a folder of their own, `by_rows`: `gamma/learning_cur
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -67,14 +68,11 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.improvement.knowledge import Knowledge
-from cgtorch.models import LearningCurve
 from cgtorch.report.graph_picture import draw_skill
 from cgtorch.report.histograms import histograms
 from cgtorch.report.records import Records
 from cgtorch.report.reliability_picture import draw_reliability
-from cgtorch.report.table_picture import FOOTPRINT, draw_table_top
-from cgtorch.world import Scenarios
+from cgtorch.svm import LearningCurve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,7 +94,7 @@ class TensorBoardWatch:
         *,
         recalled: int = 0,
         actions: ActionSet | None = None,
-        footprint: tuple[float, float, float, float] = FOOTPRINT,
+        draw_scenarios: Callable[..., "Figure | None"] | None = None,
         histogram_every: int = 20,
         picture_seconds: float = 60.0,
     ):
@@ -113,7 +111,7 @@ class TensorBoardWatch:
             recalled: generations among these that will be told to be recalled.
             actions: what the nodes of evolved graphs do. Without it no graph is drawn before a
                 skill is accepted.
-            footprint: of the robot's base, x min, x max, y min, y max (m).
+            draw_scenarios: draws what an accepted skill has solved (`Domain.draw_scenarios`).
             histogram_every: generations between histograms of one evolution.
             picture_seconds: least time between pictures of graphs that are not accepted yet.
 
@@ -122,7 +120,7 @@ class TensorBoardWatch:
         """
         self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
-        self._actions, self._footprint = actions, footprint
+        self._actions, self._draw_scenarios = actions, draw_scenarios
         self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
         self._last_picture = float("-inf")
         self._latest: tuple[str, Population] | None = None
@@ -152,6 +150,8 @@ class TensorBoardWatch:
             self._accepted(event)
         elif isinstance(event, FreshTested):
             self._scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
+            if event.mean_return is not None:
+                self._scalars({"world/mean_return": event.mean_return})
 
     def close(self) -> None:
         """Draw what is still to be drawn, and finish the file."""
@@ -205,37 +205,16 @@ class TensorBoardWatch:
 
     def _models(self, event: ModelsFitted) -> None:
         self._scalars({"models/fit_seconds": event.seconds})
-        if not isinstance(event.knowledge, Knowledge):  # of another domain
-            return
-        self._scalars({"models/rows": len(event.knowledge.dataset.percept)})
-        if event.knowledge.verdicts is None:  # learning on changes nothing of what follows
-            self._first_models(event)
-
-    def _first_models(self, event: ModelsFitted) -> None:
-        gamma, classifier = event.knowledge.gamma_report, event.knowledge.classifier_report
-        error = dict(zip(gamma.coordinates, gamma.error, strict=True))
-        values = {
-            **{f"gamma/error_{name.replace(' ', '_')}": v for name, v in error.items()},
-            "gamma/object_error": (error["object x"] + error["object y"]) / 2,
-            "classifier/balanced_accuracy": classifier.balanced_accuracy,
-            "classifier/calibration_error": classifier.calibration_error,
-        }
-        fresh = event.gamma_quality
-        if fresh is not None:
-            for part in ("object", "table"):
-                for kind in ("error", "floor"):
-                    values[f"gamma/fresh_{part}_{kind}"] = getattr(fresh, f"{part}_{kind}")
-        quality = event.classifier_quality
-        if quality is not None:
-            for name in ("near", "overall", "beside"):
-                values[f"classifier/{name}_accuracy"] = getattr(quality, name).balanced
-                values[f"classifier/{name}_possible"] = getattr(quality, name).possible_balanced
-            values["classifier/near_calibration_error"] = quality.near.calibration_error
-            self._picture("classifier/reliability", draw_reliability(quality.reliability))
-        self._scalars(values)
-        self._curves({"gamma": gamma.learning_curve, "classifier": classifier.learning_curve})
-        self._records.flush()
-        self.step += 1  # so that all generations can be hidden and the first models still be seen
+        summary = event.summary
+        self._scalars(summary.scalars)
+        if summary.reliability:
+            picture = draw_reliability(summary.reliability)
+            self._picture("classifier/reliability", picture)
+        if summary.curves:
+            self._curves(summary.curves)
+        if summary.first:
+            self._records.flush()
+            self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
         """Write learning curves where the step is the number of rows.
@@ -266,15 +245,10 @@ class TensorBoardWatch:
     def _accepted(self, event: SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
         self._picture("graph/best", draw_skill(event.skill))
-        if isinstance(event.scenarios, Scenarios):
-            table = draw_table_top(
-                event.scenarios,
-                event.succeeded,
-                event.targets,
-                footprint=self._footprint,
-                title=event.stage,
-            )
-            self._picture("table/successes", table)
+        if self._draw_scenarios is not None:
+            about = event.scenarios, event.succeeded, event.targets, event.stage
+            if (picture := self._draw_scenarios(*about)) is not None:
+                self._picture("scenarios/solved", picture)
         self._records.flush()
 
     def _scalars(self, values: Mapping[str, float]) -> None:

@@ -14,10 +14,10 @@ from torch import Tensor
 from cgtorch.graphs import Graphs
 from cgtorch.native import function, threads
 from cgtorch.native.structures import POINTER, WHOLE, structures
-from cgtorch.simulation.interpreter import LARGEST, Interpreter
+from cgtorch.simulation.action_table import FAILURE, SUCCESS
+from cgtorch.simulation.engine_inputs import LARGEST, Interpreter
 from cgtorch.simulation.program import check_numbers
 from cgtorch.simulation.rollouts import Rollouts
-from cgtorch.simulation.vocabulary import FAILURE, SUCCESS
 
 NO_MEMORY, WRONG_GRAPHS = 1, 2  # as in rollout.c
 

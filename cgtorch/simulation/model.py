@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
-from cgtorch.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
 from cgtorch.environment import Lanes, rows_where
+from cgtorch.environment.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
 from cgtorch.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -19,6 +19,9 @@ Classifier: TypeAlias = Callable[[Tensor], Tensor]
 
 Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
+
+Compile: TypeAlias = Callable[["ModelEnvironment"], Any]
+"""From models to what compiled code makes of them (`cgtorch.svm.compiled.Compiled`), or None."""
 
 UNKNOWN = -1.0
 
@@ -47,6 +50,7 @@ class ModelEnvironment:
         errors: Tensor | None = None,
         most_novel: float = 1.0,
         seeds: Tensor | None = None,
+        compiled: Compile | None = None,
     ):
         """Set up the models on the first percepts of B scenarios.
 
@@ -60,6 +64,7 @@ class ModelEnvironment:
                 that a skill is judged under what Γ may have got wrong; used in turn.
             most_novel: where a motion is more novel, the lane is lost.
             seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
+            compiled: gives these models to compiled rollouts, if there is code for them.
 
         Raises:
             ModelError: one of these, tried on two percepts, gives something else than it should.
@@ -67,7 +72,7 @@ class ModelEnvironment:
         _check(percepts, gamma, classifier, possible, control_size, errors, seeds)
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
-        self.most_novel = most_novel
+        self.most_novel, self.compiled = most_novel, compiled
         self.seeds = torch.arange(len(percepts)) if seeds is None else seeds
         self.seeds = self.seeds.to(percepts.device)
         self.first_state = percepts.new_zeros(len(percepts), 3)

@@ -10,7 +10,7 @@ from torch.nn.functional import pad
 from cgtorch.actions import Action, ActionSet
 from cgtorch.errors import GraphError
 from cgtorch.graphs import NO_NODE, Graphs
-from cgtorch.simulation.vocabulary import FAILURE, Vocabulary, ends, vocabulary
+from cgtorch.simulation.action_table import FAILURE, Vocabulary, ends, vocabulary
 
 Table: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """Kinds (T,), heads (T, O) and parameters (T, K) of nodes; see `Program`."""

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes, seeds_of
+from cgtorch.environment import Environment, Lanes, Rewarded, seeds_of
 
 
 class Recording:
@@ -65,3 +65,26 @@ class Recording:
         moved = [torch.cat(x) for x in zip(*[empty, *self.transitions], strict=True)]
         tested = [torch.cat(x) for x in zip(*[nothing, *self.tests], strict=True)]
         return moved[0], moved[1], moved[2], tested[0], tested[1]
+
+
+class RewardedRecording(Recording):
+    """The same around an environment that gives rewards."""
+
+    def __init__(self, environment: Environment, rewards: Rewarded):
+        super().__init__(environment)
+        self.rewards = rewards
+
+    def over(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.over`."""
+        return self.rewards.over(lanes)
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.returns`."""
+        return self.rewards.returns(lanes)
+
+
+def recording_of(environment: Environment) -> Recording:
+    """A recording around an environment."""
+    if isinstance(environment, Rewarded):
+        return RewardedRecording(environment, environment)
+    return Recording(environment)

@@ -9,19 +9,19 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes, rows_where, start_lanes
+from cgtorch.environment import Environment, Lanes, Rewarded, rows_where, start_lanes
 from cgtorch.graphs import Graphs
+from cgtorch.simulation.action_table import FAILURE, SUCCESS, vocabulary
+from cgtorch.simulation.call_stack import TIMEOUT, first_frames, follow
 from cgtorch.simulation.compiled import compiled_rollout
-from cgtorch.simulation.frames import TIMEOUT, first_frames, follow
-from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.engine_inputs import LARGEST, interpreter
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollouts import Rollouts
-from cgtorch.simulation.vocabulary import FAILURE, SUCCESS
 
 MAX_TRANSITIONS = 20
 MAX_STEPS = MAX_TRANSITIONS**2
 """What a skill of skills can execute if each of its transitions is a sub-skill that runs out of its
-own."""
+own; with longer limits more, see `most_steps`."""
 
 LARGEST_BATCH = 2**40  # lanes
 
@@ -35,7 +35,7 @@ def rollout(
     *,
     scenarios: Tensor | None = None,
     max_transitions: int = MAX_TRANSITIONS,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
     trace: Trace | None = None,
 ) -> Rollouts:
     """Run P graphs on B scenarios of the environment.
@@ -51,7 +51,7 @@ def rollout(
         environment: where they run.
         scenarios: (B,) long, indices into the environment's scenarios; all if not given.
         max_transitions: of each graph, not counting those within its sub-skills.
-        max_steps: actions per lane on all levels.
+        max_steps: actions per lane on all levels; `most_steps` if not given.
         trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
             the program's node table that ran, their outcomes (n,), and the lanes afterwards,
             which the next step overwrites. Then every transition is executed.
@@ -61,12 +61,22 @@ def rollout(
     """
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
+    max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
     if trace is None and (known := interpreter(actions, environment)):
         found = compiled_rollout(known, graphs, scenarios, max_transitions, max_steps)
         if found is not None:
             return found
     program = compile_graphs(graphs, actions)
     return rollout_in_torch(program, environment, scenarios, max_transitions, max_steps, trace)
+
+
+def most_steps(actions: ActionSet, max_transitions: int) -> int:
+    """Actions that a graph can execute if each of its transitions is a sub-skill of these actions.
+
+    The limits are those of the graph and of the longest sub-skill.
+    """
+    longest = max([max_transitions, *vocabulary(actions).limits])
+    return max(MAX_STEPS, min(longest * max_transitions, LARGEST))
 
 
 def rollout_in_torch(
@@ -87,6 +97,8 @@ def rollout_in_torch(
     lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
     frames = first_frames(program, b, max_transitions)
     status, transitions = torch.zeros_like(frames.node), lanes.step.clone()
+    rewards = environment if isinstance(environment, Rewarded) else None
+    returns = None if rewards is None else lanes.percept.new_full((p * b,), -torch.inf)
     percept, state = lanes.percept.clone(), lanes.state.clone()
     active = torch.arange(p * b, device=status.device)
     over = torch.zeros_like(active, dtype=torch.bool)
@@ -104,6 +116,8 @@ def rollout_in_torch(
         lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
         end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
+        if rewards is not None:
+            end = _at_the_end(environment, rewards, lanes, end)
         over = (end != 0) | out_of_steps
         gone = rows_where(over)  # of others that are among them more will be known later
         who, last = active.index_select(0, gone), lanes.rows(gone)
@@ -111,13 +125,29 @@ def rollout_in_torch(
         percept.index_copy_(0, who, last.percept)
         state.index_copy_(0, who, last.state)
         transitions.index_copy_(0, who, last.step.clamp_max(max_steps))
+        if rewards is not None and returns is not None:
+            gained = rewards.returns(last).to(returns)
+            finished = rewards.over(last) & gained.isfinite()
+            returns.index_copy_(0, who, torch.where(finished, gained, -torch.inf))
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
         percept=percept.view(p, b, percept.shape[1]),
         state=state.view(p, b, state.shape[1]),
         transitions=transitions.view(p, b),
+        returns=None if returns is None else returns.view(p, b),
     )
+
+
+def _at_the_end(environment: Environment, rewards: Rewarded, lanes: Lanes, end: Tensor) -> Tensor:
+    """How lanes end (n,) where their episodes are over, else as they would anyway."""
+    rows = rows_where(rewards.over(lanes))
+    if not len(rows):
+        return end
+    here = lanes.rows(rows)
+    succeeded = environment.success(here)[1] > 0.5
+    ends = torch.where(succeeded, SUCCESS, FAILURE)
+    return end.index_copy(0, rows, torch.where(rewards.over(here), ends, end[rows]))
 
 
 def _grouped(

@@ -15,6 +15,8 @@ class Rollouts:
         percept: (P, B, D), the last percept p_t.
         state: (P, B, S), what the environment kept of the lane at its end.
         transitions: (P, B) long, actions executed.
+        returns: (P, B) the sums of rewards, -inf where an episode was not finished; None where the
+            environment gives no rewards.
     """
 
     succeeded: Tensor
@@ -22,3 +24,4 @@ class Rollouts:
     percept: Tensor
     state: Tensor
     transitions: Tensor
+    returns: Tensor | None = None

@@ -6,14 +6,14 @@ from pathlib import Path
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data import Dataset
+from cgtorch.environment import Dataset
 from cgtorch.environment import Environment
 from cgtorch.errors import ModelError
-from cgtorch.experiments.storage import load_dataset, save_dataset
-from cgtorch.models import (
+from cgtorch.runs.storage import load_dataset, save_dataset
+from cgtorch.svm import (
     SVC,
     SVR,
-    compact,
+    reduced_set as compact,
     grid_search,
     load_model,
     load_model_and_report,
@@ -130,7 +130,7 @@ def imagine(
     generator: Generator,
     device: torch.device | str = "cpu",
 ) -> Environment:
-    """See `cgtorch.improvement.domain.Imagine`: Γ errs as it does on what it was trained on."""
+    """See `cgtorch.improvement.interfaces.Imagine`: Γ errs as it does on what it was trained on."""
     data = models.data
     with torch.no_grad():
         residual = data.next_percept - models.predict(data.percept, data.motion)[0]
@@ -148,7 +148,7 @@ def imagine(
 
 
 def learn(models: CarModels, experience: Dataset, generator: Generator) -> CarModels:
-    """See `cgtorch.improvement.domain.Learn`: the same machines, on some of what is new besides."""
+    """See `cgtorch.improvement.interfaces.Learn`: the same machines, on some of what is new besides."""
     moves = torch.randperm(len(experience.percept), generator=generator)[:MOST_NEW]
     tests = torch.randperm(len(experience.graspable), generator=generator)[:MOST_NEW]
     new = Dataset(

@@ -7,14 +7,14 @@ from functools import partial
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.data import Dataset
+from cgtorch.environment import Dataset
 from cgtorch.environment import start_lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import StageStarted, Watch
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.standing import Budget
+from cgtorch.improvement.stopping import Budget
 from cgtorch.simulation import Rollouts, rollout
 from examples.mountain_car.actions import car_actions
 from examples.mountain_car.models import fit_models, imagine, learn

@@ -5,7 +5,7 @@ from support import judged_by, model, seeded, world
 
 from cgtorch.actions import Detect, Grasp, MoveBase
 from cgtorch.environment import start_lanes
-from cgtorch.world import Noise
+from cgtorch.tabletop.world import Noise
 
 NO_PARAMETERS = torch.zeros(4, 0)
 

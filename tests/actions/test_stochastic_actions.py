@@ -23,7 +23,7 @@ from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.errors import ActionError, ModelError
 from cgtorch.graphs import Graphs, Skill, SubSkill
 from cgtorch.simulation import ModelEnvironment, Recording, rollout
-from cgtorch.world import Noise, TabletopWorld
+from cgtorch.tabletop.world import Noise, TabletopWorld
 
 ACTIONS = stochastic_actions()
 STILL = Noise(0.0, 0.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 from command_line import Shell
 from trained import SMALL
 
-from cgtorch.kinematics import robots_folder
+from cgtorch.tabletop.kinematics import robots_folder
 
 OPTIONS = [
     f"--{name.replace('_', '-')}={value}"

@@ -14,7 +14,7 @@ import pytest
 from command_line import Shell, in_a_shell, listing
 from trained import SMALL, Trained, copied
 
-from cgtorch.kinematics import robots_folder
+from cgtorch.tabletop.kinematics import robots_folder
 
 PR2 = robots_folder() / "pr2"
 TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"

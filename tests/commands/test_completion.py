@@ -10,9 +10,9 @@ import pytest
 from test_all_commands import COMMANDS
 
 from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, script
-from cgtorch.experiments.goal import AUTO
-from cgtorch.experiments.stages import STAGES as EDGES
-from cgtorch.world import DRAWS
+from cgtorch.runs.goal import AUTO
+from cgtorch.training.stages import STAGES as EDGES
+from cgtorch.tabletop.world import DRAWS
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 

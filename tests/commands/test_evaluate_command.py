@@ -7,11 +7,11 @@ import pytest
 from command_line import Shell, in_a_shell, listing
 from trained import Trained, copied
 
-from cgtorch.experiments.evaluate import evaluate_skill, kept_promises
-from cgtorch.experiments.interval import wilson
-from cgtorch.experiments.ledger import read_entry
-from cgtorch.experiments.run import last_skill
-from cgtorch.experiments.storage import load_knowledge
+from cgtorch.training.evaluate import evaluate_skill, kept_promises
+from cgtorch.numerics.interval import wilson
+from cgtorch.runs.ledger import read_entry
+from cgtorch.runs.run import last_skill
+from cgtorch.runs.storage import load_knowledge
 
 EVALUATE = "cgtorch-evaluate"
 

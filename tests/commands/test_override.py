@@ -10,7 +10,7 @@ from command_line import Shell
 from torch import Tensor
 from trained import SMALL, Trained, begin_last, copied, first_evolution, interrupted
 
-from cgtorch.experiments.run import open_run, versions
+from cgtorch.runs.run import open_run, versions
 
 TRAIN = "cgtorch-train"
 

@@ -10,7 +10,7 @@ from lxml import html
 from report_pages import REFERENCE, thinned, words
 from trained import Trained, interrupted
 
-from cgtorch.experiments.journal import recalled_generations
+from cgtorch.runs.journal import recalled_generations
 from cgtorch.report.page import report_page
 
 REPORT = "cgtorch-report"

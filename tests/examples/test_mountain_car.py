@@ -15,7 +15,7 @@ from support import same, seeded
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from cgtorch.actions import check_action
-from cgtorch.dry_run import check_environment
+from cgtorch.environment.dry_run import check_environment
 from cgtorch.environment import start_lanes
 from cgtorch.evolution import evolve
 from cgtorch.graphs import Graphs, Skill, load_skill
@@ -216,5 +216,5 @@ def test_it_shares_nothing_with_the_tabletop() -> None:
         if line.startswith(("from cgtorch", "import cgtorch"))
     }
     assert len(imported) > 10
-    tabletop = ("cgtorch.world", "cgtorch.kinematics", "cgtorch.improvement.knowledge")
+    tabletop = ("cgtorch.tabletop.world", "cgtorch.tabletop.kinematics", "cgtorch.domains.knowledge")
     assert not [name for name in imported if name.startswith(tabletop)]

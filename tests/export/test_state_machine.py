@@ -25,14 +25,15 @@ from support import (
     stochastic_actions,
 )
 
-from cgtorch.actions import ActionSet, edge_actions
+from cgtorch.actions import ActionSet
+from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.environment import Environment, start_lanes
 from cgtorch.export import to_state_machine
 from cgtorch.export.plain import edge_networks, networks
 from cgtorch.graphs import Skill, SubSkill
 from cgtorch.simulation import rollout
-from cgtorch.world import draw_of
-from cgtorch.world.edge_frame import edge_frame, motion_to, scene
+from cgtorch.tabletop.world import draw_of
+from cgtorch.tabletop.world.edge_frame import edge_frame, motion_to, scene
 
 
 def imported(data: bytes, folder: Path, name: str = "skill") -> ModuleType:
@@ -251,7 +252,7 @@ def test_hostile_names_of_actions_become_classes_of_their_own() -> None:
     st.sampled_from(["box", "yaw"]),
 )
 def test_the_edge_s_frame_in_plain_numbers(seed: int, scenes: str, percept: str) -> None:
-    from cgtorch.world import TabletopWorld
+    from cgtorch.tabletop.world import TabletopWorld
 
     drawn = draw_of(scenes)(6, torch.Generator().manual_seed(seed))
     place = TabletopWorld(drawn, lambda at, table: at[:, 0] > 0, (-0.3, 0.3, -0.3, 0.3),

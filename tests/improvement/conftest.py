@@ -6,12 +6,12 @@ from support import FOOTPRINT, seeded
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.data import collect
+from cgtorch.tabletop.data import collect
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.improvement.knowledge import Knowledge, fit_models, learn, with_footprint
+from cgtorch.domains.knowledge import Knowledge, fit_models, learn, with_footprint
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.standing import Budget
-from cgtorch.world import Scenarios, TabletopWorld, stage_scenarios
+from cgtorch.improvement.stopping import Budget
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, stage_scenarios
 
 
 def reachable(at: Tensor, table: Tensor) -> Tensor:

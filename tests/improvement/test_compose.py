@@ -17,7 +17,7 @@ from cgtorch.errors import ActionError
 from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, save_skill
 from cgtorch.graphs.view import View
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
-from cgtorch.improvement.gate import sent_to, train_branches
+from cgtorch.improvement.gating import sent_to, train_branches
 from cgtorch.simulation import rollout
 
 ACTIONS = paper_actions()

@@ -18,7 +18,7 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import Task, Team, compose_team
 from cgtorch.improvement.trial import try_skill
-from cgtorch.world import Scenarios, random_scenarios
+from cgtorch.tabletop.world import Scenarios, random_scenarios
 
 
 @given(st.integers(0, 2**31), st.integers(0, 60), st.integers(1, 70))

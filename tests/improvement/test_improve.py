@@ -9,7 +9,7 @@ from members import nearly
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.data import Dataset
+from cgtorch.environment import Dataset
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.improvement.events import (
     Event,
@@ -18,14 +18,14 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
-from cgtorch.improvement.gate import train_branches
+from cgtorch.improvement.gating import train_branches
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.standing import Budget
+from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.team import Task, Team, compose_team
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.world import (
+from cgtorch.tabletop.world import (
     Scenarios,
     TabletopWorld,
     concatenate_scenarios,

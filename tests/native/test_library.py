@@ -12,7 +12,7 @@ from cgtorch.native import available
 WITHOUT = """
 import torch
 from cgtorch.native import available
-from cgtorch.models import SVR
+from cgtorch.svm import SVR
 x = torch.randn(60, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 machine = SVR(10.0, gamma=0.5).fit(x, x.sin().sum(1))
 print(available(), repr(float(machine.values(x[:1])[0, 0])))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from cgtorch import native
-from cgtorch.models.gram import Gram
+from cgtorch.svm.gram import Gram
 
 GENERATOR = torch.Generator().manual_seed(0)
 MATRIX = torch.randn(3000, 3000, generator=GENERATOR, dtype=torch.float64)

@@ -6,7 +6,7 @@ from support import FOOTPRINT, seeded
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.data import collect
+from cgtorch.tabletop.data import collect
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import branching_action, compose
@@ -19,19 +19,19 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.improvement.knowledge import Knowledge
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.standing import Budget
+from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
-from cgtorch.models import (
+from cgtorch.tabletop.models import (
     fit_success_classifier,
     fit_transition_model,
     fresh_labels,
     success_quality,
     transition_quality,
 )
-from cgtorch.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
-from cgtorch.world.scenarios import stage_scenarios
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
+from cgtorch.tabletop.world.scenarios import stage_scenarios
 
 GENERATIONS = 45  # of the first candidate; the second has two
 

@@ -13,10 +13,11 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     StageStarted,
 )
-from cgtorch.models import TransitionQuality, Verdict
+from cgtorch.tabletop.models import TransitionQuality
+from cgtorch.svm import Verdict
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
-from cgtorch.report.wording import models_fitted
+from cgtorch.report.event_messages import models_fitted
 
 QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
 

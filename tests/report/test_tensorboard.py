@@ -21,7 +21,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
-from cgtorch.models import Verdict
+from cgtorch.svm import Verdict
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
 

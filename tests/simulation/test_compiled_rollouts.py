@@ -20,12 +20,13 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, edge_actions, paper_actions
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.graphs import Graphs, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_evaluation, compiled_rollout
-from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.engine_inputs import interpreter
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
 

@@ -12,7 +12,8 @@ from support import (
     random_graphs,
 )
 
-from cgtorch.actions import ActionSet, edge_actions, paper_actions
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.simulation import rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch

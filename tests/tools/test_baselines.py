@@ -32,8 +32,8 @@ from benchmarks.tensor_way import tensor_rollout
 from benchmarks.touching import touching
 from benchmarks.workload import Workload, first_population, workload_of
 
-from cgtorch.experiments.progress import load_progress
-from cgtorch.experiments.run import open_run
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.run import open_run
 from cgtorch.graphs import NO_NODE, Graphs, widened
 from cgtorch.simulation import Rollouts, rollout
 

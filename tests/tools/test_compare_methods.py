@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from compare_methods import METHODS, compare, published, seeds_in
 from comparison.table import LABELS, cost_of, spread, table
 
-from cgtorch.experiments.run import open_run
-from cgtorch.experiments.train import make_setup
+from cgtorch.runs.run import open_run
+from cgtorch.training.train import make_setup
 
 SEED = f"seed-{SMALL.seed}"
 

@@ -8,8 +8,8 @@ import torch
 from benchmarks.ceiling import Shape, against_ceiling
 from benchmarks.measure import Comparison, Effort, Line, cores, difference, torch_threads
 from benchmarks.workload import workload
-from cgtorch.improvement.knowledge import Knowledge
-from cgtorch.models import TransitionModel
+from cgtorch.domains.knowledge import Knowledge
+from cgtorch.tabletop.models import TransitionModel
 
 
 def gamma_ceiling(effort: Effort) -> Line:

@@ -22,7 +22,7 @@ from cgtorch.improvement.events import GenerationDone
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
 from cgtorch.simulation.compiled import compiled_evaluation
-from cgtorch.simulation.interpreter import interpreter
+from cgtorch.simulation.engine_inputs import interpreter
 
 MODELS = ("Γ", "C", "networks")
 """What a generation is for; the rest is overhead."""

@@ -18,11 +18,11 @@ from benchmarks.measure import (
     in_turns,
     torch_threads,
 )
-from cgtorch.data import collect
-from cgtorch.experiments.run import tabletop_of
-from cgtorch.kinematics import load_robot
-from cgtorch.models import SVC, SVR, grid_search
-from cgtorch.world import LAB_NOISE
+from cgtorch.tabletop.data import collect
+from cgtorch.runs.run import tabletop_of
+from cgtorch.tabletop.kinematics import load_robot
+from cgtorch.svm import SVC, SVR, grid_search
+from cgtorch.tabletop.world import LAB_NOISE
 
 Array = NDArray[np.float64]
 

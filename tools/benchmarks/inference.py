@@ -17,7 +17,7 @@ from benchmarks.measure import (
     in_turns,
     torch_threads,
 )
-from cgtorch.models import SVR
+from cgtorch.svm import SVR
 
 INPUTS, OUTPUTS = 10, 7
 GAMMA = 0.1

@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
 from cgtorch.actions import ActionSet
 from cgtorch.graphs import NO_NODE, Graphs
-from cgtorch.world.clear_way import MAX_TRANSLATION
-from cgtorch.world.sweep import TURN_STEP
+from cgtorch.tabletop.world.clear_way import MAX_TRANSLATION
+from cgtorch.tabletop.world.sweep import TURN_STEP
 
 Row: TypeAlias = list[float]
 TURNS = math.ceil(math.pi / TURN_STEP)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.workload import Workload
-from cgtorch.improvement.knowledge import MARGIN
-from cgtorch.models import SuccessClassifier, TransitionModel
-from cgtorch.models.machine import KernelMachine
-from cgtorch.world.clear_way import CLEARANCE
+from cgtorch.domains.knowledge import MARGIN
+from cgtorch.tabletop.models import SuccessClassifier, TransitionModel
+from cgtorch.svm.machine import KernelMachine
+from cgtorch.tabletop.world.clear_way import CLEARANCE
 
 Array = NDArray[np.float64]
 

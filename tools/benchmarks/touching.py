@@ -14,9 +14,9 @@ from benchmarks.measure import (
     in_turns,
     run_threads,
 )
-from cgtorch.kinematics import load_robot
-from cgtorch.kinematics.grasping import table_slab
-from cgtorch.kinematics.touching import touches, touches_in_torch
+from cgtorch.tabletop.kinematics import load_robot
+from cgtorch.tabletop.kinematics.grasping import table_slab
+from cgtorch.tabletop.kinematics.touching import touches, touches_in_torch
 
 TABLE = torch.tensor([[0.9, 0.1, 0.3, 0.8, 1.2, 0.7]])
 BORDERLINE = 1e-3

@@ -7,19 +7,19 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.data import collect
+from cgtorch.tabletop.data import collect
 from cgtorch.evolution import EvolutionSettings, Population, evolve
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.population import random_population, slim
-from cgtorch.experiments.run import tabletop_of
-from cgtorch.experiments.settings import RunSettings
+from cgtorch.runs.run import tabletop_of
+from cgtorch.runs.settings import RunSettings
 from cgtorch.graphs import widened
-from cgtorch.improvement.knowledge import Knowledge, fit_models, imagine
+from cgtorch.domains.knowledge import Knowledge, fit_models, imagine
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.kinematics import Robot, load_robot
+from cgtorch.tabletop.kinematics import Robot, load_robot
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.world import LAB_NOISE, random_scenarios
+from cgtorch.tabletop.world import LAB_NOISE, random_scenarios
 
 SCENARIOS = 20
 GENERATIONS = 10

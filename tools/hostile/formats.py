@@ -14,14 +14,14 @@ import torch
 from torch import Generator
 
 from cgtorch.actions import ActionSet
-from cgtorch.data import Dataset
+from cgtorch.environment import Dataset
 from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
-from cgtorch.experiments.journal import MAX_BYTES, FileJournal, recalled_generations
-from cgtorch.experiments.ledger import read_entry, read_index
-from cgtorch.experiments.run import open_run
-from cgtorch.experiments.storage import (
+from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
+from cgtorch.runs.ledger import read_entry, read_index
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import (
     load_dataset,
     load_knowledge,
     load_population,
@@ -35,8 +35,8 @@ from cgtorch.files import read_bytes, read_json, write_json
 from cgtorch.graphs import load_skill
 from cgtorch.improvement.attempt import trial_from
 from cgtorch.improvement.journal import Standing
-from cgtorch.improvement.knowledge import taken
-from cgtorch.improvement.standing import (
+from cgtorch.domains.knowledge import taken
+from cgtorch.improvement.stopping import (
     Found,
     found_from,
     found_tensors,
@@ -44,10 +44,10 @@ from cgtorch.improvement.standing import (
     island_tensors,
     islands_from,
 )
-from cgtorch.kinematics import Robot, load_robot
-from cgtorch.models import compact_transition_model, load_model_and_report, save_model
-from cgtorch.models.storage import tensors_of
-from cgtorch.world import draw_of
+from cgtorch.tabletop.kinematics import Robot, load_robot
+from cgtorch.svm import compact_transition_model, load_model_and_report, save_model
+from cgtorch.files import tensors_of
+from cgtorch.tabletop.world import draw_of
 from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
 from hostile.small_robot import URDF, WORDS
 

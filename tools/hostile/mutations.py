@@ -17,7 +17,7 @@ import torch
 from lxml import etree
 from torch import Tensor
 
-from cgtorch.experiments.journal import checksum
+from cgtorch.runs.journal import checksum
 
 LENGTH = 8  # bytes of a safetensors file that say how long its header is
 LONGEST = 2**26  # bytes that what JSON cannot say may make up

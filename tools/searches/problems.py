@@ -8,12 +8,12 @@ from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.experiments.perception import NETWORKS
-from cgtorch.experiments.run import open_run
-from cgtorch.experiments.storage import load_knowledge
-from cgtorch.improvement.knowledge import imagine
+from cgtorch.tabletop.network_presets import NETWORKS
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_knowledge
+from cgtorch.domains.knowledge import imagine
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.world import random_scenarios
+from cgtorch.tabletop.world import random_scenarios
 
 
 @dataclass(frozen=True)

@@ -6,24 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.errors import RunError
-from cgtorch.experiments.journal import FOLDER as JOURNAL
-from cgtorch.experiments.journal import FileJournal
-from cgtorch.experiments.ledger import read_index
-from cgtorch.experiments.run import Run, open_run
-from cgtorch.experiments.storage import (
-    CLASSIFIER,
-    GAMMA,
-    load_models,
-    load_result,
-    load_scenarios,
-)
 from cgtorch.files import read_json
 from cgtorch.graphs import Skill, load_skill
-from cgtorch.models import LearningCurve, SuccessReport, TransitionReport
 from cgtorch.report.page.event_files import Told, read_event_files
 from cgtorch.report.tensorboard import BY_ROWS
-from cgtorch.world import Scenarios
+from cgtorch.runs.journal import FOLDER as JOURNAL
+from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.ledger import read_index
+from cgtorch.runs.run import Run, open_run
+from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_models, load_result, load_scenarios
+from cgtorch.svm import LearningCurve
 
 START = "start"
 
@@ -44,8 +38,8 @@ class Stage:
     name: str
     result: dict[str, Any]
     skill: Skill
-    solved: Scenarios
-    missed: Scenarios
+    solved: Any
+    missed: Any
     accepted: dict[str, Any] | None
 
 
@@ -80,17 +74,18 @@ class Contents:
     by_rows: Told
 
 
-def read_contents(folder: Path, trusted: Sequence[str] = ()) -> Contents:
+def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Contents:
     """Read a run; nothing is tried or computed again.
 
     Args:
         folder: of the run.
         trusted: actions of its own that may be imported, as in `open_run`.
+        domain: likewise.
 
     Raises:
         CgtorchError: there is no run, or a file of it is damaged.
     """
-    run = open_run(folder, trusted)
+    run = open_run(folder, trusted, domain)
     index = {line["name"]: line for line in read_index(folder)}
     summary = folder / "summary.json"
     return Contents(
@@ -114,7 +109,7 @@ def _an_object(path: Path) -> dict[str, Any]:
 
 def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
     folder = run.folder / name
-    solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"))
+    solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"), run.like())
     skill = load_skill(folder / "skill.json", run.actions)
     return Stage(name, load_result(folder / "result.json"), skill, solved, missed, accepted)
 
@@ -130,7 +125,7 @@ def _fitted(run: Run) -> Fitted | None:
     for name in (*reversed(run.stages), START):
         folder = run.folder / name
         if (folder / GAMMA).is_file() and (folder / CLASSIFIER).is_file():
-            models = load_models(folder)
+            models = load_models(folder, run.domain.unfitted())
             gamma, classifier = models.gamma_report, models.classifier_report
             if not (_sound_gamma(gamma) and _sound_classifier(classifier)):
                 raise RunError(f"a report of the models in {str(folder)!r} is damaged; restore it")
@@ -140,14 +135,16 @@ def _fitted(run: Run) -> Fitted | None:
 
 def _sound_gamma(report: TransitionReport) -> bool:
     return (
-        _numbers((report.rows, report.centres, report.decisive))
+        _numbers((report.rows, report.centres, report.informative))
         and isinstance(report.coordinates, tuple)
-        and all(isinstance(name, str) for name in report.coordinates)
+        and isinstance(report.units, tuple)
+        and len(report.units) == len(report.coordinates)
+        and all(isinstance(name, str) for name in (*report.coordinates, *report.units))
         and all(
             isinstance(errors, tuple)
             and len(errors) == len(report.coordinates)
             and _numbers(errors)
-            for errors in (report.error, report.rigid_error)
+            for errors in (report.error, report.baseline_error)
         )
         and all(c is None or _numbers((c.C, c.gamma, c.epsilon)) for c in report.choice)
         and _sound_curve(report.learning_curve)

@@ -19,7 +19,7 @@ DRAWS = {
 }
 FRESH = {"object": "the object, x and y", "table": "the table's sides"}
 SCORES = {
-    "gamma": "Γ: − error of the table's turn",
+    "gamma": "Γ: − error of what it learns",
     "classifier": "C: balanced accuracy",
 }
 
@@ -78,8 +78,13 @@ def model_quality(contents: Contents) -> ModelQuality:
 def _errors(contents: Contents) -> tuple[Row, ...]:
     if contents.fitted is not None:
         report = contents.fitted.gamma
-        rows = zip(report.coordinates, report.error, report.rigid_error, strict=True)
-        return tuple((name, _cm(error), _cm(rigid)) for name, error, rigid in rows)
+        rows = zip(
+            report.coordinates, report.units, report.error, report.baseline_error, strict=True
+        )
+        return tuple(
+            (name, _in_unit(error, unit), _in_unit(rigid, unit))
+            for name, unit, error, rigid in rows
+        )
     prefix = "gamma/error_"
     tags = [tag for tag in contents.told.scalars if tag.startswith(prefix)]
     return tuple(
@@ -113,7 +118,10 @@ def _facts(contents: Contents) -> list[Row]:
     if fitted is not None:
         gamma, classifier = fitted.gamma, fitted.classifier
         rows = [
-            ("Γ: transitions learnt from", f"{gamma.rows}, {gamma.decisive} of them tell the turn"),
+            (
+                "Γ: transitions learnt from",
+                f"{gamma.rows}, {gamma.informative} of them tell what is to be learned",
+            ),
             ("Γ: centres", f"{gamma.centres}"),
             *(
                 ("Γ: C, γ, ε chosen", f"{c.C:g}, {c.gamma:g}, {c.epsilon:g}")
@@ -164,6 +172,11 @@ def _columns(told: Told, model: str) -> tuple[list[float], list[float], list[flo
 
 def _means(scores: tuple[tuple[float, ...], ...]) -> list[float]:
     return [sum(of_folds) / len(of_folds) for of_folds in scores]
+
+
+def _in_unit(value: float, unit: str) -> str:
+    """An error in the unit of its number; metres as centimetres."""
+    return _cm(value) if unit == "m" else f"{value:.3g} {unit}".rstrip()
 
 
 def _cm(metres: float) -> str:

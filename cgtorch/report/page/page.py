@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -12,35 +11,31 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 import cgtorch
+from cgtorch.domains.domain import Domain
+from cgtorch.domains.registry import is_code
 from cgtorch.errors import printable
-from cgtorch.experiments.run import versions
-from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.stages import PERIMETER, STAGES
 from cgtorch.report.estimate import as_time
 from cgtorch.report.page.contents import Contents, Stage, read_contents
 from cgtorch.report.page.course import course_of
 from cgtorch.report.page.models import model_quality
-from cgtorch.report.page.paper import (
-    AROUND,
-    AROUND_SUCCEEDED,
-    AROUND_TRIED,
-    EXPERIMENTS,
-)
 from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
-from cgtorch.report.page.reproduce import OLD_ENGINE, changes_of, training_commands
+from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.shares import counted, interval, share, share_of
 from cgtorch.report.page.stages import stage_sections
 from cgtorch.report.page.vector import STYLE, inline_svg
+from cgtorch.runs.run import Run, versions
+from cgtorch.runs.settings import all_fields, defaults_of
 
 DASH = "–"
 
 
-def report_page(folder: Path, trusted: Sequence[str] = ()) -> bytes:
+def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
     Args:
         folder: of the run, which may be unfinished.
-        trusted: actions of its own that may be imported, as in `cgtorch.experiments.run.open_run`.
+        trusted: actions of its own that may be imported, as in `cgtorch.runs.run.open_run`.
+        domain: likewise.
 
     Returns:
         The page as UTF-8; of the same run always the same bytes.
@@ -48,7 +43,7 @@ def report_page(folder: Path, trusted: Sequence[str] = ()) -> bytes:
     Raises:
         CgtorchError: there is no run, or a file of it is damaged.
     """
-    contents = read_contents(folder, trusted)
+    contents = read_contents(folder, trusted, domain)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("cgtorch.report.page"),
         autoescape=True,
@@ -66,71 +61,86 @@ def report_page(folder: Path, trusted: Sequence[str] = ()) -> bytes:
 
 
 def _context(contents: Contents) -> dict[str, Any]:
-    run, about = contents.run, contents.about
+    run, about, domain = contents.run, contents.about, contents.run.domain
     stages = stage_sections(contents)
-    known = {"engine": OLD_ENGINE, **about}
-    made_with = [(name, str(known.get(name, DASH))) for name in versions()]
+    names = {**versions(), **domain.made_with()}
+    made_with = [(name, str(about.get(name, DASH))) for name in names]
     return {
         "name": run.folder.resolve().name,
         "made_with": made_with,
         "origin": [
-            ("Robot", run.robot.description.name),
+            ("Domain", run.settings.domain),
+            *domain.about(),
             *((f"Made with {name}", version) for name, version in made_with),
             ("This page by cgtorch", cgtorch.__version__),
         ],
         "version": cgtorch.__version__,
-        "robot": run.robot.description.name,
+        "about": ", ".join(f"{name.lower()} {value}" for name, value in domain.about()),
         "stages": stages,
         "rounds": len(run.rounds),
         "done": [stage for stage in stages if stage.reached],
-        "paper": run.settings.scenarios == PERIMETER,
+        "solved": domain.solved[0],
+        "solved_many": domain.solved[1],
+        "publisher": domain.publisher,
+        "beside": bool(domain.published) and run.kind == domain.usual_kind,
         "cards": _cards(contents),
-        "results": [_row(stage) for stage in contents.stages],
-        "around": {"succeeded": AROUND_SUCCEEDED, "tried": AROUND_TRIED, "text": AROUND}
-        | {"theirs": share(AROUND_SUCCEEDED, AROUND_TRIED), "ours": _around(contents)},
+        "results": [_row(stage, domain) for stage in contents.stages],
+        "overall": domain.published.get(""),
+        "overall_theirs": _theirs(domain),
+        "overall_ours": _overall(contents),
         "missing": _missing(contents),
         "success": _success(contents),
         **_evolution(contents),
+        "learns": run.learns,
         "models": model_quality(contents),
-        "settings": _settings(run.settings),
+        "settings": _settings(run),
         "changes": changes_of(about),
         "training": training_commands(run, about, contents.summary),
         "using": _using(contents),
     }
 
 
+def _theirs(domain: Domain[Any]) -> str:
+    published = domain.published.get("")
+    return "" if published is None else share(published.succeeded, published.tried)
+
+
 def _cards(contents: Contents) -> list[tuple[str, str, str]]:
     """The few numbers that matter most: name, value, and a word beside it."""
     if not contents.stages:
         return []
-    results = [stage.result for stage in contents.stages]
-    last = results[-1]
-    beside = f"the paper: {AROUND_SUCCEEDED} of {AROUND_TRIED}"
-    around = last["perimeter"]
+    domain, results = contents.run.domain, [stage.result for stage in contents.stages]
+    last, published = results[-1], domain.published.get("")
+    tested = last["overall"]
+    beside = interval(tested)
+    if published is not None and tested["scenarios"] == domain.usual_kind:
+        beside = f"{domain.publisher}: {published.succeeded} of {published.tried}"
+    mean = tested.get("mean_return")
     return [
         ("Finished", last["stage"], f"{len(results)} stage{'s' if len(results) != 1 else ''}"),
         (
-            f"Reached, {around['placement']}",
-            f"{around['succeeded']} of {around['tried']}",
-            beside if around["placement"] == PERIMETER else interval(around),
+            f"{domain.solved[0].capitalize()}, {tested['scenarios']}",
+            f"{tested['succeeded']} of {tested['tried']}",
+            beside,
         ),
+        *([("Mean return", f"{mean:.5g}", "of fresh episodes")] if mean is not None else []),
         ("Forgotten", f"{sum(r['w_lost'] for r in results)}", "of all solved before (eq. 1a)"),
-        ("Generations", f"{sum(r['generations'] for r in results):,}", "in the models"),
+        ("Generations", f"{sum(r['generations'] for r in results):,}", "of all evolutions"),
         ("Improving", as_time(sum(r["seconds"] for r in results)), "in all stages"),
     ]
 
 
-def _row(stage: Stage) -> tuple[str, ...]:
+def _row(stage: Stage, domain: Domain[Any]) -> tuple[str, ...]:
     """A line of the table of results."""
-    r, published = stage.result, EXPERIMENTS.get(stage.name)
+    r, published = stage.result, domain.published.get(stage.name)
     return (
         stage.name,
-        r["edge"],
+        r["scenarios"],
         f"{r['targets_succeeded']} of {r['targets']}",
         f"{published.succeeded} of {published.tried}" if published else DASH,
         f"{r['w_size'] - r['w_lost']} of {r['w_size']}",
         counted(r["fresh"]),
-        counted(r["perimeter"]),
+        counted(r["overall"]),
         f"{r['nodes']}",
         f"{r['depth']}",
         f"{r['generations']}",
@@ -138,12 +148,13 @@ def _row(stage: Stage) -> tuple[str, ...]:
     )
 
 
-def _around(contents: Contents) -> tuple[str, str] | None:
-    """The stage that was tried all around last, and how it did."""
-    tested = [s for s in contents.stages if s.result["perimeter"]["placement"] == PERIMETER]
+def _overall(contents: Contents) -> tuple[str, str] | None:
+    """The stage that was tried on scenarios of the usual kind last, and how it did."""
+    usual = contents.run.domain.usual_kind
+    tested = [s for s in contents.stages if s.result["overall"]["scenarios"] == usual]
     if not tested:
         return None
-    return tested[-1].name, share_of(tested[-1].result["perimeter"])
+    return tested[-1].name, share_of(tested[-1].result["overall"])
 
 
 def _missing(contents: Contents) -> list[str]:
@@ -151,8 +162,8 @@ def _missing(contents: Contents) -> list[str]:
     run, said = contents.run, []
     if not contents.stages:
         said.append("No stage is finished yet, so there is no skill to show.")
-    elif contents.run.settings.scenarios == PERIMETER and not run.rounds:
-        lacking = [name for name in STAGES if name not in run.stages]
+    elif run.kind == run.domain.usual_kind and not run.rounds:
+        lacking = [name for name in run.domain.stages if name not in run.stages]
         if lacking:
             said.append(f"The run has not made {', '.join(lacking)}.")
     said += [
@@ -162,26 +173,27 @@ def _missing(contents: Contents) -> list[str]:
     ]
     if not contents.told.scalars:
         said.append("There are no TensorBoard files, so no course of the evolution.")
-    if contents.fitted is None:
+    if contents.fitted is None and run.learns:
         said.append("There are no models Γ and C in the folder, so nothing of their fits.")
     return said
 
 
 def _success(contents: Contents) -> Markup:
-    stages = contents.stages
+    stages, domain = contents.stages, contents.run.domain
     if not stages:
         return Markup("")
     shares, others = (
         [(s.name, s.result[kind]["succeeded"], s.result[kind]["tried"]) for s in stages]
-        for kind in ("fresh", "perimeter")
+        for kind in ("fresh", "overall")
     )
-    paper = contents.run.settings.scenarios == PERIMETER
-    words = ("fresh placements of the stage", "placements all around")
+    theirs = domain.published.get("") if contents.run.kind == domain.usual_kind else None
+    line = None if theirs is None else (domain.publisher, theirs.succeeded / theirs.tried)
+    words = ("fresh scenarios of the stage", "all kinds of scenarios")
     if contents.run.rounds:
-        words = ("fresh placements", "those that decide, if it came to that")
+        words = ("fresh scenarios", "those that decide, if it came to that")
     with rc_context(STYLE):
-        figure = draw_success(shares, others, *words, paper)
-    return inline_svg(figure, "success", "Share of placements reached, by stage")
+        figure = draw_success(shares, others, *words, line)
+    return inline_svg(figure, "success", "Share of scenarios solved, by stage")
 
 
 def _evolution(contents: Contents) -> dict[str, Any]:
@@ -200,27 +212,28 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     return {**pictures, "logged": len(course.steps)}
 
 
-def _settings(settings: RunSettings) -> list[tuple[str, str, str, str]]:
+def _settings(run: Run) -> list[tuple[str, str, str, str]]:
     """Name, value, default where it is another, and what it means."""
-    rows = []
-    for f in fields(RunSettings):
-        value = getattr(settings, f.name)
-        shown, usual = map(_text, (value, f.default))
-        rows.append((f.name, shown, "" if shown == usual else usual, f.metadata["help"]))
+    rows, values = [], run.all_settings()
+    usual = defaults_of(type(run.domain.settings))
+    for f in all_fields(type(run.domain.settings)):
+        shown, default = map(_text, (values[f.name], usual.get(f.name, f.default)))
+        rows.append((f.name, shown, "" if shown == default else default, f.metadata["help"]))
     return rows
 
 
 def _text(value: object) -> str:
-    return (", ".join(value) or "none") if isinstance(value, tuple) else str(value)
+    return (", ".join(value) or "none") if isinstance(value, tuple | list) else str(value)
 
 
 def _using(contents: Contents) -> list[str]:
     """Commands for the run as it is."""
     name = shlex.quote(contents.run.folder.resolve().name)
     actions = [f"--actions {shlex.quote(a)}" for a in contents.run.settings.actions if ":" in a]
-    rest = "".join(f" {words}" for words in actions)
-    scenarios = contents.run.settings.scenarios
-    commands = []
+    spec = contents.run.settings.domain
+    domain = [f"--domain {shlex.quote(spec)}"] if is_code(spec) else []
+    rest = "".join(f" {words}" for words in [*domain, *actions])
+    scenarios, commands = contents.run.kind, []
     if contents.stages:
         commands = [
             f"cgtorch-evaluate {name} --scenarios {scenarios} --count 1000{rest}",

@@ -5,10 +5,9 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.experiments.interval import wilson
+from cgtorch.numerics.interval import wilson
 from cgtorch.report.page.course import Course
 from cgtorch.report.page.event_files import Told
-from cgtorch.report.page.paper import AROUND_SUCCEEDED, AROUND_TRIED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +32,9 @@ Shares = Sequence[tuple[str, int, int]]
 """Names, how many succeeded, and of how many."""
 
 
-def draw_success(shares: Shares, others: Shares, label: str, other: str, paper: bool) -> "Figure":
+def draw_success(
+    shares: Shares, others: Shares, label: str, other: str, published: tuple[str, float] | None
+) -> "Figure":
     """Success by stage with 95 % confidence intervals.
 
     Args:
@@ -41,7 +42,7 @@ def draw_success(shares: Shares, others: Shares, label: str, other: str, paper: 
         others: of the same stages on other placements, drawn as squares.
         label: what `shares` are.
         other: what `others` are.
-        paper: whether the paper's last test is a line.
+        published: who has reported which share of all scenarios, drawn as a line; or None.
     """
     figure, (axes,) = _figure(2.9)
     for data, shift, marker, colour, name in (
@@ -59,18 +60,16 @@ def draw_success(shares: Shares, others: Shares, label: str, other: str, paper: 
             [i + shift for i, _, _ in rows], rate, yerr=[low, high], fmt=marker, ms=5,
             color=colour, capsize=3, lw=1.2, label=name, zorder=3,
         )  # fmt: skip
-    if paper:
-        share = AROUND_SUCCEEDED / AROUND_TRIED
+    if published is not None:
+        who, share = published
         axes.axhline(share, color=PAPER, ls="--", lw=1.2)
-        axes.plot(
-            [], [], color=PAPER, ls="--", lw=1.2, label=f"the paper's last test: {_percent(share)}"
-        )
+        axes.plot([], [], color=PAPER, ls="--", lw=1.2, label=f"{who}: {_percent(share)}")
     names = [name for name, _, _ in shares]
     axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 10 else 0)
     axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
     axes.set_ylim(0, 1.04)
     axes.yaxis.set_major_formatter(_percent)
-    axes.set_ylabel("placements reached")
+    axes.set_ylabel("scenarios solved")
     _legend(axes)
     return figure
 

@@ -1,20 +1,14 @@
-"""What the page says of each stage, beside what the paper says."""
+"""What the page says of each stage, beside what others report."""
 
 from dataclasses import dataclass
+from typing import Any
 
-from cgtorch.experiments.stages import PERIMETER, STAGES
+from markupsafe import Markup
+
+from cgtorch.domains.domain import Published
 from cgtorch.report.estimate import as_time
 from cgtorch.report.page.contents import Contents, Stage
-from cgtorch.report.page.paper import EXPERIMENTS
-from cgtorch.report.page.paper import Experiment as Published
-from cgtorch.report.page.pictures import (
-    Experiment,
-    Panel,
-    Picture,
-    experiment,
-    graph_picture,
-    map_picture,
-)
+from cgtorch.report.page.pictures import Panel, Picture, graph_picture, map_picture
 from cgtorch.report.page.shares import share_of
 
 
@@ -24,20 +18,20 @@ class StageSection:
 
     Attributes:
         name: of the stage.
-        edge: of the table, or the scenarios, that it is about.
-        published: what the paper reports; None if the paper has no such stage.
-        drawing: the paper's experiment.
+        scenarios: the kind that it is about.
+        published: what others report; None if nobody has such a stage.
+        drawing: of what it is about; empty if the domain has none.
         reached: "5 of 5"; None if the stage is not made.
         facts: names and values.
-        map: what the skill reached.
+        map: what the skill solved.
         graph: its graph.
         panels: the same as tables.
     """
 
     name: str
-    edge: str
+    scenarios: str
     published: Published | None
-    drawing: Experiment | None
+    drawing: Markup
     reached: str | None
     facts: tuple[tuple[str, str], ...] = ()
     map: Picture | None = None
@@ -46,31 +40,30 @@ class StageSection:
 
 
 def stage_sections(contents: Contents) -> list[StageSection]:
-    """All of the run's, and those of the paper that it lacks, unless it is about other things."""
-    made = {stage.name: stage for stage in contents.stages}
-    footprint = contents.run.robot.description.footprint
-    wanted = list(made)
-    if contents.run.settings.scenarios == PERIMETER and not contents.run.rounds:
-        wanted = list(STAGES)
+    """All of the run's, and those of its domain that it lacks, unless it goes on in rounds."""
+    made, run = {stage.name: stage for stage in contents.stages}, contents.run
+    domain, wanted = run.domain, list(made)
+    if domain.stages and run.kind == domain.usual_kind and not run.rounds:
+        wanted = list(domain.stages)
     sections = []
     for name in wanted:
-        edge = STAGES.get(name)
-        published = EXPERIMENTS.get(name)
-        drawing = None if edge is None else experiment(edge, footprint)
+        tests = domain.stages.get(name)
+        drawing = Markup(domain.draw_stage(name) if tests else "")  # noqa: S704  the domain's own
+        published = domain.published.get(name)
         if name not in made:
-            sections.append(StageSection(name, edge or "", published, drawing, None))
+            sections.append(StageSection(name, tests or "", published, drawing, None))
             continue
         stage = made[name]
         graph, panels = graph_picture(stage)
         sections.append(
             StageSection(
                 name,
-                stage.result["edge"],
+                stage.result["scenarios"],
                 published,
                 drawing,
                 f"{stage.result['targets_succeeded']} of {stage.result['targets']}",
                 tuple(_facts(stage)),
-                map_picture(stage, edge, footprint),
+                map_picture(stage, domain, tests),
                 graph,
                 panels,
             )
@@ -81,8 +74,8 @@ def stage_sections(contents: Contents) -> list[StageSection]:
 def _facts(stage: Stage) -> list[tuple[str, str]]:
     r = stage.result
     facts = [
-        ("Fresh placements reached", f"{share_of(r['fresh'])} on {r['fresh']['placement']}"),
-        ("All around", f"{share_of(r['perimeter'])} on {r['perimeter']['placement']}"),
+        ("Fresh scenarios", _tested(r["fresh"])),
+        ("All kinds together", _tested(r["overall"])),
         ("Solved before, lost now (eq. 1a)", f"{r['w_lost']} of {r['w_size']}"),
     ]
     if r["earlier_failures"]:
@@ -103,6 +96,12 @@ def _facts(stage: Stage) -> list[tuple[str, str]]:
         ("Actions tried in the models", f"{r['transitions']:,}"),
         ("Time", _time(stage)),
     ]
+
+
+def _tested(score: dict[str, Any]) -> str:
+    mean = score.get("mean_return")
+    more = "" if mean is None else f", mean return {mean:.5g}"
+    return f"{share_of(score)} on {score['scenarios']}{more}"
 
 
 def _time(stage: Stage) -> str:

@@ -8,10 +8,10 @@ from lxml import html
 from report_pages import parsed, rewrite, words
 from support import random_graphs, seeded
 
-from cgtorch.experiments.auto import act
-from cgtorch.experiments.run import Run, create_run, open_run
-from cgtorch.experiments.settings import RunSettings
-from cgtorch.experiments.storage import save_scenarios
+from cgtorch.training.auto import act
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.storage import save_scenarios
 from cgtorch.graphs import Skill, save_skill
 
 

@@ -11,8 +11,8 @@ import pytest
 from lxml import html
 from report_pages import REFERENCE, STAGES, thinned, words
 
-from cgtorch.experiments.run import open_run
-from cgtorch.experiments.storage import load_models, load_scenarios
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_models, load_scenarios
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.report import final_table
 from cgtorch.report.graph_picture import skills_of

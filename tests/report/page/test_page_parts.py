@@ -15,8 +15,8 @@ from torch.utils.tensorboard import SummaryWriter
 from cgtorch.actions import paper_actions
 from cgtorch.commands.train import command
 from cgtorch.errors import printable
-from cgtorch.experiments.run import Run, create_run, open_run
-from cgtorch.experiments.settings import RunSettings
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
 from cgtorch.graphs import Skill
 from cgtorch.report import draw_skill
 from cgtorch.report.page.contents import read_contents

@@ -13,8 +13,8 @@ from safetensors.torch import load, save
 from torch.utils.tensorboard import SummaryWriter
 
 from cgtorch.errors import CgtorchError, RunError
-from cgtorch.experiments.journal import FileJournal
-from cgtorch.models.storage import notes_of
+from cgtorch.runs.journal import FileJournal
+from cgtorch.svm.storage import notes_of
 from cgtorch.report.page import report_page
 
 

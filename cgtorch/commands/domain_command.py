@@ -1,0 +1,81 @@
+"""A command whose options are those of the domain that it is about."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cgtorch.commands.command import import_from_here
+from cgtorch.commands.completion import SCENARIOS
+from cgtorch.domains.registry import is_code
+from cgtorch.errors import CgtorchError
+from cgtorch.runs.settings import RunSettings
+
+KEY = "cgtorch.domain"
+
+
+class DomainCommand(click.Command):
+    """A click command to which the options of a domain are added once its name is known."""
+
+    def __init__(self, *args: Any, add: Callable[[str], list[click.Option]], **kwargs: Any) -> None:
+        """A command; `add` makes the options of the domain of that name."""
+        super().__init__(*args, **kwargs)
+        self._add = add
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Command.parse_args`; the domain is looked for first."""
+        ctx.meta[KEY] = spec = domain_named(args)
+        import_from_here([spec])
+        return super().parse_args(ctx, args)
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """See `click.Command.get_params`."""
+        known = super().get_params(ctx)
+        spec = ctx.meta.get(KEY, RunSettings.domain)
+        try:
+            return [*known[:-1], *self._options(ctx, spec), known[-1]]
+        except CgtorchError as e:
+            if ctx.resilient_parsing:
+                return known
+            raise click.UsageError(str(e)) from e
+
+    def _options(self, ctx: click.Context, spec: str) -> list[click.Option]:
+        made: list[click.Option] | None = ctx.meta.get(f"{KEY}.options")
+        if made is None:
+            ctx.meta[f"{KEY}.options"] = made = self._add(spec)
+        return made
+
+
+def domain_named(args: list[str]) -> str:
+    """The domain that words of a command line are about: named, or that of the run named."""
+    spec = _value(args, "--domain")
+    run = _value(args, "--resume")
+    if spec is None and run is not None:
+        try:
+            spec = json.loads((Path(run) / "run.json").read_text())["settings"]["domain"]
+        except (OSError, ValueError, TypeError, KeyError):
+            spec = None  # what is wrong with it is told once the run is opened
+        if not isinstance(spec, str) or is_code(spec):
+            spec = None
+    return RunSettings.domain if spec is None else spec
+
+
+def _value(args: list[str], option: str) -> str | None:
+    for i, word in enumerate(args):
+        if word == option and i + 1 < len(args):
+            return args[i + 1]
+        if word.startswith(f"{option}="):
+            return word.partition("=")[2]
+    return None
+
+
+def domain_kinds(context: click.Context) -> tuple[str, ...]:
+    """The kinds of scenarios of the domain that a command is about, for shells to complete."""
+    spec = context.meta.get(KEY, RunSettings.domain)
+    if spec == RunSettings.domain:
+        return SCENARIOS
+    from cgtorch.domains.registry import domain_class
+
+    return domain_class(spec).kinds

@@ -1,0 +1,40 @@
+"""Domains: what a run is about, and Γ and C learned for any of them.
+
+A domain of one's own is a subclass of `Domain` with a `World` and scenarios (`ScenarioBatch`); see
+docs/own-domain.md.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain as Domain
+    from cgtorch.domains.domain import Specialists as Specialists
+    from cgtorch.domains.knowledge import Knowledge as Knowledge
+    from cgtorch.domains.settings import DomainSettings as DomainSettings
+    from cgtorch.domains.settings import option as option
+    from cgtorch.domains.world import World as World
+    from cgtorch.environment import ScenarioBatch as ScenarioBatch
+    from cgtorch.environment.fields import Field as Field
+    from cgtorch.environment.fields import named as named
+
+# Settings are asked for by commands that do not wait for torch, so all else is looked up late.
+_HOME = {
+    "Domain": "cgtorch.domains.domain",
+    "DomainSettings": "cgtorch.domains.settings",
+    "Field": "cgtorch.environment.fields",
+    "Knowledge": "cgtorch.domains.knowledge",
+    "ScenarioBatch": "cgtorch.environment",
+    "Specialists": "cgtorch.domains.domain",
+    "World": "cgtorch.domains.world",
+    "named": "cgtorch.environment.fields",
+    "option": "cgtorch.domains.settings",
+}
+__all__ = [*_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    """One of the names above, from its module (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)

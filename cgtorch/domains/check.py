@@ -1,0 +1,96 @@
+"""A domain is tried on two scenarios at the door, where errors can say what is wrong with it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Generator
+
+from cgtorch.actions import ActionSet
+from cgtorch.domains.domain import Domain
+from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lanes
+from cgtorch.environment.dry_run import ROWS, check_environment, expect, kind, returned, two_rows
+from cgtorch.environment.fields import Field
+from cgtorch.errors import DomainError
+
+
+def check_domain(domain: Domain[Any], scenarios: str) -> None:
+    """Try what a domain gives.
+
+    Args:
+        domain: what to try.
+        scenarios: the kind that a run is to be about.
+
+    Raises:
+        DomainError: naming the method and what is wrong with what it returned.
+        WorldError: the world breaks its interface.
+    """
+    who = type(domain).__name__
+    _check_names(domain, who)
+    if scenarios not in (domain.trained_kinds or domain.kinds):
+        known = ", ".join(domain.trained_kinds or domain.kinds)
+        raise DomainError(f"{who} has no scenarios {scenarios!r:.40}; use one of {known}")
+    drawn = [_drawn(domain, who, scenarios, count) for count in (0, ROWS, ROWS)]
+    if not torch.equal(_numbers(drawn[1]), _numbers(drawn[2])):
+        raise DomainError(
+            f"{who}.draw gave other scenarios for the same generator; draw all numbers from it"
+        )
+    world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
+    check_environment(world)
+    sizes = {"percept": world.percept_size, "control": world.control_size}
+    for name, size in sizes.items():
+        if (given := len(getattr(domain, name))) != size:
+            raise DomainError(
+                f"{who}.{name} names {given} numbers, its world has {size}; give one Field for each"
+            )
+    if isinstance(world, Rewarded):
+        _check_rewards(world, who)
+    actions = returned(DomainError, f"{who}.actions", domain.actions)
+    if not isinstance(actions, ActionSet):
+        raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
+
+
+def _check_names(domain: Domain[Any], who: str) -> None:
+    for name in ("percept", "control"):
+        given = getattr(domain, name, None)
+        if (
+            not isinstance(given, Sequence)
+            or not given
+            or not all(isinstance(f, Field) for f in given)
+        ):
+            raise DomainError(f"{who}.{name} is {given!r:.60}; give a Field for each number")
+    for name in ("kinds", "trained_kinds"):
+        given = getattr(domain, name)
+        if not isinstance(given, tuple) or not all(isinstance(k, str) for k in given):
+            raise DomainError(f"{who}.{name} is {given!r:.60}; give names in a tuple")
+    if not domain.kinds:
+        raise DomainError(f"{who}.kinds is empty; name at least one kind of scenarios")
+    for stage, of in domain.stages.items():
+        if of not in domain.kinds:
+            raise DomainError(
+                f"{who}.stages has {stage!r} about {of!r}, which is none of its kinds of scenarios"
+            )
+
+
+def _drawn(domain: Domain[Any], who: str, scenarios: str, count: int) -> ScenarioBatch:
+    generator = Generator().manual_seed(0)
+    found = returned(DomainError, f"{who}.draw", domain.draw, scenarios, count, generator)
+    if not isinstance(found, ScenarioBatch) or len(found) != count:
+        said = f"{len(found)} scenarios" if isinstance(found, ScenarioBatch) else kind(found)
+        raise DomainError(f"{who}.draw returned {said}; return a ScenarioBatch of {count}")
+    return found
+
+
+def _numbers(scenarios: ScenarioBatch) -> torch.Tensor:
+    return torch.cat([v.double().flatten() for v in vars(scenarios).values()])
+
+
+def _check_rewards(world: Any, who: str) -> None:
+    lanes = start_lanes(world, two_rows(world.num_scenarios), world.control_size, 0)
+    over = returned(DomainError, f"{who}'s world.over", world.over, lanes)
+    expect(DomainError, f"{who}'s world.over", "", over, (ROWS,), torch.bool)
+    gained = returned(DomainError, f"{who}'s world.returns", world.returns, lanes)
+    if not isinstance(gained, torch.Tensor) or gained.shape != (ROWS,):
+        raise DomainError(
+            f"{who}'s world.returns returned {kind(gained)}; return a tensor ({ROWS},) of floats"
+        )

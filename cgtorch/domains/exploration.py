@@ -1,0 +1,99 @@
+"""Collecting what Γ and C learn from in any domain: the world acted in at random."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.environment import Dataset, Environment, ScenarioBatch, start_lanes
+from cgtorch.environment.fields import Field, bounds_of, columns_of
+from cgtorch.errors import DataError, DomainError
+
+MOVES = 12  # random controls at most, one after the other, from each start
+RARE = 0.02  # share of either label below which there is hardly anything to learn
+SHARE = 0.3  # of the tests that are kept, have the rarer label if there are as many
+MOST_TRIES = 40
+
+
+def random_controls(control: Sequence[Field], count: int, generator: Generator) -> Tensor:
+    """(n, U) controls, uniform within the bounds of their fields.
+
+    Raises:
+        DomainError: a field has no bounds.
+    """
+    low, high = bounds_of(control)
+    for field in control:
+        if max(abs(field.low), abs(field.high)) == float("inf"):
+            raise DomainError(
+                f"control {field.name!r} has no bounds, between which it could be tried at random; "
+                "give its Field low and high, or implement explore"
+            )
+    drawn = low + (high - low) * torch.rand(count, len(control), generator=generator)
+    for i in columns_of(control, "discrete"):
+        drawn[:, i] = drawn[:, i].round()
+    return drawn
+
+
+def explore(
+    draw: Callable[[int, Generator], ScenarioBatch],
+    world_of: Callable[[ScenarioBatch], Environment],
+    control: Sequence[Field],
+    transitions: int,
+    tests: int,
+    generator: Generator,
+) -> Dataset:
+    """Act at random for transitions, and test success everywhere on the way.
+
+    Of the tests, both labels are kept as far as there are enough of the rarer one.
+
+    Args:
+        draw: gives random scenarios.
+        world_of: makes their world.
+        control: the numbers of a control, with bounds.
+        transitions: how many (p, u, p′).
+        tests: how many percepts with what the world says of success there.
+        generator: of all random choices.
+
+    Raises:
+        DataError: success, or its absence, is hardly ever met.
+        DomainError: a control has no bounds.
+    """
+    moved: list[tuple[Tensor, Tensor, Tensor]] = []
+    tested: list[tuple[Tensor, Tensor]] = []
+    for _ in range(MOST_TRIES):
+        count = 16 + transitions // MOVES
+        world = world_of(draw(count, generator))
+        lanes = start_lanes(world, torch.arange(count), 0, 0)
+        for _ in range(MOVES):
+            lanes, chance = world.success(lanes)
+            tested.append((lanes.percept, chance > 0.5))
+            controls = random_controls(control, count, generator)
+            after, done = world.step(lanes, controls)
+            moved.append((lanes.percept[done], controls[done], after.percept[done]))
+            lanes = after
+        have = sum(len(p) for p, _, _ in moved)
+        labels = torch.cat([label for _, label in tested])
+        rarer = min(int(labels.sum()), int((~labels).sum()))
+        if have >= transitions and len(labels) >= tests and rarer >= SHARE * tests:
+            break
+    if have < transitions or rarer < RARE * tests:
+        raise DataError(
+            f"{have} of {transitions} random controls could be carried out, and {rarer} of "
+            f"{len(labels)} tests had the rarer result; give scenarios that begin nearer to "
+            "success, implement explore, or evolve in the world itself: --models none"
+        )
+    p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
+    pick = torch.randperm(have, generator=generator)[:transitions]
+    chosen = _chosen(labels, tests, generator)
+    seen = torch.cat([percept for percept, _ in tested])
+    return Dataset(p[pick], u[pick], q[pick], seen[chosen], labels[chosen])
+
+
+def _chosen(labels: Tensor, count: int, generator: Generator) -> Tensor:
+    """Indices (count,) of labels (n,), at random but for the share of the rarer label."""
+    order = torch.randperm(len(labels), generator=generator)
+    yes, no = order[labels[order]], order[~labels[order]]
+    rare, rest = sorted((yes, no), key=len)
+    few = max(min(len(rare), int(SHARE * count)), count - len(rest))
+    both = torch.cat([rare[:few], rest[: count - few]])
+    return both[torch.randperm(len(both), generator=generator)]

@@ -1,0 +1,278 @@
+"""What a robot knows of a domain: its experience, and the Γ and C learned from it."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeVar
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch import native
+from cgtorch.domains.learning_on import (
+    compact_transition_model,
+    label_coreset,
+    transition_coreset,
+    update_success_classifier,
+    update_transition_model,
+)
+from cgtorch.domains.reports import SuccessReport, TransitionReport
+from cgtorch.domains.success import SuccessClassifier
+from cgtorch.domains.transition import TransitionModel
+from cgtorch.environment import Dataset
+from cgtorch.evolution.islands import generator_of
+from cgtorch.parallel.processes import in_processes
+from cgtorch.simulation import ModelEnvironment
+from cgtorch.simulation.model import Compile, Possible
+from cgtorch.svm import Acceptance, accept_model
+
+SWIFT_CENTRES = 128
+FAMILIAR = 0.999  # share of the training transitions that are not novel
+LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
+Found = TypeVar("Found")
+
+CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
+LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
+ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
+MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
+"""Rows that are learnt from at most; of more, a coreset stays."""
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Experience and models, replaced as a whole when the robot learns.
+
+    Attributes:
+        dataset: all that Γ and C are trained on.
+        gamma: the transition model.
+        swift: the same with few centres, several times faster; what is found in it is confirmed
+            in the world.
+        classifier: the success classifier.
+        gamma_report: how well Γ does in cross-validation.
+        classifier_report: how well C does in cross-validation.
+        aside: experience that neither is ever trained on; what they learn is judged by it.
+        acceptances: what was decided about Γ and C when they last learned on, None before.
+    """
+
+    dataset: Dataset
+    gamma: TransitionModel
+    swift: TransitionModel
+    classifier: SuccessClassifier
+    gamma_report: TransitionReport
+    classifier_report: SuccessReport
+    aside: Dataset
+    acceptances: tuple[Acceptance, Acceptance] | None = None
+
+
+class Fits(Protocol):
+    """What fits the models of a domain to data, with hyper-parameters by cross-validation."""
+
+    def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
+        """Γ of the transitions."""
+        ...
+
+    def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
+        """C of the tests."""
+        ...
+
+
+def fit_models(
+    fits: Fits,
+    dataset: Dataset,
+    seed: int,
+    more: Callable[[TransitionModel], Found],
+    alone: bool = False,
+) -> tuple[Knowledge, Found]:
+    """Γ and C from nine tenths of the data, and what else can be found out once Γ is fitted.
+
+    C takes longest, so where compiled code may use more than one thread all else is done beside it.
+
+    Args:
+        fits: what fits either model.
+        dataset: what is known.
+        seed: of all random choices.
+        more: from Γ to anything; it must not draw from a generator that is used later.
+        alone: in this process only, as what has to do with other ranks must be.
+    """
+    data, aside = parted(dataset)
+
+    def part(number: int) -> Any:
+        if number == 0:
+            return fits.fit_success(data, seed)
+        gamma, report = fits.fit_transition(data, seed)
+        return gamma, swift_gamma(gamma, data), report, more(gamma)
+
+    fitted = in_processes(part, 2, 1 if alone else native.threads())
+    (classifier, report), (gamma, swift, gamma_report, found) = fitted
+    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside), found
+
+
+def parted(dataset: Dataset) -> tuple[Dataset, Dataset]:
+    """The data without every tenth row, and these rows."""
+    moves = torch.arange(len(dataset.percept)) % ASIDE == ASIDE - 1
+    tests = torch.arange(len(dataset.succeeded)) % ASIDE == ASIDE - 1
+    return taken(dataset, ~moves, ~tests), taken(dataset, moves, tests)
+
+
+def taken(dataset: Dataset, moves: Tensor, tests: Tensor) -> Dataset:
+    """The transitions `moves` and the tests `tests`, indices or masks."""
+    return Dataset(
+        dataset.percept[moves],
+        dataset.control[moves],
+        dataset.next_percept[moves],
+        dataset.tested[tests],
+        dataset.succeeded[tests],
+    )
+
+
+def imagine(
+    knowledge: Knowledge,
+    percepts: Tensor,
+    replicas: int,
+    generator: Generator,
+    device: torch.device | str = "cpu",
+    *,
+    possible: Possible,
+    noisy: Callable[[Tensor], Tensor] = torch.ones_like,
+    compiled: Compile | None = None,
+) -> ModelEnvironment:
+    """The models as an environment, each scenario `replicas` times with other errors of Γ.
+
+    Scenario i has the indices i · replicas … i · replicas + replicas - 1. The errors are drawn
+    from those that Γ makes on its training data, so that a skill must not rely on being exact; for
+    the same reason stochastic actions draw other numbers than they will in the world. A
+    rollout fails where a control is more novel to Γ than `FAMILIAR` of its training data.
+
+    Args:
+        knowledge: the models.
+        percepts: (B, D) first percepts.
+        replicas: at least 1.
+        generator: of the errors, and of the seeds of what actions draw.
+        device: where the environment runs.
+        possible: whether a control can be carried out.
+        noisy: of percepts (n, D), 1 for numbers that Γ can get wrong and 0 for those it cannot.
+        compiled: the models as compiled code knows them, see `ModelEnvironment`.
+    """
+    gamma, data = copy.deepcopy(knowledge.swift), knowledge.dataset
+    with torch.no_grad():
+        pick = torch.randperm(len(data.percept), generator=generator)[:1000]
+        percept, control = data.percept[pick], data.control[pick]
+        predicted, novelty = gamma.predict_with_novelty(percept, control)
+        residual = gamma.difference(predicted, data.next_percept[pick])
+        # With another's error a percept is odder than any that is seen.
+        imagined = predicted + residual.roll(1, 0) * noisy(predicted)
+        gamma.most = torch.maximum(gamma.most, gamma.extremes(imagined, control).amax(0))
+    rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)
+    percepts = percepts.repeat_interleave(replicas, 0)
+    errors = residual[rows] * noisy(percepts)[:, None]
+    own = generator_of(generator, CHANCE)
+    seeds = torch.randint(2**31, (len(percepts),), generator=own)
+    return ModelEnvironment(
+        percepts.to(device),
+        gamma.to(device).predict_with_novelty,
+        copy.deepcopy(knowledge.classifier).to(device),
+        possible,
+        control_size=control.shape[1],
+        errors=errors.to(device),
+        most_novel=max(LEAST_NOVEL, float(novelty.quantile(FAMILIAR))),
+        seeds=seeds,
+        compiled=compiled,
+    )
+
+
+MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
+
+
+def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
+    """Γ and C trained on more experience, from where they stand; hyper-parameters stay.
+
+    Of the tests, those that C got wrong teach most and come first. A tenth of what is new is put
+    aside. Either model is replaced, and its new data kept, only if its successor is no worse on
+    what had been put aside before (`accept_model`); otherwise it stays as it was. Of more than
+    `MOST_TRANSITIONS` or `MOST_LABELS` rows a coreset stays. The reports stay those of the last
+    cross-validation.
+    """
+    with torch.no_grad():
+        believed = knowledge.classifier(experience.tested) > 0.5
+    surprise = believed != experience.succeeded
+    new, aside = parted(sampled(experience, surprise, MOST_NEW, generator))
+    gamma, moves, first = _learn_transitions(knowledge, new, generator)
+    classifier, tests, second = _learn_labels(knowledge, new, generator)
+    data = taken(knowledge.dataset, moves, tests)
+    yes = torch.tensor([first.accepted]), torch.tensor([second.accepted])
+    data, aside = (
+        old.extended(
+            taken(more, yes[0].expand(len(more.percept)), yes[1].expand(len(more.succeeded)))
+        )
+        for old, more in ((data, new), (knowledge.aside, aside))
+    )
+    swift = swift_gamma(gamma, data) if first.accepted else knowledge.swift
+    return replace(
+        knowledge,
+        dataset=data,
+        gamma=gamma,
+        swift=swift,
+        classifier=classifier,
+        aside=aside,
+        acceptances=(first, second),
+    )
+
+
+def _learn_transitions(
+    knowledge: Knowledge, new: Dataset, generator: Generator
+) -> tuple[TransitionModel, Tensor, Acceptance]:
+    """The Γ to go on with, the old transitions (m,) that stay, and the acceptance."""
+    old, aside = knowledge.dataset, knowledge.aside
+    rows = old.percept, old.control, old.next_percept
+    moves, start = transition_coreset(knowledge.gamma, *rows, MOST_TRANSITIONS)
+    more = new.percept, new.control, new.next_percept
+    both = (torch.cat([a[moves], b]) for a, b in zip(rows, more, strict=True))
+    gamma = update_transition_model(start, *both, seed=generator)
+    with torch.no_grad():
+        before, after = (
+            model.errors(model(aside.percept, aside.control), aside.next_percept)
+            for model in (knowledge.gamma, gamma)
+        )
+    acceptance = accept_model(before, after)
+    if acceptance.accepted:
+        return gamma, moves, acceptance
+    return knowledge.gamma, torch.arange(len(old.percept)), acceptance
+
+
+def _learn_labels(
+    knowledge: Knowledge, new: Dataset, generator: Generator
+) -> tuple[SuccessClassifier, Tensor, Acceptance]:
+    """The C to go on with, the old labels (m,) that stay, and the acceptance, by Brier's score."""
+    old, aside = knowledge.dataset, knowledge.aside
+    tests, start = label_coreset(knowledge.classifier, old.tested, MOST_LABELS)
+    classifier = update_success_classifier(
+        start,
+        torch.cat([old.tested[tests], new.tested]),
+        torch.cat([old.succeeded[tests], new.succeeded]),
+        seed=generator,
+    )
+    with torch.no_grad():
+        before, after = (
+            (model(aside.tested) - aside.succeeded.float()).square()
+            for model in (knowledge.classifier, classifier)
+        )
+    acceptance = accept_model(before, after)
+    if acceptance.accepted:
+        return classifier, tests, acceptance
+    return knowledge.classifier, torch.arange(len(old.succeeded)), acceptance
+
+
+def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator) -> Dataset:
+    """At most `most` transitions, `most` surprising (L,) tests and `most` others, at random."""
+    moves = torch.randperm(len(dataset.percept), generator=generator)[:most]
+    order = torch.randperm(len(dataset.succeeded), generator=generator)
+    tests = torch.cat([order[surprise[order]][:most], order[~surprise[order]][:most]])
+    return taken(dataset, moves, tests)
+
+
+def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
+    """Γ with `SWIFT_CENTRES` centres at most, to search in."""
+    if len(gamma.machine.centres) <= SWIFT_CENTRES:
+        return gamma
+    with torch.no_grad():
+        return compact_transition_model(gamma, SWIFT_CENTRES, dataset.percept, dataset.control)[0]

@@ -1,0 +1,135 @@
+"""Finding domains by name, and trying them before anything long begins.
+
+Nothing here imports torch until a domain is asked for.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import fields
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any
+
+from cgtorch.domains.settings import DomainSettings
+from cgtorch.errors import CgtorchError, DomainError
+
+if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain
+
+ENTRY_POINTS = "cgtorch.domains"
+TABLETOP, GYMNASIUM = "tabletop", "gymnasium"
+_SETTINGS = {
+    TABLETOP: "cgtorch.tabletop.settings:TabletopSettings",
+    GYMNASIUM: "cgtorch.domains.gymnasium_settings:GymnasiumSettings",
+}
+_CLASSES = {
+    TABLETOP: "cgtorch.tabletop.domain:Tabletop",
+    GYMNASIUM: "cgtorch.domains.gymnasium:Gymnasium",
+}
+"""The domains that come with the library, and their settings, which need no torch."""
+
+
+def known_names() -> list[str]:
+    """Names of the domains of the library and of installed packages."""
+    return sorted({*_CLASSES, *(e.name for e in entry_points(group=ENTRY_POINTS))})
+
+
+def is_code(spec: str) -> bool:
+    """Whether a name stands for code that is imported because of it: "package.module:Class"."""
+    return ":" in spec and spec.partition(":")[0] != GYMNASIUM
+
+
+def domain_class(spec: str) -> type["Domain[Any]"]:
+    """The class of a domain.
+
+    Args:
+        spec: "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
+            "cgtorch.domains" that an installed package declares, or "package.module:Class".
+
+    Raises:
+        DomainError: there is none of that name, or it is no domain.
+    """
+    from cgtorch.domains.domain import Domain
+
+    name = spec.partition(":")[0]
+    declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
+    if name in _CLASSES:
+        found = _loaded(spec, EntryPoint(name, _CLASSES[name], ENTRY_POINTS))
+    elif spec in declared:
+        found = _loaded(spec, declared[spec])
+    elif ":" in spec:
+        found = _loaded(spec, EntryPoint("domain", spec, ENTRY_POINTS))
+    else:
+        raise DomainError(
+            f"unknown domain {spec!r}; known are {', '.join(known_names())}, or give "
+            "'package.module:Class'"
+        )
+    if not (isinstance(found, type) and issubclass(found, Domain)):
+        raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
+    return found
+
+
+def settings_class(spec: str) -> type[DomainSettings]:
+    """The class of a domain's settings; see `domain_class`."""
+    name = spec.partition(":")[0]
+    if name not in _SETTINGS:
+        return domain_class(spec).settings_type
+    module, _, attribute = _SETTINGS[name].partition(":")
+    found: type[DomainSettings] = getattr(import_module(module), attribute)
+    return found
+
+
+def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[Any]":
+    """A domain with these settings; "gymnasium:ENV_ID" says which environment in its name.
+
+    Raises:
+        DomainError: it cannot be made.
+    """
+    kind = domain_class(spec)
+    settings = kind.settings_type() if settings is None else settings
+    try:
+        return kind(with_name(spec, settings))
+    except CgtorchError:
+        raise
+    except Exception as e:  # whatever a foreign class raises
+        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
+        raise DomainError(
+            f"domain {spec!r} cannot be made as {kind.__name__}(settings) ({reason}); give it a "
+            "constructor that needs no other arguments"
+        ) from e
+
+
+def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
+    """The settings with what the domain's name says after a colon, if it is one that says more."""
+    name, _, argument = spec.partition(":")
+    if name != GYMNASIUM:
+        return settings
+    if not re.fullmatch(r"[\w./-]+", argument):
+        raise DomainError(
+            f"domain {spec!r} names no environment; give gymnasium:ENV_ID, such as "
+            "gymnasium:CartPole-v1"
+        )
+    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    return type(settings)(**values | {"environment": argument})
+
+
+def check_options(spec: str, names: Sequence[str]) -> None:
+    """DomainError where a setting of a domain has the name of a setting that every run has."""
+    for f in fields(settings_class(spec)):
+        if f.name in names:
+            raise DomainError(
+                f"domain {spec!r} has a setting {f.name!r}, which every run has; rename it"
+            )
+
+
+def _loaded(spec: str, entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except CgtorchError:
+        raise
+    except Exception as e:  # whatever a foreign module raises when it is imported
+        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
+        raise DomainError(
+            f"cannot import domain {spec!r} ({reason}); is it spelt right and its package "
+            "installed or on PYTHONPATH?"
+        ) from e

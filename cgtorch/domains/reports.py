@@ -1,0 +1,86 @@
+"""What the fits of Γ and C found."""
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from cgtorch.svm import Choice, LearningCurve
+
+Reliability: TypeAlias = tuple[tuple[float, float, int], ...]
+"""Mean probability, frequency of success and number of rows of bins of probability."""
+
+
+@dataclass(frozen=True)
+class TransitionReport:
+    """What the fit of a transition model found.
+
+    Attributes:
+        rows: Transitions that were given.
+        informative: How many of them the machine learned from.
+        coordinates: Names of the D numbers of a percept.
+        units: Their units.
+        error: Cross-validated mean absolute error of each number, in its unit.
+        baseline_error: The same of a model without a machine.
+        choice: Hyper-parameters (C, gamma, epsilon, score) of each output, None if not used.
+        gap: Duality gap of each output's dual problem.
+        centres: Number of centres.
+        grid_cost: Costs tried.
+        grid_gamma: Kernel widths tried.
+        grid_epsilon: Tube widths tried.
+        grid_scores: Mean negative absolute error by gamma, epsilon, C and output.
+        finished_by_smo: Cells of the grid that plain SMO had to finish.
+        learning_curve: The same score by the number of transitions learned from.
+    """
+
+    rows: int
+    informative: int
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    error: tuple[float, ...]
+    baseline_error: tuple[float, ...]
+    choice: tuple[Choice | None, ...]
+    gap: tuple[float, ...]
+    centres: int
+    grid_cost: tuple[float, ...]
+    grid_gamma: tuple[float, ...]
+    grid_epsilon: tuple[float, ...]
+    grid_scores: list[Any]
+    finished_by_smo: int
+    learning_curve: LearningCurve | None = None
+
+
+@dataclass(frozen=True)
+class SuccessReport:
+    """What the fit of a success classifier found.
+
+    Attributes:
+        rows: Labelled percepts it learnt from.
+        positive: Share of them that succeed.
+        balanced_accuracy: Cross-validated, of all rows at the chosen cell.
+        brier: Mean squared difference of cross-validated probability and label.
+        calibration_error: Mean gap between probability and frequency over 10 equal bins,
+            weighted by their rows.
+        reliability: Mean probability, frequency and rows of each bin that is not empty.
+        choice: Hyper-parameters.
+        gap: Duality gap.
+        centres: Number of centres.
+        grid_cost: Costs tried.
+        grid_gamma: Kernel widths tried.
+        grid_scores: Mean balanced accuracy by gamma and C.
+        finished_by_smo: Cells of the grid that plain SMO had to finish.
+        learning_curve: Balanced accuracy of the chosen cell by rows learnt from.
+    """
+
+    rows: int
+    positive: float
+    balanced_accuracy: float
+    brier: float
+    calibration_error: float
+    reliability: Reliability
+    choice: Choice
+    gap: float
+    centres: int
+    grid_cost: tuple[float, ...]
+    grid_gamma: tuple[float, ...]
+    grid_scores: list[Any]
+    finished_by_smo: int
+    learning_curve: LearningCurve

@@ -1,0 +1,42 @@
+"""Where a skill succeeds under all sampled errors of the models, to be held against the world."""
+
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.domains.domain import Domain
+from cgtorch.domains.knowledge import Knowledge
+from cgtorch.graphs import Skill
+from cgtorch.simulation import rollout
+
+REPLICAS = 8
+
+
+def robust_success(
+    domain: Domain[Any],
+    skill: Skill,
+    knowledge: Knowledge,
+    percepts: Tensor,
+    generator: Generator,
+    replicas: int = REPLICAS,
+) -> Tensor:
+    """Where a skill succeeds in the models under each of several draws of Γ's errors.
+
+    Args:
+        domain: what the models are of.
+        skill: what is run.
+        knowledge: the models.
+        percepts: (B, D) first percepts.
+        generator: of the errors, others than those that the skill was evolved under.
+        replicas: how often each scenario is run.
+
+    Returns:
+        (B,) bool.
+    """
+    environment = domain.imagine(knowledge, percepts, replicas, generator)
+    with torch.no_grad():
+        runs = rollout(
+            skill.graph, skill.actions, environment, max_transitions=skill.max_transitions
+        )
+    return runs.succeeded.view(len(percepts), replicas).all(1)

@@ -1,0 +1,107 @@
+"""Settings as dataclasses that the command line, the API and the files share.
+
+Nothing here imports torch, so that help texts come at once.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, ClassVar, TypeVar
+
+from cgtorch.errors import SettingsError
+
+T = TypeVar("T")
+MOST = 2**31 - 1
+
+
+def option(
+    default: Any,
+    text: str,
+    fixed: str = "",
+    *,
+    choices: tuple[str, ...] = (),
+    least: float = 1,
+    most: float = MOST,
+) -> Any:
+    """A field with its default and what the command line says of it.
+
+    Args:
+        default: of the option; its type is the option's.
+        text: its help.
+        fixed: why it cannot change once a run has begun; nothing if it can.
+        choices: of a text, what it may be; anything if not given.
+        least: of a number, the least that it may be.
+        most: of a number, the most.
+    """
+    about = {"help": text, "fixed": fixed, "choices": choices, "least": least, "most": most}
+    return field(default=default, metadata=about)
+
+
+def check_options(settings: Any) -> None:
+    """SettingsError where a field made by `option` has a value that cannot be used."""
+    for f in fields(settings):
+        value, about = getattr(settings, f.name), f.metadata
+        least, most = about.get("least", 1), about.get("most", MOST)
+        if isinstance(f.default, int):
+            if type(value) is not int or not least <= value <= most:
+                raise SettingsError(
+                    f"{f.name} is {value!r:.40}; give a whole number of at least {least}"
+                )
+        elif isinstance(f.default, float):
+            number = type(value) in (int, float) and not math.isnan(value)
+            if not number or not least <= value <= most:
+                raise SettingsError(f"{f.name} is {value!r:.40}; give a number {_range(f)}")
+        elif isinstance(f.default, str):
+            choices = about.get("choices", ())
+            if not isinstance(value, str) or (choices and value not in choices):
+                wanted = f"use one of {', '.join(choices)}" if choices else "give a text"
+                raise SettingsError(f"{f.name} is {value!r:.40}; {wanted}")
+        elif not isinstance(value, tuple) or not all(isinstance(one, str) for one in value):
+            raise SettingsError(f"{f.name} are {value!r:.60}; give names in a tuple")
+
+
+def _range(f: Any) -> str:
+    return f"from {f.metadata.get('least', 1)} to {f.metadata.get('most', MOST)}"
+
+
+@dataclass(frozen=True)
+class DomainSettings:
+    """Settings of a domain that has none; those of others are frozen dataclasses of `option`s.
+
+    Attributes:
+        run_defaults: of the settings that every run has, those that are others for the domain.
+        usual_stage: what `cgtorch-train` makes if no stage is named.
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    run_defaults: ClassVar[Mapping[str, Any]] = {}
+    usual_stage: ClassVar[str] = "auto"
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_options(self)
+
+
+def to_plain(settings: Any) -> dict[str, Any]:
+    """Settings as plain data for a file."""
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
+
+
+def from_plain(kind: type[T], data: Any) -> T:
+    """Settings from what `to_plain` gave.
+
+    Raises:
+        SettingsError: a setting is unknown, missing or impossible.
+    """
+    names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(data, dict) or set(data) != set(names):
+        odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
+        raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")
+    values = {
+        name: tuple(value) if isinstance(names[name].default, tuple) and isinstance(value, list)
+        else value
+        for name, value in data.items()
+    }  # fmt: skip
+    return kind(**values)

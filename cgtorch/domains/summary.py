@@ -1,0 +1,70 @@
+"""What is told of models: of the first ones how good they are, later whether they learned on."""
+
+from cgtorch.domains.knowledge import Knowledge
+from cgtorch.domains.reports import TransitionReport
+from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.svm import Acceptance
+
+SHOWN = 6  # numbers of a percept whose errors are told in a line
+
+
+def summary_of(knowledge: Knowledge) -> ModelSummary:
+    """What cross-validation found; of models that have learned on, whether they were accepted."""
+    rows = rows_of(knowledge)
+    if knowledge.acceptances is not None:
+        said = "; ".join(map(_learned, ("Γ", "C"), knowledge.acceptances))
+        return ModelSummary(f"{said}; now from {rows}", {"models/rows": _moves(knowledge)})
+    classifier = knowledge.classifier_report
+    text = (
+        f"Γ errs by {_errors(knowledge.gamma_report)}, "
+        f"C is right on {100 * classifier.balanced_accuracy:.1f} %; {rows}"
+    )
+    return ModelSummary(
+        text,
+        scalars_of(knowledge),
+        {
+            "gamma": knowledge.gamma_report.learning_curve,
+            "classifier": classifier.learning_curve,
+        },
+        classifier.reliability,
+        first=True,
+    )
+
+
+def scalars_of(knowledge: Knowledge) -> dict[str, float]:
+    """What cross-validation found, by tags of TensorBoard."""
+    gamma, classifier = knowledge.gamma_report, knowledge.classifier_report
+    errors = zip(gamma.coordinates, gamma.error, strict=True)
+    return {
+        "models/rows": _moves(knowledge),
+        **{f"gamma/error_{name.replace(' ', '_')}": error for name, error in errors},
+        "classifier/balanced_accuracy": classifier.balanced_accuracy,
+        "classifier/calibration_error": classifier.calibration_error,
+    }
+
+
+def rows_of(knowledge: Knowledge) -> str:
+    """How much the models have learned from, in words."""
+    return f"{_moves(knowledge)} transitions and {len(knowledge.dataset.succeeded)} labels"
+
+
+def _moves(knowledge: Knowledge) -> int:
+    return len(knowledge.dataset.percept)
+
+
+def _errors(report: TransitionReport) -> str:
+    """Γ's errors in cross-validation, number by number."""
+    named = zip(report.coordinates, report.error, report.units, strict=True)
+    said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for name, error, unit in named]
+    more = f" and {len(said) - SHOWN} more" if len(said) > SHOWN else ""
+    return ", ".join(said[:SHOWN]) + more
+
+
+def _learned(name: str, acceptance: Acceptance) -> str:
+    """What was decided about a model that learned on."""
+    if acceptance.accepted:
+        return f"{name} has learned on"
+    return (
+        f"{name} stays as it was, since its error on earlier data would be "
+        f"{acceptance.after:.4f} instead of {acceptance.before:.4f}"
+    )

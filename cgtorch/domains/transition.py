@@ -1,0 +1,232 @@
+"""Γ, the transition model: the next percept from a percept and a control.
+
+A support vector machine learns what the geometry of a domain leaves open. `TransitionModel` is what
+every Γ shares: a machine on standardised features, and how novel a transition is to it.
+`KernelTransitionModel` is the one of a domain of which nothing is known but the names of its
+numbers: it learns by how much each of them changes.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor, nn
+
+from cgtorch.environment.fields import Field, as_features, bounds_of, columns_of, wrapped
+from cgtorch.errors import DataError
+from cgtorch.svm import SVR
+from cgtorch.svm.machine import KernelMachine
+
+_NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
+LN2 = math.log(2)
+
+Features: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""Further features (..., F) of percepts (..., D) and controls (..., U)."""
+
+
+class TransitionModel(nn.Module, ABC):
+    """Γ: (percept (..., D), control (..., U)) -> next percept (..., D).
+
+    Buffers: the features' `mean` and `scale` (F,), `reach` () the squared feature distance that
+    counts as half novel, and `most` (E,) how extreme the data are at most. The machine's are in
+    `machine`.
+    """
+
+    mean: Tensor
+    scale: Tensor
+    reach: Tensor
+    most: Tensor
+    machine: SVR
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("mean", "scale", "most"):
+            self.register_buffer(name, torch.zeros(0, dtype=torch.float64))
+        self.register_buffer("reach", torch.ones((), dtype=torch.float64))
+        self.machine = SVR()
+
+    @abstractmethod
+    def features(self, percept: Tensor, control: Tensor) -> Tensor:
+        """The standardised features (..., F) that the machine sees."""
+
+    @abstractmethod
+    def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
+        """Next percepts (..., D) where the machine says `value` (..., K)."""
+
+    @abstractmethod
+    def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
+        """How extreme transitions are (..., E), in the order of `most`, from 0 on."""
+
+    @abstractmethod
+    def targets(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What the machine is to say of transitions (n, K), and (n,) bool which of them tell it."""
+
+    @abstractmethod
+    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of the buffers, but for the machine's, given F; files are checked by them."""
+
+    def forward(self, percept: Tensor, control: Tensor) -> Tensor:
+        """Next percept (..., D).
+
+        Raises:
+            DataError: Wrong shapes.
+            ModelError: Not fitted.
+        """
+        return self.predict_with_novelty(percept, control)[0]
+
+    def novelty(self, percept: Tensor, control: Tensor) -> Tensor:
+        """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
+        return self.predict_with_novelty(percept, control)[1]
+
+    def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """Next percept (..., D) and novelty (...), from one kernel evaluation.
+
+        Raises:
+            DataError: Wrong shapes.
+            ModelError: Not fitted.
+        """
+        return self.predict_in_torch(percept, control)
+
+    def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """What `predict_with_novelty` says, on any device and with gradients."""
+        value, distance = self.machine.values_and_distance(self.features(percept, control))
+        after = self.next_percept(percept, control, value.to(percept))
+        return after, self.novelty_of(self.extremes(percept, control), distance).to(percept)
+
+    def novelty_of(self, extremes: Tensor, distance: Tensor) -> Tensor:
+        """Novelty (...) given extremes (..., E) and squared distances (...) to the nearest centre."""
+        # By how much it exceeds the data, 1 where that is half novel.
+        beyond = (extremes / self.most.to(extremes) - 1).clamp_min(0).sum(-1)
+        exponent = distance / self.reach + beyond.to(distance) / _NOVEL_SHARE
+        return 1 - torch.exp(-LN2 * exponent)
+
+    def difference(self, predicted: Tensor, seen: Tensor) -> Tensor:
+        """What was seen (n, D) beyond what was predicted (n, D)."""
+        return seen - predicted
+
+    def errors(self, predicted: Tensor, seen: Tensor) -> Tensor:
+        """How wrong (n,) predictions (n, D) are, in the unit by which models are compared."""
+        return self.difference(predicted, seen).abs().mean(1)
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        for name, buffer in self._buffers.items():
+            given = state_dict.get(prefix + name)
+            if isinstance(given, Tensor) and buffer is not None and given.ndim == buffer.ndim:
+                self._buffers[name] = buffer.new_zeros(given.shape)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+
+
+class KernelTransitionModel(TransitionModel):
+    """Γ of any domain: by how much each number of the percept changes is what is learned.
+
+    Angles are seen by sine and cosine and change by the shorter way; discrete numbers are rounded;
+    nothing leaves the bounds of its field. Further buffers: `shift` and `spread` (D,) the mean and
+    the standard deviation of the changes, and `learnt` (D,) 0 for numbers whose change the
+    machine could not tell in cross-validation, and which change by the mean.
+    """
+
+    shift: Tensor
+    spread: Tensor
+    learnt: Tensor
+
+    def __init__(
+        self, percept: Sequence[Field], control: Sequence[Field], further: Features | None = None
+    ) -> None:
+        """An unfitted Γ.
+
+        Args:
+            percept: the D numbers of a percept.
+            control: the U numbers of a control.
+            further: features that the machine sees besides all these numbers.
+        """
+        super().__init__()
+        self.percept_fields, self.control_fields = tuple(percept), tuple(control)
+        self.further = further
+        for name in ("shift", "spread", "learnt"):
+            self.register_buffer(name, torch.zeros(len(percept), dtype=torch.float64))
+        self._angles = columns_of(percept, "angle")
+        self._whole = columns_of(percept, "discrete")
+
+    def raw_features(self, percept: Tensor, control: Tensor) -> Tensor:
+        """The features (..., F) before they are standardised."""
+        sizes = len(self.percept_fields), len(self.control_fields)
+        if (percept.shape[-1:], control.shape[-1:]) != ((sizes[0],), (sizes[1],)):
+            raise DataError(
+                f"percept and control have shapes {tuple(percept.shape)} and "
+                f"{tuple(control.shape)}; pass (..., {sizes[0]}) and (..., {sizes[1]})"
+            )
+        low, high = (b.to(control) for b in bounds_of(self.control_fields))
+        control = control.clamp(low, high)
+        seen = [
+            as_features(percept, self.percept_fields),
+            as_features(control, self.control_fields),
+        ]
+        if self.further is not None:
+            seen.append(self.further(percept, control))
+        return torch.cat(seen, -1)
+
+    def features(self, percept: Tensor, control: Tensor) -> Tensor:
+        """See `TransitionModel.features`."""
+        return (self.raw_features(percept, control).to(self.mean) - self.mean) / self.scale
+
+    def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
+        """See `TransitionModel.next_percept`."""
+        learnt, shift, spread = (x.to(percept) for x in (self.learnt, self.shift, self.spread))
+        after = percept + shift + spread * learnt * value
+        low, high = (b.to(percept) for b in bounds_of(self.percept_fields))
+        columns = list(after.clamp(low, high).unbind(-1))
+        for i in self._angles:
+            columns[i] = wrapped(columns[i])
+        for i in self._whole:
+            columns[i] = columns[i].round()
+        return torch.stack(columns, -1)
+
+    def difference(self, predicted: Tensor, seen: Tensor) -> Tensor:
+        """See `TransitionModel.difference`; angles differ by the shorter way."""
+        columns = list((seen - predicted).unbind(-1))
+        for i in self._angles:
+            columns[i] = wrapped(columns[i])
+        return torch.stack(columns, -1)
+
+    def errors(self, predicted: Tensor, seen: Tensor) -> Tensor:
+        """See `TransitionModel.errors`: relative to by how much each number usually changes."""
+        spread = self.spread.to(predicted)
+        return (self.difference(predicted, seen) / spread).abs().mean(1)
+
+    def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
+        """See `TransitionModel.extremes`: how far each feature is from its mean."""
+        return self.features(percept, control).abs()
+
+    def targets(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.targets`; every transition tells all."""
+        change = self.difference(percept, next_percept)
+        target = (change - self.shift.to(change)) / self.spread.to(change)
+        return target, torch.ones(len(percept), dtype=torch.bool, device=percept.device)
+
+    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
+        """See `TransitionModel.shapes`."""
+        each, size = (features,), (len(self.percept_fields),)
+        return {
+            **dict.fromkeys(("mean", "scale", "most"), each),
+            **dict.fromkeys(("shift", "spread", "learnt"), size),
+        }
+
+
+def rim(machine: KernelMachine, features: Tensor) -> Tensor:
+    """Squared distance () that 95 % of training rows have a centre other than themselves within."""
+    some = features[:: max(1, len(features) // 1024)]
+    distance = torch.cdist(some.double(), machine.centres.double()).square()
+    distance = torch.where(distance < 1e-16, torch.inf, distance)
+    nearest = distance.amin(1)
+    nearest = nearest[torch.isfinite(nearest)]
+    if len(nearest) == 0:
+        return torch.ones_like(machine.gamma_value)
+    return nearest.quantile(0.95).clamp_min(1e-12)

@@ -1,0 +1,81 @@
+"""A base class for worlds of one's own, which says once what most worlds share."""
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.environment import Lanes, ScenarioBatch
+
+
+class World(ABC):
+    """An `Environment` whose state tells what is perceived and whether the task has succeeded.
+
+    All methods get n lanes at once, of which each must be treated by itself. What a world needs to
+    remember of an episode belongs into the state. Noise has to follow from the scenario and the
+    state alone.
+
+    Attributes:
+        scenarios: the B scenarios.
+        percept_size: D, numbers of a percept.
+        control_size: U, numbers of a control.
+    """
+
+    def __init__(self, scenarios: ScenarioBatch) -> None:
+        """The world of B scenarios."""
+        self.scenarios: Any = scenarios
+
+    @abstractmethod
+    def first_state(self, scenario: Tensor) -> Tensor:
+        """States (n, S) in which the scenarios with these indices (n,) begin."""
+
+    @abstractmethod
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        """States (n, S) after controls (n, U), which are finite but within no bounds."""
+
+    @abstractmethod
+    def succeeded(self, state: Tensor) -> Tensor:
+        """(n,) bool, whether the task has succeeded."""
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """Percepts (n, D) of states (n, S); the state itself by default."""
+        return state
+
+    @property
+    def num_scenarios(self) -> int:
+        """B."""
+        return len(self.scenarios)
+
+    @property
+    def percept_size(self) -> int:
+        """D."""
+        return self.start(torch.zeros(1, dtype=torch.long))[1].shape[1]
+
+    @property
+    @abstractmethod
+    def control_size(self) -> int:
+        """U; a class attribute will do."""
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Environment.start`."""
+        state = self.first_state(scenario)
+        return state, self.perceived(state, scenario).float()
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """See `Environment.step`; a control that is not finite is none, and nothing changes."""
+        done = control.isfinite().all(1)
+        after = self.next_state(lanes.state, control.nan_to_num(), lanes.scenario)
+        state = torch.where(done[:, None], after.to(lanes.state), lanes.state)
+        percept = self.perceived(state, lanes.scenario).to(lanes.percept)
+        percept = torch.where(done[:, None], percept, lanes.percept)
+        return replace(lanes, state=state, percept=percept), done
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        """See `Environment.observe`: nothing new is seen by looking again."""
+        return lanes
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """See `Environment.success`."""
+        return lanes, self.succeeded(lanes.state).to(lanes.percept)

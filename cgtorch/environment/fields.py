@@ -1,0 +1,78 @@
+"""What the numbers of a percept or a control are: names, units and bounds."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DomainError
+
+KINDS = ("number", "angle", "discrete")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One number of a percept or of a control.
+
+    Attributes:
+        name: what it is called in pictures, reports and exported code.
+        unit: such as "m"; an angle is in rad.
+        low: the least that it can be; of a control, the least that is worth trying.
+        high: the most.
+        kind: "number"; "angle", which is the same after a whole turn; or "discrete", a whole
+            number.
+
+    Raises:
+        DomainError: the kind is unknown, or the bounds are none.
+    """
+
+    name: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    kind: str = "number"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.kind not in KINDS:
+            raise DomainError(
+                f"field {self.name!r} is of kind {self.kind!r}; use one of {', '.join(KINDS)}"
+            )
+        if not self.low < self.high:
+            raise DomainError(
+                f"field {self.name!r} lies between {self.low} and {self.high}; give a range"
+            )
+
+
+def named(
+    *names: str, unit: str = "", low: float = -math.inf, high: float = math.inf
+) -> tuple[Field, ...]:
+    """Fields that differ in their names only."""
+    return tuple(Field(name, unit, low, high) for name in names)
+
+
+def columns_of(fields: Sequence[Field], kind: str) -> list[int]:
+    """Indices of the fields of a kind."""
+    return [i for i, field in enumerate(fields) if field.kind == kind]
+
+
+def bounds_of(fields: Sequence[Field]) -> tuple[Tensor, Tensor]:
+    """The least (D,) and the most (D,) that the fields can be."""
+    return torch.tensor([f.low for f in fields]), torch.tensor([f.high for f in fields])
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """Angles in rad, brought to [-π, π)."""
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+def as_features(values: Tensor, fields: Sequence[Field]) -> Tensor:
+    """Values (..., D) with sine and cosine in place of each angle, which come last."""
+    angles = columns_of(fields, "angle")
+    if not angles:
+        return values
+    others = [i for i in range(len(fields)) if i not in angles]
+    turned = values[..., angles]
+    return torch.cat([values[..., others], turned.sin(), turned.cos()], -1)

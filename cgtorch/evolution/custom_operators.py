@@ -1,0 +1,66 @@
+"""What a crossover and a mutation of one's own have to give."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment.dry_run import expect, kind
+from cgtorch.errors import GraphError, SettingsError
+from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.graphs import check_graph, valid
+
+Crossover: TypeAlias = Callable[[Population, Population, Generator], Population]
+"""From Q first parents, Q second ones and the generator of all random choices to 2 Q children."""
+
+Mutation: TypeAlias = Callable[[Population, ActionSet, Generator, float], Population]
+"""From P individuals, what their nodes can do, the generator of all random choices and the variance
+of the drift of strategy parameters to as many individuals.
+
+Graphs come compacted, with one slot that is free in every graph; they may come back with more
+slots, up to the capacity. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
+To add to what the library does, call `cgtorch.evolution.mutate` first."""
+
+
+def check_offspring(
+    offspring: object,
+    count: int,
+    capacity: int,
+    actions: ActionSet,
+    who: str = "crossover, mutation",
+) -> None:
+    """A SettingsError unless these are so many valid individuals.
+
+    Args:
+        offspring: what was returned.
+        count: P, how many there should be.
+        capacity: the most slots of a graph.
+        actions: what nodes can do.
+        who: has returned it.
+    """
+    if not isinstance(offspring, Population):
+        raise SettingsError(f"{who} returned {kind(offspring)}; return a Population")
+    graphs = offspring.graphs
+    nodes = graphs.action.shape[1] if graphs.action.dim() == 2 else capacity
+    if nodes > capacity:
+        raise SettingsError(
+            f"{who} returned graphs of {nodes} slots; return {capacity} at most, the capacity"
+        )
+    shapes: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
+        "action": ((count, nodes), torch.long),
+        "edges": ((count, nodes, actions.outcome_capacity), torch.long),
+        "parameters": ((count, nodes, actions.parameter_capacity), torch.float32),
+        "start": ((count,), torch.long),
+        "strategy": ((count, len(STRATEGY)), torch.float32),
+    }
+    given: dict[str, Tensor] = {**vars(graphs), "strategy": offspring.strategy}
+    for name, (shape, dtype) in shapes.items():
+        expect(SettingsError, who, name, given[name], shape, dtype)
+    if not (good := valid(graphs, actions)).all():
+        bad = int((~good).nonzero()[0])
+        try:
+            check_graph(graphs[bad : bad + 1], actions)
+        except GraphError as e:
+            raise SettingsError(f"{who} made graph {bad} invalid: {e}") from e

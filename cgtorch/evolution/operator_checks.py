@@ -1,0 +1,67 @@
+"""Trying the parts of an evolution that others can bring, before anything is evaluated."""
+
+import torch
+from torch import Generator
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment
+from cgtorch.environment.dry_run import ROWS, expect, kind, returned, two_rows
+from cgtorch.errors import SettingsError
+from cgtorch.evolution.custom_operators import check_offspring
+from cgtorch.evolution.evolution import EvolutionSettings
+from cgtorch.evolution.fitness import last_success
+from cgtorch.evolution.population import random_population
+from cgtorch.simulation import rollout
+
+
+def check_parts(
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    environment: Environment,
+    device: torch.device | str = "cpu",
+) -> None:
+    """Try the four parts on two random individuals, which run on two scenarios.
+
+    The numbers they draw are not those of the evolution.
+
+    Args:
+        settings: whose selection, fitness, crossover and mutation are tried.
+        actions: what nodes can do.
+        environment: where individuals run.
+        device: where that is.
+
+    Raises:
+        SettingsError: naming the part and what is wrong with what it returned.
+    """
+    generator, capacity = Generator().manual_seed(0), settings.capacity
+    pair = random_population(ROWS, actions, capacity, settings.initial_nodes, generator)
+
+    who = _named("fitness", settings.fitness)
+    graphs, scenario = pair.graphs.to(device), two_rows(environment.num_scenarios, device)
+    runs = rollout(graphs, actions, environment, scenarios=scenario)
+    chance = last_success(runs, environment, scenario)[0]
+    worth = returned(SettingsError, who, settings.fitness, runs, chance)
+    expect(SettingsError, who, "", worth, chance.shape, chance.dtype)
+
+    who = _named("selection", settings.selection)
+    order, scores = torch.arange(ROWS), worth.cpu()
+    parents = returned(SettingsError, who, settings.selection, order, scores, ROWS, generator)
+    expect(SettingsError, who, "", parents, (ROWS,), torch.long)
+    if not ((parents >= 0) & (parents < ROWS)).all():
+        raise SettingsError(f"{who} chose {parents.tolist()} of {ROWS}; choose 0 to {ROWS - 1}")
+
+    for name, part, given in (
+        ("crossover", settings.crossover, (pair[:1], pair[1:], generator)),
+        ("mutation", settings.mutation, (pair, actions, generator, settings.tau)),
+    ):
+        who = _named(name, part)
+        kept = [x.clone() for x in (*vars(pair.graphs).values(), pair.strategy)]
+        offspring = returned(SettingsError, who, part, *given)
+        check_offspring(offspring, ROWS, capacity, actions, who)
+        now = (*vars(pair.graphs).values(), pair.strategy)
+        if not all(torch.equal(a, b) for a, b in zip(kept, now, strict=True)):
+            raise SettingsError(f"{who} changed its parents in place; return new tensors")
+
+
+def _named(what: str, part: object) -> str:
+    return f"{what} {getattr(part, '__name__', kind(part))!r}"

@@ -1,0 +1,93 @@
+"""What the autonomous loop aims at, and when that holds.
+
+A skill is tested again and again while it gets better, and among many looks at chance one is lucky
+in the end. So whether the goal holds is decided on placements drawn for nothing else after the
+skill was made, and the more often that was tried, the more confidence is asked for.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from cgtorch.domains.settings import check_options, option
+from cgtorch.numerics.interval import wilson
+
+DOUBT = 0.05
+"""What all two-sided intervals of one run together leave to chance."""
+
+SLACK = 1.25
+"""How often a skill may fail as a multiple of what the target allows, with confidence."""
+
+DECISIVE, SCREENING = 40, 10
+"""Failures expected, in the test that decides and the one before, of a skill at the target."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What to reach and what may be spent on it; a run can go on with another goal.
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    target: float = option(
+        0.99,
+        "With --stage auto, share of fresh scenarios to be solved. Where the domain gives rewards: "
+        "the return from which an episode is solved, and the mean to be reached.",
+        least=0.5,
+        most=0.999,
+    )
+    minutes: float = option(
+        10.0, "With --stage auto, begin no round after so many minutes.", least=0, most=1e6
+    )
+    rounds: int = option(30, "With --stage auto, the most rounds of a run.")
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_options(self)
+
+    @property
+    def screening(self) -> int:
+        """Placements that a skill is tried on, at most, before it is worth deciding: 1000."""
+        return round(SCREENING / (1 - self.target))
+
+    @property
+    def decisive(self) -> int:
+        """Placements of the test that decides: 4000 for 99 %."""
+        return round(DECISIVE / (1 - self.target))
+
+
+EPISODES, DECISIVE_EPISODES = 100, 200
+"""Episodes of the test before the one that decides, and of that, where a domain gives rewards."""
+
+
+def mean_holds(returns: list[float], target: float) -> bool:
+    """Whether the mean of returns is at least the target, and by their standard error above it.
+
+    Where all returns are equal there is no doubt, so the target itself will do.
+    """
+    n = len(returns)
+    if n < 2:
+        return False
+    mean = sum(returns) / n
+    error = sqrt(sum((r - mean) ** 2 for r in returns) / (n - 1) / n)
+    return mean - error >= target
+
+
+def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
+    """Whether a decisive test says that the goal is reached.
+
+    It does if the share solved is at least the target and, besides, the lower end of Wilson's
+    interval allows at most `SLACK` times the failures that the target does: for 99 %, it is at
+    least 98.75 %, which takes about 99.1 % of 4000. Of the run's decisions, number j (from 1) has
+    confidence 1 - 0.05 / (j (j + 1)). What these leave to chance sums to 0.05 however many there
+    are, so a run whose skills are all worse than that bound ends as if one had reached the goal
+    with a probability of 2.5 % at most (intervals are two-sided, and Wilson's are approximate).
+    A goal that holds says therefore: at least 98.75 %, with confidence 97.5 %, no more.
+    """
+    low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
+    return tried > 0 and succeeded >= goal.target * tried and 1 - low <= SLACK * (1 - goal.target)
+
+
+def worth_deciding(goal: Goal, succeeded: int, tried: int) -> bool:
+    """Whether a skill did so well in the test before that the one that decides is worth it."""
+    return tried >= goal.screening and succeeded >= goal.target * tried

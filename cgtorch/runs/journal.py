@@ -1,0 +1,288 @@
+"""The journal of a stage as files, from which it goes on after whatever has stopped it.
+
+RUN/journal/STAGE/00007.safetensors       what the stage's seventh long step came to
+RUN/journal/STAGE/00008-3.safetensors     where the eighth stood when it was kept for the third time
+RUN/journal/STAGE/00008-3.0.safetensors   the first part of what it goes on from: of an island each
+
+Every file appears whole and carries a checksum; that of where a step stands comes after its parts
+and names their checksums. Of where a step stands the last two are kept. What is damaged is named
+and counts as never done, with all that came after it; so nothing is lost but time. The folder goes
+when the stage is finished.
+"""
+
+import hashlib
+import re
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import safetensors.torch
+import torch
+from torch import Tensor
+
+import cgtorch
+from cgtorch.errors import RunError
+from cgtorch.files import notes_of, read_bytes, tensors_of, write_bytes
+from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
+from cgtorch.improvement.journal import Standing
+from cgtorch.parallel import distributed as ranks
+
+FOLDER = "journal"
+MAX_BYTES = 2**30
+SECONDS = 20.0  # between two notes of where a step stands
+_STEP, _STANDING = re.compile(r"(\d{5})\.safetensors"), re.compile(r"(\d{5})-(\d+)\.safetensors")
+_PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
+
+
+class FileJournal:
+    """A `Journal` in a folder; as a context manager it keeps at the end where a step stands.
+
+    Attributes:
+        damaged: files that could not be read, and are not counted.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        before_writing: Callable[[], None] = lambda: None,
+        seconds: float = SECONDS,
+    ):
+        """Read what there is.
+
+        Args:
+            folder: of the stage's journal; made as soon as there is something to keep.
+            before_writing: called before what was done is kept.
+            seconds: least time between two notes of where a step stands.
+
+        Raises:
+            RunError: the folder cannot be read.
+        """
+        self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
+        self.damaged: list[Path] = []
+        self._steps: list[tuple[str, dict[str, Tensor]]] = []
+        self._standing: tuple[str, Standing] | None = None
+        self._notes, self._written_at = 0, time.monotonic()
+        self._unwritten: tuple[str, Standing] | None = None
+        self._read()
+        self._next = 0
+
+    @property
+    def generations(self) -> int:
+        """Generations that will be recalled."""
+        known = [tensors for _, tensors in self._steps]
+        known += [] if self._standing is None else [self._standing[1].about]
+        return sum(int(t["generations"]) for t in known if _counts(t))
+
+    def recall(self, step: str) -> dict[str, Tensor] | None:
+        """See `Journal.recall`."""
+        if self._next == len(self._steps):
+            return None
+        name, tensors = self._steps[self._next]
+        self._check(step, name)
+        self._next += 1
+        return tensors
+
+    def record(self, step: str, result: dict[str, Tensor]) -> None:
+        """See `Journal.record`."""
+        self._standing = self._unwritten = None
+        self._write(f"{len(self._steps):05}", {"step": step}, result)
+        self._steps.append((step, {}))  # only its place is needed any more
+        self._next = len(self._steps)
+        self._remove(self._files(_STEP)[len(self._steps) :])
+        self._keep_standings(0)
+
+    def recall_standing(self, step: str) -> Standing | None:
+        """See `Journal.recall_standing`."""
+        if self._standing is None:
+            return None
+        name, standing = self._standing
+        self._check(step, name)
+        return standing
+
+    def record_standing(self, step: str, standing: Standing) -> None:
+        """See `Journal.record_standing`."""
+        self._unwritten = step, standing
+        due = time.monotonic() - self._written_at >= self._seconds
+        if ranks.agreed(due):
+            self._write_standing(step, standing)
+
+    def __enter__(self) -> Self:
+        """The journal itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Where the stage ends early, keep where it stands; where it is finished, forget it.
+
+        Who ends early does so alone, so what other ranks hold cannot be had any more.
+        """
+        if kind is None and ranks.first():
+            _forget(self._folder)
+        elif kind is not None and not issubclass(kind, RunError):
+            self._write_what_is_here()
+
+    def _check(self, step: str, name: str) -> None:
+        if step != name:
+            raise RunError(
+                f"the journal {str(self._folder)!r} goes on with {name[:60]!r}, not {step!r}; "
+                "remove it, and the stage is made again"
+            )
+
+    def _write_what_is_here(self) -> None:
+        if self._unwritten is not None and not self._unwritten[1].apart:
+            self._write_standing(*self._unwritten)
+
+    def _write_standing(self, step: str, standing: Standing) -> None:
+        self._notes += 1
+        name, sums = f"{len(self._steps):05}-{self._notes}", []
+        for i, part in enumerate(standing.parts):  # one at a time, as they may be large
+            sums.append(self._write(f"{name}.{i}", {"step": step}, part()))
+        self._write(name, {"step": step, "parts": " ".join(sums)}, standing.about)
+        self._unwritten, self._written_at = None, time.monotonic()
+        self._keep_standings(2)
+
+    def _keep_standings(self, count: int) -> None:
+        """Remove notes of where steps stood, but for the last ones, and parts of no note."""
+        notes = self._files(_STANDING)
+        kept = notes[len(notes) - count :] if count else []
+        self._remove([path for path in notes if path not in kept])
+        stems = {path.stem for path in kept}
+        self._remove([p for p in self._files(_PART) if p.name.split(".")[0] not in stems])
+
+    @staticmethod
+    def _remove(paths: list[Path]) -> None:
+        for path in paths if ranks.first() else ():
+            path.unlink(missing_ok=True)
+
+    def _write(self, name: str, about: dict[str, str], tensors: dict[str, Tensor]) -> str:
+        """Write a file, the first rank only, and return its checksum."""
+        if not ranks.first():
+            return ""
+        self._before_writing()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as e:
+            raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
+        plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
+        about = {**about, "version": cgtorch.__version__}
+        about["sha256"] = checksum(plain, about)
+        data = safetensors.torch.save(plain, metadata=about)
+        write_bytes(self._folder / f"{name}.safetensors", data)
+        return about["sha256"]
+
+    def _files(self, pattern: re.Pattern[str]) -> list[Path]:
+        """Files of that kind in their order."""
+        try:
+            found = [(pattern.fullmatch(p.name), p) for p in self._folder.iterdir()]
+        except OSError:
+            return []
+        numbered = [(tuple(map(int, m.groups())), p) for m, p in found if m is not None]
+        return [p for _, p in sorted(numbered)]
+
+    def _read(self) -> None:
+        """Take what is whole, up to what is not."""
+        for i, path in enumerate(self._files(_STEP)):
+            known = self._whole(path) if path.name == f"{i:05}.safetensors" else None
+            if known is None:
+                break
+            self._steps.append((known[0]["step"], known[1]))
+        for path in self._files(_STANDING):
+            self._notes = max(self._notes, int(path.stem.split("-")[1]))
+            if path.name.startswith(f"{len(self._steps):05}-"):
+                self._standing = self._whole_standing(path) or self._standing
+
+    def _whole_standing(self, path: Path) -> tuple[str, Standing] | None:
+        """Where a step stood; None if the file or one of its parts is damaged."""
+        known = self._whole(path)
+        if known is None:
+            return None
+        about, tensors = known
+        sums, parts = about.get("parts", "").split(), []
+        if not sums:
+            self.damaged.append(path)
+            return None
+        for i, wanted in enumerate(sums):
+            part = path.with_name(f"{path.stem}.{i}.safetensors")
+            # Looked at now and read when it is needed: not all may fit into memory.
+            if (found := self._whole(part)) is None:
+                return None
+            if found[0]["sha256"] != wanted:
+                self.damaged.append(part)
+                return None
+            parts.append(partial(_tensors_of, part))
+        return about["step"], Standing(tensors, tuple(parts))
+
+    def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
+        """What a file is about and its tensors; None if it is damaged, which is noted."""
+        try:
+            about, tensors = _load(path)
+            rest = {key: value for key, value in about.items() if key != "sha256"}
+            if about["sha256"] == checksum(tensors, rest) and "step" in about:
+                return (about, tensors) if about["version"] == cgtorch.__version__ else None
+        except (RunError, KeyError, ValueError):
+            pass
+        self.damaged.append(path)
+        return None
+
+
+def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) -> FileJournal:
+    """The journal of a stage or round of the run in `folder`; damaged parts of it are told."""
+    journal = FileJournal(folder / FOLDER / name, lambda: watch(AboutToKeep()), seconds)
+    ranks.wait()  # all have read before anyone writes
+    if journal.damaged:
+        watch(JournalDamaged(name, tuple(str(path) for path in journal.damaged)))
+    return journal
+
+
+def forget(folder: Path, name: str) -> None:
+    """Remove the journal of a stage that the run in `folder` has; the first rank does it.
+
+    Who is killed after the stage was written and before its journal was removed leaves one.
+    """
+    if ranks.first() and (folder / FOLDER / name).is_dir():
+        _forget(folder / FOLDER / name)
+
+
+def _forget(journal: Path) -> None:
+    shutil.rmtree(journal, ignore_errors=True)
+    with suppress(OSError):
+        journal.parent.rmdir()  # of all stages, if this was the only one
+
+
+def recalled_generations(folder: Path) -> int:
+    """Generations that the run in `folder` will recall when it is gone on with."""
+    journals = (path for path in (folder / FOLDER).glob("*") if path.is_dir())
+    begun = [path for path in journals if not (folder / path.name / "skill.json").is_file()]
+    return sum(FileJournal(path).generations for path in begun)
+
+
+def _tensors_of(path: Path) -> dict[str, Tensor]:
+    return _load(path)[1]
+
+
+def _load(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """A file's notes and its tensors."""
+    data = read_bytes(path, MAX_BYTES)
+    tensors = tensors_of(data)
+    return notes_of(data), tensors
+
+
+def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
+    """That of a file: of names, types, shapes and bytes, and of what the tensors are about."""
+    digest = hashlib.sha256(repr(sorted(about.items())).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        # As bytes, because numpy lacks some of the types that a file may hold.
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _counts(tensors: dict[str, Tensor]) -> bool:
+    count = tensors.get("generations")
+    return count is not None and count.numel() == 1 and count.dtype == torch.long

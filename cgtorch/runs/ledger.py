@@ -1,0 +1,236 @@
+"""The ledger: every skill a run accepted, where it came from, and the evidence for eq. 1.
+
+RUN/ledger/index.json   the whole history, a few numbers for each skill, in the order of acceptance
+RUN/ledger/NAME.json    one skill, with what the world said of it on every scenario, one a line
+
+A scenario was in "W", in "M" or "new" when the skill was tried on it; `succeeded` says where it
+went. Eq. 1a holds if none that was in W failed, eq. 1b if one that was in M succeeded. Noise is
+part of a scenario (`cgtorch.improvement.trial`), so this holds exactly. What it is worth when the
+same scenarios are met by other noise is counted beside it: `w_other_noise`.
+
+A stage whose skill misses fresh placements improves it again (`Setup.rounds`) and enters its last
+skill only. W is then what that had to keep: the stage's W and all that its own first skill solved.
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import ScenarioBatch
+from cgtorch.errors import RunError
+from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.graphs import Skill
+from cgtorch.graphs.files import skill_from_dict, skill_to_dict
+from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.setup import Progress
+from cgtorch.runs.storage import scenarios_from_list, scenarios_to_list
+
+FOLDER, FORMAT, VERSION = "ledger", "cgtorch-ledger", 1
+WAS = ("W", "M", "new")
+_COUNTS = ("w_before", "w_lost", "m_before", "m_solved", "new", "new_solved", "nodes", "depth")
+_OTHER = ("tried", "succeeded")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An accepted skill with its evidence.
+
+    Attributes:
+        skill: the skill; those in it are its members.
+        parent: name of the skill that it improved, None if it is the first.
+        scenarios: B of them, all that it was tried on.
+        was: (B,) long, index into `WAS`: where each was before.
+        succeeded: (B,) bool, in the world, on the scenario's own noise.
+        other_noise: of W, how many were tried again under other noise and how many of these
+            succeeded; None if that was not tried.
+    """
+
+    skill: Skill
+    parent: str | None
+    scenarios: ScenarioBatch
+    was: Tensor
+    succeeded: Tensor
+    other_noise: tuple[int, int] | None = None
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The skill's line of the index."""
+        w, m, new = (self.was == i for i in range(len(WAS)))
+        return {
+            "name": self.skill.name,
+            "parent": self.parent,
+            "members": list(self.skill.sub_skills),
+            "w_before": int(w.sum()),
+            "w_lost": int((w & ~self.succeeded).sum()),
+            "m_before": int(m.sum()),
+            "m_solved": int((m & self.succeeded).sum()),
+            "new": int(new.sum()),
+            "new_solved": int((new & self.succeeded).sum()),
+            "nodes": self.skill.num_nodes,
+            "depth": self.skill.depth,
+            "w_other_noise": None
+            if self.other_noise is None
+            else dict(zip(_OTHER, self.other_noise, strict=True)),
+        }
+
+
+def entry_of(
+    accepted: SkillAccepted[Any],
+    parent: Skill | None,
+    after: Progress[Any],
+    other_noise: tuple[int, int] | None = None,
+) -> Entry:
+    """The entry of a skill that was just accepted.
+
+    Args:
+        accepted: what was told of it, with its result on W and M.
+        parent: the skill that it improved.
+        after: where the stage ended; scenarios that are in its W or M only were new.
+        other_noise: see `Entry`.
+    """
+    known = set(_keys(accepted.scenarios))
+    parts, was, succeeded = [accepted.scenarios], [(~accepted.keep).long()], [accepted.succeeded]
+    for scenarios, solved in ((after.solved, True), (after.missed, False)):
+        fresh = [i for i, key in enumerate(_keys(scenarios)) if key not in known]
+        parts.append(scenarios[torch.tensor(fresh, dtype=torch.long)])
+        was.append(torch.full((len(fresh),), WAS.index("new")))
+        succeeded.append(torch.full((len(fresh),), solved))
+    name = None if parent is None else parent.name
+    everything = parts[0].joined(*parts[1:])
+    return Entry(
+        accepted.skill, name, everything, torch.cat(was), torch.cat(succeeded), other_noise
+    )
+
+
+def _keys(scenarios: ScenarioBatch) -> list[str]:
+    """What tells scenarios apart."""
+    return [json.dumps(row) for row in scenarios_to_list(scenarios)]
+
+
+def enter(folder: Path, entry: Entry) -> None:
+    """Write a skill into the ledger of the run in `folder`, first the skill, then the index.
+
+    An entry of the same name, as of a stage that was interrupted and is made again, is replaced.
+
+    Raises:
+        RunError: a file cannot be written, or the index is damaged.
+    """
+    ledger = folder / FOLDER
+    try:
+        ledger.mkdir(exist_ok=True)
+    except OSError as e:
+        raise RunError(f"cannot write {str(ledger)!r} ({e.strerror}); check the folder") from e
+    rows = [
+        {"was": WAS[was], "succeeded": succeeded, **row}
+        for was, succeeded, row in zip(
+            entry.was.tolist(),
+            entry.succeeded.tolist(),
+            scenarios_to_list(entry.scenarios),
+            strict=True,
+        )
+    ]
+    head = {"format": FORMAT, "version": VERSION, **entry.summary}
+    text = json.dumps({**head, "skill": skill_to_dict(entry.skill)}, indent=1, allow_nan=False)
+    lines = ",\n  ".join(json.dumps(row, allow_nan=False) for row in rows)
+    text = f'{text.removesuffix("}").rstrip()},\n "scenarios": [\n  {lines}\n ]\n}}\n'
+    write_bytes(ledger / f"{entry.skill.name}.json", text.encode())
+    others = [s for s in read_index(folder) if s["name"] != entry.skill.name]
+    index = {"format": FORMAT, "version": VERSION, "skills": [*others, entry.summary]}
+    write_json(ledger / "index.json", index)
+
+
+def read_index(folder: Path) -> list[dict[str, Any]]:
+    """The history of the run in `folder`: the summary of every skill, the first accepted first.
+
+    A run that has accepted nothing, or was made before there were ledgers, has an empty one.
+
+    Raises:
+        RunError: the index is damaged.
+    """
+    path = folder / FOLDER / "index.json"
+    if not path.is_file():
+        return []
+    skills = _of_version(path).get("skills")
+    if not isinstance(skills, list) or not all(map(_is_summary, skills)):
+        raise RunError(f"skills of {str(path)!r} are {skills!r:.60}; restore the file")
+    return skills
+
+
+def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch) -> Entry:
+    """A skill of the ledger with its evidence.
+
+    Args:
+        folder: of the run.
+        name: of the skill.
+        actions: the run's primitive actions.
+        like: scenarios of the run's kind, none will do.
+
+    Raises:
+        RunError: the ledger lacks it, or its file is damaged.
+        GraphError: the file does not describe a skill.
+    """
+    if name not in (names := [s["name"] for s in read_index(folder)]):
+        known = f"one of {', '.join(names)}" if names else "another run; this one has no ledger"
+        raise RunError(f"no skill {name!r:.40} in the ledger of {str(folder)!r}; give {known}")
+    path = folder / FOLDER / f"{name}.json"
+    data = _of_version(path)
+    skill = skill_from_dict(data.get("skill"), actions)
+    rows, parent, again = data.get("scenarios"), data.get("parent"), data.get("w_other_noise")
+    if (
+        skill.name != name
+        or not (parent is None or isinstance(parent, str))
+        or not (again is None or _is_share(again))
+        or not isinstance(rows, list)
+        or not all(isinstance(r, dict) and _is_evidence(r) for r in rows)
+    ):
+        raise RunError(f"{str(path)!r} is no entry of skill {name!r}; restore the file")
+    plain = [{k: v for k, v in r.items() if k not in ("was", "succeeded")} for r in rows]
+    return Entry(
+        skill,
+        parent,
+        scenarios_from_list(plain, like, f"scenarios of {str(path)!r}"),
+        torch.tensor([WAS.index(r["was"]) for r in rows], dtype=torch.long),
+        torch.tensor([r["succeeded"] for r in rows], dtype=torch.bool),
+        None if again is None else (again["tried"], again["succeeded"]),
+    )
+
+
+def _of_version(path: Path) -> dict[str, Any]:
+    data = read_json(path)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise RunError(f"{str(path)!r} is not of a ledger; restore the file")
+    if data.get("version") != VERSION:
+        raise RunError(
+            f"{str(path)!r} is of version {data.get('version')!r:.20}, this cgtorch reads "
+            f"{VERSION}; use the version that wrote it"
+        )
+    return data
+
+
+def _is_summary(data: Any) -> bool:
+    # A name is part of a path, so it must not lead anywhere.
+    return (
+        isinstance(data, dict)
+        and isinstance(data.get("name"), str)
+        and re.fullmatch(r"\w[\w.-]{0,100}", data["name"]) is not None
+        and all(type(data.get(key)) is int for key in _COUNTS)
+        and (data.get("w_other_noise") is None or _is_share(data["w_other_noise"]))
+    )
+
+
+def _is_share(data: Any) -> bool:
+    return (
+        isinstance(data, dict)
+        and all(type(data.get(key)) is int for key in _OTHER)
+        and 0 <= data["succeeded"] <= data["tried"]
+    )
+
+
+def _is_evidence(row: dict[str, Any]) -> bool:
+    return row.get("was") in WAS and isinstance(row.get("succeeded"), bool)

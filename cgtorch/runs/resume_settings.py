@@ -1,0 +1,179 @@
+"""Going on with a run under changed settings or with another version: what may, and its history.
+
+A run keeps the settings it was begun with. Those that only say how the search goes on can be taken
+over by name; what decided on what is already there cannot. Stages that are finished stay as they
+are. One in the middle is made again from its beginning, as half a stage of one kind and half of
+another would be the stage of no settings at all; what it had come to is set aside, not deleted.
+
+run.json remembers it all, oldest first:
+
+"history": [{"before": "S2", "changed": {"population": [400, 600]}, "set_aside": "set-aside/1"}]
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from cgtorch.domains.settings import to_plain
+from cgtorch.errors import RunError, SettingsError
+from cgtorch.files import read_json, write_json
+from cgtorch.parallel import distributed as ranks
+from cgtorch.runs.journal import FOLDER
+from cgtorch.runs.run import AUTO, Run, round_name, versions
+from cgtorch.runs.settings import RunSettings, all_fields
+
+ASIDE = "set-aside"
+
+
+@dataclass(frozen=True)
+class TakenOver:
+    """What a run goes on with.
+
+    Attributes:
+        run: with its settings of now.
+        changed: what differs from before, old and new, by name: settings, cgtorch, torch.
+        before: the stage or round that is made next.
+        set_aside: where its journal is now, within the run; None if there was none to set aside.
+    """
+
+    run: Run
+    changed: Mapping[str, tuple[Any, Any]]
+    before: str
+    set_aside: str | None
+
+
+def option_of(name: str) -> str:
+    """A setting as the command line calls it."""
+    return f"--{name.replace('_', '-')}"
+
+
+def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
+    """SettingsError if a setting that was given is not the run's.
+
+    Args:
+        run: an open run.
+        given: settings by name.
+        how: what else one can do.
+    """
+    fixed, known = fixed_settings(run), run.all_settings()
+    for name, value in given.items():
+        was = known[name]
+        if value == was or (isinstance(value, tuple) and list(value) == was):
+            continue
+        about = f"run {str(run.folder)!r} has {option_of(name)} {was}, not {value}"
+        if name in fixed:
+            raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
+        raise SettingsError(
+            f"{about}; {how}, or take it over with --resume {run.folder} --override "
+            f"{name.replace('_', '-')}={value}"
+        )
+
+
+def fixed_settings(run: Run) -> dict[str, str]:
+    """Settings that cannot be taken over, by name, and why."""
+    every = all_fields(type(run.domain.settings))
+    own = {f.name for f in fields(run.domain.settings)}
+    return {
+        f.name: f.metadata["fixed"] or "the domain was made with it"
+        for f in every
+        if f.metadata["fixed"] or f.name in own
+    }
+
+
+def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
+    """The run's settings with those that are to be taken over.
+
+    Raises:
+        SettingsError: one cannot be taken over, or has a value that cannot work.
+    """
+    fixed, known = fixed_settings(run), run.all_settings()
+    for name, value in overrides.items():
+        if name in fixed and value != known[name]:
+            raise SettingsError(
+                f"{option_of(name)} {known[name]} of run {str(run.folder)!r} cannot become "
+                f"{value}, as {fixed[name]}; begin another run for it"
+            )
+    names = {f.name for f in fields(RunSettings)}
+    return replace(run.settings, **{k: v for k, v in overrides.items() if k in names})
+
+
+def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
+    """Go on under these settings with this version of the library, and remember what changed.
+
+    A journal that was begun under other settings or by another cgtorch is set aside. That comes
+    first: whatever stops this in between, the stage is at most made again under the old settings.
+
+    Args:
+        run: as it was opened.
+        settings: what it goes on with, of `overridden`.
+        stage: that is to be made.
+
+    Raises:
+        RunError: the run cannot be read or written.
+    """
+    about = read_json(run.folder / "run.json")
+    old, new = to_plain(run.settings), to_plain(settings)
+    changed = {name: (old[name], new[name]) for name in old if old[name] != new[name]}
+    current = {**versions(), **run.domain.made_with()}
+    changed |= {k: (about.get(k), v) for k, v in current.items() if about.get(k) != v}
+    before = _next(run, stage)
+    if not changed:
+        return TakenOver(run, {}, before, None)
+    history = about.get("history", [])
+    if not isinstance(history, list):
+        raise RunError(f"history in {str(run.folder / 'run.json')!r} is no list; restore the file")
+    aside = (
+        _free(run)
+        if set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
+        else None
+    )
+    ranks.wait()  # all have read before anyone writes
+    if ranks.first():
+        entry: dict[str, Any] = {"before": before, "changed": {k: [*v] for k, v in changed.items()}}
+        if aside is not None:
+            _set_aside(run, aside)
+            entry["set_aside"] = aside
+        now = {**about, **current, "settings": new, "history": [*history, entry]}
+        write_json(run.folder / "run.json", now)
+    ranks.wait()
+    return TakenOver(replace(run, settings=settings), changed, before, aside)
+
+
+def _next(run: Run, stage: str) -> str:
+    """The stage or round that a run makes next when it is asked for a stage."""
+    missing = [name for name in run.domain.stages if name not in run.stages]
+    if stage == AUTO or run.rounds or not missing:
+        return round_name(len(run.rounds) + 1)
+    return missing[0]
+
+
+def _free(run: Run) -> str:
+    names = (f"{ASIDE}/{i}" for i in itertools.count(1))
+    return next(name for name in names if not (run.folder / name).exists())
+
+
+def _set_aside(run: Run, name: str) -> None:
+    try:
+        (run.folder / ASIDE).mkdir(exist_ok=True)
+        (run.folder / FOLDER).rename(run.folder / name)
+    except OSError as e:
+        raise RunError(
+            f"cannot set the journal of {str(run.folder)!r} aside ({e.strerror}); check the folder"
+        ) from e
+
+
+def goes_on_to(run: Run) -> dict[str, Any]:
+    """What the run was last asked for: its stage and, of "auto", the goal; {} if nothing yet."""
+    found = read_json(run.folder / "run.json").get("goes_on_to", {})
+    if not isinstance(found, dict):
+        raise RunError(f"goes_on_to of {str(run.folder / 'run.json')!r} is no object; restore it")
+    return found
+
+
+def remember_goal(run: Run, wanted: Mapping[str, Any]) -> None:
+    """Note in run.json what the run is asked for, the first rank only."""
+    if ranks.first() and goes_on_to(run) != wanted:
+        about = read_json(run.folder / "run.json")
+        write_json(run.folder / "run.json", {**about, "goes_on_to": dict(wanted)})
+    ranks.wait()

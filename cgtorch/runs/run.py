@@ -1,0 +1,307 @@
+"""A run: a folder that holds everything it was made with and everything it produced.
+
+run.json            format, versions, domain, settings, what it goes on to, what was changed when
+robot/ …            what the domain keeps, such as the tabletop its robot
+start/              what was known before the first stage: data, Γ, C
+S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+auto-1/ auto-2/ …   each finished round of --stage auto: the same
+journal/            of the stage or round that is not finished: all it has come to so far
+set-aside/          journals of stages that were begun again, as settings or the version changed
+ledger/             every accepted skill, with the evidence for eq. 1
+summary.json        the final table
+events.out.…        TensorBoard
+"""
+
+import itertools
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import cgtorch
+from cgtorch import native
+from cgtorch.actions import ActionSet, check_action, resolve_actions
+from cgtorch.domains.check import check_domain
+from cgtorch.domains.domain import Domain
+from cgtorch.domains.registry import (
+    check_options,
+    domain_class,
+    is_code,
+    make_domain,
+    settings_class,
+)
+from cgtorch.domains.settings import from_plain, to_plain
+from cgtorch.environment import ScenarioBatch
+from cgtorch.errors import ActionError, DomainError, GraphError, RunError, SettingsError
+from cgtorch.files import read_json, write_json
+from cgtorch.graphs import Skill, load_skill
+from cgtorch.runs.settings import NAMES, RunSettings
+
+FORMAT, VERSION = "cgtorch-run", 2
+AUTO = "auto"
+"""What is asked for instead of a stage to have rounds, auto-1, auto-2, …, until a goal is met."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """An open run.
+
+    Attributes:
+        folder: where it is.
+        settings: what it is made with.
+        domain: what it is about.
+        actions: the primitive actions.
+    """
+
+    folder: Path
+    settings: RunSettings
+    domain: Domain[Any]
+    actions: ActionSet
+
+    @property
+    def kind(self) -> str:
+        """The kind of scenarios that it is about."""
+        return kind_of(self.settings, self.domain)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The finished stages, in order, up to the first that is missing, then the rounds."""
+        return (*itertools.takewhile(self._finished, self.domain.stages), *self.rounds)
+
+    @property
+    def rounds(self) -> tuple[str, ...]:
+        """The finished rounds of `--stage auto`, in order."""
+        return tuple(itertools.takewhile(self._finished, map(round_name, itertools.count(1))))
+
+    @property
+    def learns(self) -> bool:
+        """Whether its skills are evolved in Γ and C, and not in the world itself."""
+        chosen = self.settings.models
+        return (self.domain.models if chosen == "auto" else chosen) == "learned"
+
+    def like(self) -> ScenarioBatch:
+        """No scenarios, but of the kind that the run is about."""
+        return self.domain.draw(self.kind, 0, torch.Generator())
+
+    def all_settings(self) -> dict[str, Any]:
+        """Its settings and its domain's, by name, as plain data."""
+        return {**to_plain(self.settings), **to_plain(self.domain.settings)}
+
+    def _finished(self, stage: str) -> bool:
+        return (self.folder / stage / "skill.json").is_file()
+
+
+def round_name(number: int) -> str:
+    """The name of a round, from 1, and of the skill it makes."""
+    return f"{AUTO}-{number}"
+
+
+def kind_of(settings: RunSettings, domain: Domain[Any]) -> str:
+    """The kind of scenarios that a run is about."""
+    return domain.usual_kind if settings.scenarios == "auto" else settings.scenarios
+
+
+def versions() -> dict[str, str]:
+    """What the last digits of a run's numbers depend on besides its settings, by name."""
+    engine = "compiled" if native.available() else "torch"
+    return {"cgtorch": cgtorch.__version__, "torch": str(torch.__version__), "engine": engine}
+
+
+def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+    """Begin a run in an empty or new folder; nothing is written unless all is in order.
+
+    Args:
+        folder: where it is to be.
+        settings: of the run.
+        domain_settings: of its domain; the defaults if not given.
+
+    Raises:
+        DomainError: the domain cannot be made, or breaks its interface.
+        ActionError: an action cannot be found.
+        RunError: the folder cannot be written or holds other things.
+    """
+    check_options(settings.domain, NAMES)
+    domain = make_domain(settings.domain, domain_settings)
+    run = _checked(folder, settings, domain)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
+    if folder.resolve() == Path.cwd():
+        raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
+    with whole_folder(folder) as new:
+        run.domain.write(new)
+        write_json(new / "run.json", about_run(run))
+    return run
+
+
+def about_run(run: Run) -> dict[str, Any]:
+    """What run.json says of a run that begins."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        **versions(),
+        **run.domain.made_with(),
+        "settings": to_plain(run.settings),
+        "domain_settings": to_plain(run.domain.settings),
+    }
+
+
+def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Run:
+    """Open a run.
+
+    Args:
+        folder: where it is.
+        trusted: "package.module:Class" of actions that may be imported. What a file names is not
+            imported just because the file says so.
+        domain: the same of the domain; None for one that is not code of its own.
+
+    Raises:
+        RunError: there is none, or it is of another version, or damaged.
+        DomainError: its domain is not trusted or cannot be found.
+        ActionError: it uses an action that is not trusted or cannot be found, or does not use
+            one that is trusted.
+    """
+    about = read_about(folder)
+    settings = from_plain(RunSettings, about.get("settings"))
+    if domain is not None and domain != settings.domain:
+        raise DomainError(
+            f"run {str(folder)!r} is about domain {settings.domain!r}, not {domain!r}; leave "
+            "--domain out or give that"
+        )
+    if is_code(settings.domain) and domain is None:
+        raise DomainError(
+            f"run {str(folder)!r} is about domain {settings.domain!r}, which is code of its own; "
+            f"if you trust it, add --domain {settings.domain}"
+        )
+    if unused := [spec for spec in trusted if spec not in settings.actions]:
+        raise ActionError(
+            f"run {str(folder)!r} was begun without action {unused[0]!r} and cannot use it; leave "
+            "it out"
+        )
+    for spec in settings.actions:
+        if ":" in spec and spec not in trusted:
+            raise ActionError(
+                f"run {str(folder)!r} uses action {spec!r}, which is code of its own; if you trust "
+                f"it, add --actions {spec}"
+            )
+    own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
+    return _checked(folder, settings, domain_class(settings.domain).read(own, folder))
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """The run.json of a run; RunError if there is none, or it is of another version."""
+    if not (folder / "run.json").is_file():
+        raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
+    about = read_json(folder / "run.json")
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        raise RunError(f"{str(folder / 'run.json')!r} is not of a cgtorch run; give another folder")
+    if about.get("version") != VERSION:
+        raise RunError(
+            f"run {str(folder)!r} is of version {about.get('version')!r:.20}, this cgtorch reads "
+            f"{VERSION}; use the version that wrote it"
+        )
+    return about
+
+
+def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
+    """The run, its domain and the actions that are not the domain's own tried on two lanes."""
+    kind = kind_of(settings, domain)
+    if kind not in (kinds := domain.trained_kinds or domain.kinds):
+        raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
+    domain = domain.for_run(kind, settings.method)
+    check_domain(domain, kind)
+    basic = domain.actions()
+    actions = resolve_actions(settings.actions, basic)
+    added = [n for n in actions.names if n not in basic.names]
+    if added:
+        world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
+        for name in added:
+            check_action(name, actions.actions[actions.names.index(name)], world)
+    run = Run(folder, settings, domain, actions)
+    if run.learns and domain.rewarded:
+        raise SettingsError(
+            f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "
+            "evolved in the world itself: --models none"
+        )
+    return run
+
+
+def last_skill(
+    path: Path, trusted: Sequence[str] = (), domain: str | None = None
+) -> tuple[Run, Skill]:
+    """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
+
+    `trusted` and `domain` are those of `open_run`.
+
+    Raises:
+        RunError: there is no run, or no skill in it yet.
+    """
+    if (path / "run.json").is_file():
+        run = open_run(path, trusted, domain)
+        if not run.stages:
+            raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
+        return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
+    if (path / "skill.json").is_file():
+        run = open_run(path.absolute().parent, trusted, domain)  # also of "."
+        return run, load_skill(path / "skill.json", run.actions)
+    raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
+
+
+def lone_skill(
+    path: Path,
+    names: Sequence[str] = (),
+    kind: str | None = None,
+    domain: str = RunSettings.domain,
+    options: Mapping[str, Any] | None = None,
+) -> tuple[Domain[Any], str, Skill]:
+    """The skill of a file that stands for itself, its domain, and the kind of its scenarios.
+
+    Args:
+        path: the file.
+        names: of further actions that it uses.
+        kind: what it is to be tried on; the domain's usual kind if not given.
+        domain: what it is for.
+        options: settings of the domain.
+
+    Raises:
+        GraphError: the file cannot be read or describes no skill, for no variant of the domain.
+        ActionError: an action is not known.
+    """
+    made = make_domain(domain, settings_class(domain)(**(options or {})))
+    kind = made.usual_kind if kind is None else kind
+    if kind not in made.kinds:
+        raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
+    errors: list[GraphError | ActionError] = []
+    for variant in made.variants(kind):
+        try:
+            return variant, kind, load_skill(path, resolve_actions(names, variant.actions()))
+        except (GraphError, ActionError) as e:
+            errors.append(e)
+    raise next((e for e in errors if isinstance(e, GraphError)), errors[0])
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A folder that appears under its name with all its files, or not at all."""
+    partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        try:
+            partial_path.mkdir()
+        except (OSError, ValueError) as e:
+            reason = e.strerror if isinstance(e, OSError) else e
+            raise RunError(f"cannot write {str(path)!r} ({reason}); check the folder") from e
+        yield partial_path
+        try:
+            partial_path.replace(path)
+        except OSError as e:
+            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
+    finally:
+        shutil.rmtree(partial_path, ignore_errors=True)

@@ -1,0 +1,291 @@
+"""Datasets, scenarios, populations and results as files: safetensors and JSON, never code."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import safetensors.torch
+import torch
+from torch import Tensor, nn
+
+from cgtorch.actions import ActionSet
+from cgtorch.domains.knowledge import Knowledge, swift_gamma
+from cgtorch.domains.reports import SuccessReport, TransitionReport
+from cgtorch.domains.success import SuccessClassifier
+from cgtorch.domains.transition import TransitionModel
+from cgtorch.environment import Dataset, ScenarioBatch
+from cgtorch.errors import GraphError, RunError
+from cgtorch.evolution import Population, population_from
+from cgtorch.files import read_bytes, read_json, tensors_of, write_bytes, write_json
+from cgtorch.graphs import Graphs
+from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
+
+GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
+MAX_BYTES = 2**30
+T = TypeVar("T", Dataset, Graphs)
+Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
+"""What makes unfitted models, by the name of their class; see `Domain.unfitted`."""
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
+    """Write named tensors with notes, whole or not at all."""
+    plain = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+    write_bytes(path, safetensors.torch.save(plain, metadata=notes))
+
+
+def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
+    """Read named tensors.
+
+    Raises:
+        RunError: the file is missing, damaged, too large, or holds other tensors.
+    """
+    data = read_bytes(path, MAX_BYTES)
+    try:
+        found = tensors_of(data)
+    except ValueError as e:
+        raise RunError(f"cannot read {str(path)!r} ({e}); restore the file") from e
+    if set(found) != names:
+        odd = sorted(names ^ set(found))[0]
+        raise RunError(f"{str(path)!r} lacks or has tensor {odd!r}; is it of this version?")
+    return found
+
+
+def save_dataset(path: Path, dataset: Dataset, notes: dict[str, str]) -> None:
+    """Write a dataset with notes on how it was collected."""
+    save_tensors(path, vars(dataset), notes)
+
+
+def load_dataset(path: Path) -> Dataset:
+    """Read a dataset; RunError if its tensors do not fit one another or are not finite."""
+    data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
+    if not data.whole():
+        raise RunError(
+            f"the tensors of {str(path)!r} do not fit one another or are not finite; restore the "
+            "file"
+        )
+    return data
+
+
+def holds_models(folder: Path) -> bool:
+    """Whether a folder of a run has Γ or C: a run may be passed on without them."""
+    return any((folder / name).exists() for name in (GAMMA, CLASSIFIER))
+
+
+def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
+    """Write data, Γ and C into a folder."""
+    save_dataset(folder / "data.safetensors", knowledge.dataset, notes)
+    said = [a.reason for a in knowledge.acceptances or ()]
+    learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
+    save_dataset(folder / "aside.safetensors", knowledge.aside, {**notes, **learned})
+    save_model(folder / GAMMA, knowledge.gamma, knowledge.gamma_report)
+    save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
+
+
+@dataclass(frozen=True)
+class Models:
+    """Γ and C with what their fits found."""
+
+    gamma: TransitionModel
+    classifier: SuccessClassifier
+    gamma_report: TransitionReport
+    classifier_report: SuccessReport
+
+
+def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
+    """Read what `save_knowledge` wrote.
+
+    Args:
+        folder: where that was.
+        unfitted: what makes the models of the domain.
+
+    Raises:
+        RunError: a file holds another kind of model, or a report that is none.
+        ModelError: a model file is damaged.
+    """
+    models = load_models(folder, unfitted)
+    data = load_dataset(folder / "data.safetensors")
+    aside = load_dataset(folder / "aside.safetensors")
+    swift = swift_gamma(models.gamma, data)
+    return Knowledge(
+        data, models.gamma, swift, models.classifier, models.gamma_report,
+        models.classifier_report, aside,
+    )  # fmt: skip
+
+
+def load_models(folder: Path, unfitted: Unfitted) -> Models:
+    """Γ and C of what `save_knowledge` wrote, without the data; errors are those."""
+    gamma, first_report = load_model_and_report(folder / GAMMA, unfitted)
+    classifier, second_report = load_model_and_report(folder / CLASSIFIER, unfitted)
+    if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
+        raise RunError(f"{str(folder)!r} holds other models than Γ and C; restore the files")
+    try:
+        choices = tuple(None if c is None else Choice(**c) for c in first_report["choice"])
+        gamma_report = TransitionReport(**{**_fields(first_report), "choice": choices})
+        choice = Choice(**second_report["choice"])
+        report = SuccessReport(**{**_fields(second_report), "choice": choice})
+    except (TypeError, KeyError, RecursionError) as e:
+        raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
+    return Models(gamma, classifier, gamma_report, report)
+
+
+def _fields(report: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a report: JSON's lists as tuples, and the learning curve, if it has one."""
+    found = {name: _frozen(value) for name, value in report.items()}
+    if found.get("learning_curve") is not None:
+        found["learning_curve"] = LearningCurve(**found["learning_curve"])
+    return found
+
+
+def _frozen(value: Any) -> Any:
+    """JSON's lists as the tuples they were, at any depth."""
+    if isinstance(value, dict):
+        return {name: _frozen(one) for name, one in value.items()}
+    return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
+
+
+def save_population(path: Path, population: Population) -> None:
+    """Write graphs and strategies."""
+    save_tensors(path, {**vars(population.graphs), "strategy": population.strategy}, {})
+
+
+def load_population(path: Path, actions: ActionSet) -> Population:
+    """Read graphs and strategies.
+
+    Args:
+        path: the file.
+        actions: what the graphs' nodes can be.
+
+    Raises:
+        RunError: the file is damaged, or holds graphs that are not valid.
+    """
+    names = {f.name for f in fields(Graphs)} | {"strategy"}
+    try:
+        return population_from(load_tensors(path, names), actions)
+    except GraphError as e:
+        raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file") from e
+
+
+_WORDS = ("stage", "scenarios")
+_COUNTS = (
+    "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded", "w_size",
+    "w_lost", "nodes", "depth", "generations", "transitions",
+)  # fmt: skip
+_SCORES = ("fresh", "overall")
+
+
+def load_result(path: Path) -> dict[str, Any]:
+    """Read a stage's result.json; RunError if it lacks a number of the final table."""
+    data = read_json(path)
+    if not isinstance(data, dict):
+        raise RunError(f"{str(path)!r} is no result of a stage; restore the file")
+    scores = {name: data.get(name) for name in _SCORES}
+    seconds: Any = data.get("seconds")
+    right = {
+        **{name: isinstance(data.get(name), str) for name in _WORDS},
+        **{name: _is_count(data.get(name)) for name in _COUNTS},
+        **{name: _is_score(score) for name, score in scores.items()},
+        "decisive": data.get("decisive") is None or _is_score(data["decisive"]),
+        "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
+    }
+    for name, ok in right.items():
+        if not ok:
+            raise RunError(f"{name} of {str(path)!r} is {data.get(name)!r:.40}; restore the file")
+    return data
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 2**53
+
+
+def _is_score(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("scenarios"), str)
+        and _is_count(value.get("tried"))
+        and _is_count(value.get("succeeded"))
+        and value["succeeded"] <= value["tried"]
+        and (value.get("mean_return") is None or _is_number(value["mean_return"]))
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
+    """One plain object per scenario, by the names of its fields; fields without numbers are out."""
+    parts = {name: value.tolist() for name, value in vars(scenarios).items() if value[:1].numel()}
+    return [{name: rows[i] for name, rows in parts.items()} for i in range(len(scenarios))]
+
+
+def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioBatch:
+    """Scenarios from what `scenarios_to_list` gave.
+
+    Args:
+        data: that, or anything else.
+        like: scenarios of the same kind, none will do.
+        where: what the messages call the data.
+
+    Raises:
+        RunError: an entry lacks a field, or its numbers are not of the right kind and count.
+    """
+    if not isinstance(data, list):
+        raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
+    parts: dict[str, Tensor] = vars(like)
+    wanted = {name for name, value in parts.items() if math.prod(value.shape[1:])}
+    for i, row in enumerate(data):
+        if not isinstance(row, dict) or set(row) != wanted:
+            raise RunError(
+                f"scenario {i} of {where} is {row!r:.60}; give {', '.join(sorted(wanted))}"
+            )
+        for name in wanted:
+            value = parts[name]
+            _check_numbers(
+                row[name], value.shape[1:], value.dtype, f"{name} of scenario {i} of {where}"
+            )
+    made = {
+        name: torch.tensor([row[name] for row in data], dtype=value.dtype).view(
+            len(data), *value.shape[1:]
+        )
+        if name in wanted
+        else value.new_zeros(len(data), *value.shape[1:])
+        for name, value in parts.items()
+    }
+    return type(like)(**made)
+
+
+def _check_numbers(values: Any, shape: Sequence[int], dtype: torch.dtype, what: str) -> None:
+    """RunError unless values are nested lists of that shape with numbers of that type."""
+    if shape:
+        if not isinstance(values, list) or len(values) != shape[0]:
+            raise RunError(f"{what} is {values!r:.60}; give a list of {shape[0]}")
+        for value in values:
+            _check_numbers(value, shape[1:], dtype, what)
+    elif dtype == torch.bool:
+        if not isinstance(values, bool):
+            raise RunError(f"{what} is {values!r:.60}; give true or false")
+    elif dtype.is_floating_point:
+        if type(values) not in (int, float) or not abs(values) < 1e15:
+            raise RunError(f"{what} is {values!r:.60}; give finite numbers")
+    elif type(values) is not int or not -(2**63) <= values < 2**63:
+        raise RunError(f"{what} is {values!r:.60}; give whole numbers")
+
+
+def save_scenarios(path: Path, parts: dict[str, ScenarioBatch]) -> None:
+    """Write named batches of scenarios, such as W and M."""
+    write_json(path, {name: scenarios_to_list(s) for name, s in parts.items()})
+
+
+def load_scenarios(
+    path: Path, names: tuple[str, ...], like: ScenarioBatch
+) -> tuple[ScenarioBatch, ...]:
+    """Read the batches called `names`; RunError if one is missing or damaged."""
+    data = read_json(path)
+    for name in names:
+        if not isinstance(data, dict) or name not in data:
+            raise RunError(f"{str(path)!r} lacks {name!r}; restore the file")
+    return tuple(
+        scenarios_from_list(data[name], like, f"{name} in {str(path)!r}") for name in names
+    )

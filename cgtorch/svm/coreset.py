@@ -1,0 +1,73 @@
+"""Fewer rows that cover as much: what a machine keeps of its data when there is too much of it.
+
+A dual solution does not change when rows that are no support vectors are left out, so support
+vectors are kept. The places left go to the rows farthest from all kept so far (the greedy
+k-centre of Gonzalez 1985), so that of the rows left out none is farther from a kept one than
+twice what the best choice of as many rows could reach.
+"""
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import SettingsError
+from cgtorch.svm.machine import KernelMachine
+
+
+def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
+    """Indices, ascending, of at most `limit` of the rows (n, d).
+
+    Args:
+        rows: Features (n, d) in which distances mean something.
+        keep: (n,) bool, rows wanted before all others, such as support vectors. If they are more
+            than the limit, the same choice is made among them.
+        limit: How many rows may stay, at least 1.
+
+    Raises:
+        SettingsError: The limit is below 1.
+    """
+    if limit < 1:
+        raise SettingsError(f"the coreset's limit is {limit}; keep at least 1 row")
+    everything = torch.arange(len(rows), device=rows.device)
+    if len(rows) <= limit:
+        return everything
+    if int(keep.sum()) > limit:
+        chosen, pool = everything[:0], everything[keep]
+    else:
+        chosen, pool = everything[keep], everything[~keep]
+    more = farthest_first(rows[pool], rows[chosen], limit - len(chosen))
+    return torch.cat([chosen, pool[more]]).sort().values
+
+
+def farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
+    """Indices (count,) of rows (n, d), each the farthest from `covered` (m, d) and those before.
+
+    With nothing covered, the first is the row nearest to the mean.
+    """
+    if len(covered):
+        nearest = torch.cdist(rows, covered).amin(1)
+    else:
+        nearest = -(rows - rows.mean(0)).norm(dim=1)
+    chosen = []
+    for _ in range(count):
+        pick = int(nearest.argmax())
+        chosen.append(pick)
+        distance = (rows - rows[pick]).norm(dim=1)
+        first = len(chosen) == 1 and not len(covered)
+        nearest = distance if first else torch.minimum(nearest, distance)
+        nearest[pick] = -torch.inf
+    return torch.tensor(chosen, dtype=torch.long, device=rows.device)
+
+
+def support_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
+    """The coreset (m,) of the rows (n, d) that a machine was fitted on, by its features."""
+    keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
+    keep[machine.support] = True
+    return coreset(features, keep, limit)
+
+
+def reindex(machine: KernelMachine, chosen: Tensor) -> None:
+    """Let the machine's support speak of the chosen rows (m,) only, in place."""
+    place = torch.searchsorted(chosen, machine.support).clamp_max(len(chosen) - 1)
+    kept = chosen[place] == machine.support
+    machine.support = place[kept]
+    machine.centres, machine.weights = machine.centres[kept], machine.weights[kept]

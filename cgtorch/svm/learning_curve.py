@@ -1,0 +1,195 @@
+"""Learning curves: what more rows would bring, from one batched exact solve.
+
+Every size, fold and output is a dual problem over the same rows and on the same kernel matrix, in
+which the rows that it must not learn from have the box [0, 0]; so one call of the solver answers
+them all, and the values on all rows, used or not, come with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.errors import SettingsError
+from cgtorch.svm import inputs
+from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks
+from cgtorch.svm.gram import gram
+from cgtorch.svm.kernels import resolve_gamma
+from cgtorch.svm.problems import Problems, classification, regression
+from cgtorch.svm.scores import SCORES
+from cgtorch.svm.solver import FINAL_RIDGE, solve
+from cgtorch.svm.svc import SVC, row_weights
+from cgtorch.svm.svr import SVR, per_output, units
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """Scores by the number of rows trained on, more is better.
+
+    Attributes:
+        sizes: Rows trained on (S,).
+        train_scores: Score on these rows, by size and fold (S, F).
+        test_scores: Score on the rows that the fold holds out, by size and fold (S, F).
+    """
+
+    sizes: tuple[int, ...]
+    train_scores: tuple[tuple[float, ...], ...]
+    test_scores: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class LearningValues:
+    """Values on all rows of every model of a learning curve.
+
+    Attributes:
+        sizes: Rows trained on (S,).
+        values: Decision values or predictions, by size, fold and output (S, F, k, n).
+        targets: Signs or targets (k, n).
+        used: Whether a row was trained on, by size and fold (S, F, n).
+        folds: Fold number of each row (n,).
+    """
+
+    sizes: tuple[int, ...]
+    values: Tensor
+    targets: Tensor
+    used: Tensor
+    folds: Tensor
+
+    @property
+    def held_out(self) -> Tensor:
+        """Value of each row from the largest model whose fold held it out (k, n)."""
+        index = torch.arange(len(self.folds), device=self.folds.device)
+        return self.values[-1, self.folds, :, index].T
+
+    def scored(self, scoring: str) -> LearningCurve:
+        """Scores, a name in `SCORES`, averaged over the outputs."""
+
+        def mean(value: Tensor, rows: Tensor) -> float:
+            return float(SCORES[scoring](value[:, rows], self.targets[:, rows]).mean())
+
+        train, test = [], []
+        for value, used in zip(self.values, self.used, strict=True):
+            folds = range(len(value))
+            train.append(tuple(mean(value[f], used[f]) for f in folds))
+            test.append(tuple(mean(value[f], self.folds == f) for f in folds))
+        return LearningCurve(self.sizes, tuple(train), tuple(test))
+
+
+def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
+    """Up to `count` sizes, each twice the one before, that plain or stratified `folds` allow.
+
+    The largest is all that any fold of `rows` leaves, less at most two rows. Sizes under 16 rows
+    are left out, as hardly anything can be learnt from them.
+    """
+    most = rows - rows // folds - 2  # each of two classes may leave one row over in the same fold
+    return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)
+
+
+def learning_curve(
+    model: SVC | SVR,
+    x: Any,
+    y: Any,
+    *,
+    sizes: Sequence[int],
+    folds: Any = 5,
+    seed: int | Generator = 0,
+    scoring: str | None = None,
+) -> LearningCurve:
+    """Cross-validated scores of a model trained on the first rows of each training fold.
+
+    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on
+    the first so many of the rows outside the fold, in the order given, and score these and the
+    fold. Shuffle rows whose order means something. Scores of several outputs are averaged.
+
+    Args:
+        model: An `SVC` or `SVR` with the parameters to judge; it is not changed. A gamma of
+            "scale" is that of all rows.
+        x: Rows (n, d).
+        y: Labels (n,), or targets (n,) or (n, k).
+        sizes: Numbers of rows to train on (S,).
+        folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
+        seed: Seed or generator of the folds and of the solver.
+        scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
+
+    Returns:
+        The scores.
+
+    Raises:
+        DataError: Data that the model's `fit` would refuse, too few rows for the folds, or one
+            class only among the first rows.
+        SettingsError: No size, one below 1 or beyond the smallest training fold, or an unknown
+            score.
+    """
+    scoring = scoring or ("accuracy" if isinstance(model, SVC) else "r2")
+    if scoring not in SCORES:
+        raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    return learning_values(model, x, y, sizes=sizes, folds=folds, seed=seed).scored(scoring)
+
+
+def learning_values(
+    model: SVC | SVR,
+    x: Any,
+    y: Any,
+    *,
+    sizes: Sequence[int],
+    folds: Any = 5,
+    seed: int | Generator = 0,
+) -> LearningValues:
+    """What `learning_curve` scores; see there for arguments and errors."""
+    rows = inputs.as_rows(x)
+    inputs.check_memory(len(rows), model.max_memory)
+    generator = inputs.generator_of(seed)
+    if isinstance(model, SVC):
+        classes, signs = inputs.as_binary(y, len(rows))
+        targets = signs.to(rows)[None]
+    else:
+        targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
+    if not isinstance(folds, int):
+        numbers = given_folds(folds, len(rows))
+    elif isinstance(model, SVC):
+        numbers = stratified_folds(targets[0], folds, generator)
+    else:
+        numbers = plain_folds(len(rows), folds, generator)
+    used = _first_rows(training_masks(numbers), sizes).to(rows.device)
+    flat = used.flatten(0, 1)
+    if isinstance(model, SVC):
+        cap = torch.full((len(flat),), inputs.positive(model.C, "C")).to(rows)
+        weight = row_weights(targets[0], classes, model.class_weight, flat)
+        problems = classification(targets[0], cap, weight)
+        mean, unit = 0 * targets[:, 0], 0 * targets[:, 0] + 1
+    else:
+        mean, unit = units(targets)
+        problems = _regressions(model, (targets - mean[:, None]) / unit[:, None], unit, flat)
+    gamma = resolve_gamma(model.gamma, rows)
+    kernel = gram(model.kernel, rows, gamma, model.degree, model.coef0)
+    found = solve(kernel, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
+    values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
+    values = values * unit[:, None] + mean[:, None]
+    return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))
+
+
+def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
+    """Masks (S, F, n) of the first rows of each training fold, whose masks are (F, n).
+
+    Raises:
+        SettingsError: No size, or one that cannot be had.
+    """
+    most = int(masks.sum(1).min())
+    if not sizes or not all(isinstance(s, int) and 1 <= s <= most for s in sizes):
+        raise SettingsError(f"sizes are {tuple(sizes)}; give numbers of rows from 1 to {most}")
+    place = masks.cumsum(1)
+    return masks & (place <= torch.tensor(sizes)[:, None, None])
+
+
+def _regressions(model: SVR, targets: Tensor, unit: Tensor, used: Tensor) -> Problems:
+    """Problems (Q k) of targets (k, n) for each mask of the rows used (Q, n), output by output.
+
+    The targets are in units (k,) of their own, the model's C and epsilon are not.
+    """
+    outputs, repeats = len(targets), len(used)
+    cap = per_output(model.C, "C", outputs, targets) / unit
+    tube = per_output(model.epsilon, "epsilon", outputs, targets, inputs.not_negative) / unit
+    weight = used.to(targets).repeat_interleave(outputs, 0)
+    return regression(targets.repeat(repeats, 1), cap.repeat(repeats), tube.repeat(repeats), weight)

@@ -1,0 +1,120 @@
+"""Fewer centres: a machine of a given size that answers nearly like the exact one.
+
+The centres are picked by pivoted Cholesky (Fine & Scheinberg 2001), the greedy choice of those
+that the others explain least, and their weights fitted by QR to the exact model's answers.
+"""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import SettingsError
+from cgtorch.svm.inputs import as_rows
+from cgtorch.svm.kernels import Kernel, make_kernel
+from cgtorch.svm.pivoted_cholesky import pivoted_cholesky
+from cgtorch.svm.svc import SVC
+from cgtorch.svm.svr import SVR
+
+Machine = TypeVar("Machine", SVC, SVR)
+
+_RIDGES = tuple(10.0**-power for power in range(1, 11))
+
+
+@dataclass(frozen=True)
+class CompactReport:
+    """What compacting cost.
+
+    Attributes:
+        centres: Centres kept.
+        before: Centres of the exact model.
+        mean_loss: Mean absolute difference of the values on rows not used in the fit, by output.
+        largest_loss: Largest such difference, by output.
+    """
+
+    centres: int
+    before: int
+    mean_loss: tuple[float, ...]
+    largest_loss: tuple[float, ...]
+
+
+def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
+    """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first."""
+    diagonal = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
+    chosen = pivoted_cholesky(diagonal, lambda row: kernel(x[row : row + 1], x)[0], count)[1]
+    return torch.tensor(chosen, dtype=torch.long, device=x.device)
+
+
+def compact(machine: Machine, centres: int, x: Tensor) -> tuple[Machine, CompactReport]:
+    """A machine with at most `centres` centres fitted to the values of `machine`.
+
+    Three of four rows fit the weights, the fourth chooses the ridge, by answers in the type that
+    the machine computes in, so that weights too large for it are not chosen, and measures the
+    loss. The probabilities of an `SVC` keep its Platt parameters.
+
+    Args:
+        machine: A fitted `SVC` or `SVR`.
+        centres: Number of centres wanted, at least 1.
+        x: Rows (n, d) of the region where it will be asked, at least 8.
+
+    Returns:
+        The smaller machine, and the report.
+
+    Raises:
+        SettingsError: Fewer than one centre wanted, or fewer than 8 rows.
+        ModelError: Not fitted.
+    """
+    machine._check_fitted()
+    rows = as_rows(x).to(machine.centres.device)
+    if centres < 1 or len(rows) < 8:
+        raise SettingsError(f"compact needs 1 centre and 8 rows, not {centres} and {len(rows)}")
+    kind = machine.centres.dtype
+    kernel = make_kernel(machine.kernel, float(machine.gamma_value), machine.degree, machine.coef0)
+    pool = machine.centres.double()
+    picked = pivots(kernel, pool, min(centres, len(pool)))
+    test = torch.arange(len(rows), device=rows.device) % 4 == 3
+    with torch.no_grad():
+        truth = machine.values(rows.to(kind)).double()
+    smaller, best = None, torch.inf
+    design = torch.nn.functional.pad(kernel(rows[~test], pool[picked]), (0, 1), value=1.0)
+    for ridge in _RIDGES:
+        weights = _least_squares(design, truth[~test], ridge)
+        attempt = _with(machine, pool[picked], weights[:-1], weights[-1], picked)
+        with torch.no_grad():
+            loss = (attempt.values(rows[test].to(kind)).double() - truth[test]).abs()
+        if float(loss.mean()) < best:
+            smaller, best, kept = attempt, float(loss.mean()), loss
+    if smaller is None:
+        raise SettingsError("no ridge gave finite values; ask for fewer centres")
+    report = CompactReport(
+        centres=len(picked),
+        before=len(pool),
+        mean_loss=tuple(kept.mean(0).tolist()),
+        largest_loss=tuple(kept.amax(0).tolist()),
+    )
+    return smaller, report
+
+
+def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
+    """Ridge regression (m, k) of truth (n, k) on design (n, m) by QR of the stacked system."""
+    size = design.shape[1]
+    penalty = (ridge * len(design) ** 0.5) * torch.eye(size).to(design)
+    penalty[-1, -1] = 0
+    stacked = torch.cat([design, penalty])
+    q, r = torch.linalg.qr(stacked)
+    right = torch.cat([truth, truth.new_zeros(size, truth.shape[1])])
+    return torch.linalg.solve_triangular(r, q.T @ right, upper=True)
+
+
+def _with(
+    machine: Machine, centres: Tensor, weights: Tensor, bias: Tensor, kept: Tensor
+) -> Machine:
+    """A copy of `machine` with other centres, weights and bias, in the same type."""
+    copy = type(machine)(**machine.get_params())
+    copy.load_state_dict(machine.state_dict())
+    copy = copy.to(machine.centres)
+    copy.centres, copy.weights = centres.to(machine.centres), weights.to(machine.weights)
+    copy.bias, copy.support = bias.to(machine.bias), machine.support[kept]
+    copy.gap = torch.full_like(machine.gap, torch.inf)  # no longer the dual problem's solution
+    return copy

@@ -1,0 +1,1 @@
+"""The paper's domain: a robot that reaches objects on a table (section VI)."""

@@ -1,0 +1,84 @@
+"""Collecting what Γ and C learn from: the world driven at random (section V)."""
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.environment import Lanes, start_lanes
+from cgtorch.environment.dataset import Dataset
+from cgtorch.tabletop.data.labels import grasp_labels
+from cgtorch.tabletop.data.poses import PERIMETER, Scenes, WorldOf, poses_around
+
+MAX_MOVE = 2.0  # m
+
+
+def collect(
+    world_of: WorldOf,
+    transitions: int,
+    labels: int,
+    generator: Generator,
+    scenes: Scenes = PERIMETER,
+) -> Dataset:
+    """Drive at random for transitions, and try grasps for labels.
+
+    Args:
+        world_of: makes the world of given scenarios.
+        transitions: how many (p, u, p′).
+        labels: how many percepts with the result of a grasp.
+        generator: of all random choices.
+        scenes: to draw from.
+
+    Raises:
+        DataError: hardly any pose allows a grasp, or hardly any does not.
+    """
+    percept, motion, after = drive(world_of, transitions, generator, scenes)
+    at, graspable = grasp_labels(world_of, labels, generator, scenes)
+    return Dataset(percept, motion, after, at, graspable)
+
+
+def drive(
+    world_of: WorldOf,
+    count: int,
+    generator: Generator,
+    scenes: Scenes = PERIMETER,
+    moves: int = 8,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`count` transitions p (n, D), u (n, 3), p′ (n, D) of robots driven at random.
+
+    Each robot starts at a random pose around the table and makes random moves; those that are
+    blocked or that would leave the arena are not made.
+    """
+    rows: list[tuple[Tensor, Tensor, Tensor]] = []
+    have = 0
+    while have < count:
+        robots = 2 + (count - have) // 2
+        world = world_of(poses_around(world_of, robots, generator, scenes))
+        lanes = start_lanes(world, torch.arange(robots), 0, 0)
+        for _ in range(moves):
+            motion = random_motions(robots, generator)
+            before = lanes
+            lanes, ok = world.step(lanes, motion)
+            ok &= lanes.state[:, :2].norm(dim=1) <= scenes.arena
+            lanes = _either(ok, lanes, before)
+            rows.append((before.percept[ok], motion[ok], lanes.percept[ok]))
+            have += int(ok.sum())
+    p, u, q = (torch.cat(part) for part in zip(*rows, strict=True))
+    pick = torch.randperm(len(p), generator=generator)[:count]
+    return p[pick], u[pick], q[pick]
+
+
+def _either(first: Tensor, yes: Lanes, no: Lanes) -> Lanes:
+    """Lanes from `yes` where `first` (n,), else from `no`."""
+    merged = {
+        name: torch.where(first.view(-1, *[1] * (a.dim() - 1)), a, getattr(no, name))
+        for name, a in vars(yes).items()
+    }
+    return Lanes(**merged)
+
+
+def random_motions(count: int, generator: Generator) -> Tensor:
+    """(n, 3) motions in a random direction; a third hardly turns, the others turn any angle."""
+    draw = torch.rand(count, 4, generator=generator)
+    length, direction = MAX_MOVE * draw[:, 0], 2 * torch.pi * draw[:, 1]
+    turn = torch.pi * (2 * draw[:, 2] - 1)
+    turn = torch.where(draw[:, 3] < 1 / 3, turn / 12, turn)
+    return torch.stack([length * direction.cos(), length * direction.sin(), turn], 1)

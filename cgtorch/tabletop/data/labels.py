@@ -1,0 +1,101 @@
+"""Labels for C: percepts, and whether a grasp succeeds there, drawn where there is most to learn.
+
+Nothing is drawn by its label, so among equal percepts the labels are as frequent as in the world
+and probabilities learned from them mean what they say.
+"""
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.environment import start_lanes
+from cgtorch.errors import DataError
+from cgtorch.tabletop.data.poses import PERIMETER, Scenes, WorldOf, poses_around, poses_at_object
+from cgtorch.tabletop.world import Scenarios
+from cgtorch.tabletop.world.percepts import percept_of
+
+ANYWHERE = 0.06  # share of the labels that are drawn anywhere, far from the table too
+BESIDE = 0.7  # share that is drawn beside the boundary
+ROUNDS = 2  # in which these are drawn, each nearer to the boundary
+CANDIDATES = 8  # poses for each that is labelled beside the boundary
+NEIGHBOURS = 4  # of either label that say how near the boundary is
+SIDES_MATTER = 1.0  # m from the base; where the table ends further away matters no more
+OBJECT_MATTERS = 2.0  # how much a distance between objects counts, against one between sides
+PROBE = 200  # poses, at least, that show whether there is anything to learn
+
+
+def label(world_of: WorldOf, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
+    """What is seen from each pose (B, D), and (B,) bool whether a grasp succeeds there."""
+    world = world_of(scenarios)
+    lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
+    return lanes.percept, world.success(lanes)[1] > 0.5
+
+
+def grasp_labels(
+    world_of: WorldOf, count: int, generator: Generator, scenes: Scenes = PERIMETER
+) -> tuple[Tensor, Tensor]:
+    """`count` percepts (n, D) and (n,) bool labels, in random order.
+
+    Some poses are drawn around the object, more of them beside the boundary between success and
+    failure, and the others anywhere, so that models do not believe in grasps at places where
+    nobody has been. The base never stands in the table, where no skill can bring it.
+
+    Raises:
+        DataError: fewer than one pose in a hundred around the object has either label.
+    """
+    anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
+    first = count - anywhere - ROUNDS * beside
+    poses = poses_at_object(world_of, max(first, PROBE), generator, scenes)
+    percept, graspable = label(world_of, poses)
+    rate = float(graspable.float().mean())
+    if not 0.01 < rate < 0.99:
+        raise DataError(
+            f"a grasp succeeds at {rate:.1%} of random poses around the object; check that the "
+            "arms of the robot description reach the table"
+        )
+    probes = len(percept)
+    for _ in range(ROUNDS):
+        more = poses_at_object(world_of, CANDIDATES * beside, generator, scenes)
+        more = more[nearest_to_boundary(more, percept, graspable, beside)]
+        seen, answer = label(world_of, more)
+        percept, graspable = torch.cat([percept, seen]), torch.cat([graspable, answer])
+    far, fails = label(world_of, poses_around(world_of, anywhere, generator, scenes, 2))
+    percept = torch.cat([percept[:first], percept[probes:], far])
+    graspable = torch.cat([graspable[:first], graspable[probes:], fails])
+    order = torch.randperm(count, generator=generator)
+    return percept[order], graspable[order]
+
+
+def nearest_to_boundary(
+    scenarios: Scenarios, percept: Tensor, graspable: Tensor, count: int
+) -> Tensor:
+    """The `count` scenarios that known successes are about as near to as known failures.
+
+    Args:
+        scenarios: B scenarios to choose from.
+        percept: (n, D) percepts whose labels are known, some of either label.
+        graspable: (n,) bool, their labels.
+        count: at most B.
+
+    Returns:
+        Their indices (count,).
+    """
+    seen = percept_of(scenarios.pose, scenarios.table, scenarios.object)
+    to_success = _distance(seen, percept[graspable])
+    to_failure = _distance(seen, percept[~graspable])
+    uneven = (to_success - to_failure).abs() / (to_success + to_failure)
+    return uneven.topk(count, largest=False).indices
+
+
+def _distance(seen: Tensor, known: Tensor) -> Tensor:
+    """Mean distance (B,) from percepts (B, 7) to the nearest few among known ones (n, D)."""
+
+    def place(percept: Tensor) -> Tensor:
+        sides = percept[:, :4].clamp(-SIDES_MATTER, SIDES_MATTER)
+        return torch.cat([sides, OBJECT_MATTERS * percept[:, 4:6]], 1)
+
+    few = min(NEIGHBOURS, len(known))
+    parts = [
+        torch.cdist(place(part), place(known)).topk(few, largest=False).values
+        for part in seen.split(2048)
+    ]
+    return torch.cat(parts).mean(1)

@@ -1,0 +1,269 @@
+"""The tabletop as a domain: what a run about a robot before a table is made of."""
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import torch
+from torch import Generator, Tensor, nn
+
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.domains.domain import Domain, Published, Specialists
+from cgtorch.domains.knowledge import Knowledge, imagine
+from cgtorch.domains.reports import SuccessReport, TransitionReport
+from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
+from cgtorch.domains.transition import TransitionModel
+from cgtorch.environment import Dataset
+from cgtorch.environment.fields import Field, named
+from cgtorch.errors import RobotError
+from cgtorch.files import read_bytes, write_bytes
+from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.improvement.specialists import broad_group
+from cgtorch.parallel import distributed
+from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.data import collect, scenes_of
+from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files, robots_folder
+from cgtorch.tabletop.models.engine import compiled_models
+from cgtorch.tabletop.models.geometry import coordinates
+from cgtorch.tabletop.models.success import GraspClassifier
+from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
+from cgtorch.tabletop.models.transition import TableTransitionModel
+from cgtorch.tabletop.models.transition_fit import fit_table_transition_model
+from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.table_picture import draw_placements
+from cgtorch.tabletop.world import (
+    EDGES,
+    PERCEPTS,
+    ClearWay,
+    Noise,
+    Scenarios,
+    TabletopWorld,
+    draw_of,
+    stage_scenarios,
+)
+from cgtorch.tabletop.world.draws import DRAWS
+from cgtorch.tabletop.world.percepts import BOX, parted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARGIN = 0.03  # m that a way must be clearer in the models than in the world
+MAX_BYTES = 64 * 2**20
+URDF, DESCRIPTION = "robot.urdf", "robot.json"
+ACTIONS: Mapping[str, Callable[[int], ActionSet]] = {
+    "percept": paper_actions,
+    "edge": edge_actions,
+}
+"""The actions of section VI by what their networks read."""
+SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
+"""Networks that read the percept itself can hold for scenarios near to one another only; those in
+the edge's frame for many, if they are evolved on many kinds."""
+
+
+class Tabletop(Domain[Scenarios]):
+    """A robot that reaches objects on a table (section VI).
+
+    Attributes:
+        robot: the robot.
+        tabletop: what is perceived of table and object, in `cgtorch.tabletop.world.PERCEPTS`.
+        obstacles: how many boxes a scenario may have.
+        networks: what networks read, a key of `ACTIONS`.
+    """
+
+    settings: TabletopSettings
+    settings_type = TabletopSettings
+    kinds = ("perimeter", *EDGES, *(name for name in DRAWS if name.startswith("general")))
+    trained_kinds = ("perimeter", "general", "general-clutter")
+    stages: Mapping[str, str] = {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
+    published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
+    publisher = "the paper"
+    solved = ("reached", "Objects reached")
+    control = (
+        *named("dx", "dy", unit="m", low=-2, high=2),
+        Field("dθ", "rad", -torch.pi, torch.pi, "angle"),
+    )
+
+    def __init__(
+        self,
+        settings: TabletopSettings | None = None,
+        robot: Robot | None = None,
+        tabletop: str = "box",
+        obstacles: int = 0,
+        networks: str = "edge",
+    ) -> None:
+        """A tabletop; without a robot that of the settings is loaded.
+
+        Raises:
+            RobotError: the robot cannot be used.
+        """
+        super().__init__(settings)
+        self.robot = robot or load_robot(*self._files())
+        self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks
+        self.specialists = SPECIALISTS[networks]
+        size = PERCEPTS[tabletop] + BOX * obstacles
+        self.percept = named(*coordinates(torch.zeros(size)), unit="m")
+
+    def for_run(self, kind: str, method: str) -> "Tabletop":
+        """See `Domain.for_run`: what "auto" stands for."""
+        s = self.settings
+        tabletop = usual_percept(kind) if s.percept == "auto" else s.percept
+        networks = "percept" if method == "paper" else "edge"
+        networks = networks if s.networks == "auto" else s.networks
+        return self._with(tabletop, draw_of(kind)(0, Generator()).obstacles.shape[1], networks)
+
+    def variants(self, kind: str) -> Iterable["Tabletop"]:
+        """See `Domain.variants`.
+
+        Networks in the edge's frame are of the same size whatever they were evolved with; for these
+        it is the percept that a run about such scenarios has.
+        """
+        percepts = sorted(PERCEPTS, key=lambda percept: percept != usual_percept(kind))
+        every = itertools.product(ACTIONS, (0, 1), percepts)
+        return (self._with(percept, boxes, networks) for networks, boxes, percept in every)
+
+    def _with(self, tabletop: str, obstacles: int, networks: str) -> "Tabletop":
+        return Tabletop(self.settings, self.robot, tabletop, obstacles, networks)
+
+    def draw(self, kind: str, count: int, generator: Generator) -> Scenarios:
+        """See `Domain.draw`."""
+        return draw_of(kind)(count, generator)
+
+    def tests(self, kind: str) -> Scenarios:
+        """See `Domain.tests`: of an edge, five evenly spaced objects as in the paper."""
+        return stage_scenarios(kind if kind in EDGES else "near", 5 if kind in EDGES else 0)
+
+    def world(self, scenarios: Scenarios) -> TabletopWorld:
+        """See `Domain.world`."""
+        footprint = self.robot.description.footprint
+        noise = Noise(self.settings.position_noise, self.settings.heading_noise)
+        grasps = partial(_graspable, self.robot)
+        return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
+
+    def actions(self) -> ActionSet:
+        """See `Domain.actions`."""
+        return ACTIONS[self.networks](len(self.percept))
+
+    # Models
+
+    def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
+        """See `Domain.explore`: the robot drives around and tries grasps (section V)."""
+        return collect(self.world, transitions, tests, generator, scenes_of(kind))
+
+    def possible(self, percept: Tensor, control: Tensor) -> Tensor:
+        """See `Domain.possible`."""
+        return self._clear_way(percept.device)(percept, control)
+
+    def noisy(self, percept: Tensor) -> Tensor:
+        """See `Domain.noisy`: the boxes of obstacles that are not there are never seen."""
+        _, _, boxes = parted(percept)
+        there = (boxes != 0).any(-1).repeat_interleave(BOX, -1)
+        size = percept.shape[-1] - there.shape[-1]
+        return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
+
+    def unfitted(self) -> Mapping[str, Callable[[], nn.Module]]:
+        """See `Domain.unfitted`."""
+        return {kind.__name__: kind for kind in (TableTransitionModel, GraspClassifier)}
+
+    def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
+        """See `Domain.fit_transition`."""
+        rows = data.percept, data.control, data.next_percept
+        return fit_table_transition_model(*rows, seed=seed)
+
+    def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
+        """See `Domain.fit_success`."""
+        return fit_success_classifier(GraspClassifier(), data.tested, data.succeeded, seed=seed)
+
+    def try_transition(
+        self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
+    ) -> Fresh:
+        """See `Domain.try_transition`."""
+        return fresh_experience(self.world, gamma, tests, generator, scenes_of(kind))
+
+    def summary(
+        self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
+    ) -> ModelSummary:
+        """See `Domain.summary`: each figure beside the best that a percept allows."""
+        return tabletop_summary(self.world, knowledge, fresh, generator, scenes_of(kind))
+
+    def imagine(
+        self,
+        knowledge: Knowledge,
+        percepts: Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str = "cpu",
+    ) -> ModelEnvironment:
+        """See `Domain.imagine`; compiled rollouts know these models."""
+        return imagine(
+            knowledge, percepts, replicas, generator, device,
+            possible=self._clear_way(device), noisy=self.noisy, compiled=compiled_models,
+        )  # fmt: skip
+
+    def _clear_way(self, device: torch.device | str) -> ClearWay:
+        """MoveBase's own check on percepts, with more room than the world asks for.
+
+        So a way which is possible in the models is not blocked by the noise of the world.
+        """
+        footprint = torch.tensor(self.robot.description.footprint, device=device)
+        more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
+        return ClearWay(footprint + more)
+
+    # Files and pictures
+
+    def _files(self) -> tuple[Path, Path]:
+        s = self.settings
+        given = Path(s.urdf) if s.urdf else None
+        beside = s.urdf and s.robot == TabletopSettings.robot
+        return robot_files(given, None if beside else Path(s.robot))
+
+    def write(self, folder: Path) -> None:
+        """See `Domain.write`: the URDF and its description."""
+        (folder / "robot").mkdir()
+        for source, name in zip(self._files(), (URDF, DESCRIPTION), strict=True):
+            data = read_bytes(source, MAX_BYTES, RobotError)
+            write_bytes(folder / "robot" / name, data)
+
+    @classmethod
+    def read(cls, settings: Any, folder: Path) -> Self:
+        """See `Domain.read`."""
+        robot = load_robot(folder / "robot" / URDF, folder / "robot" / DESCRIPTION)
+        return cls(settings, robot)
+
+    def stored_options(self, folder: Path) -> Mapping[str, str]:
+        """See `Domain.stored_options`: a robot that is not built in is taken from the run."""
+        own, built_in = folder / "robot", robots_folder() / "pr2"
+        pairs = ((URDF, "pr2.urdf"), (DESCRIPTION, DESCRIPTION))
+        if all((own / a).read_bytes() == (built_in / b).read_bytes() for a, b in pairs):
+            return {"urdf": "", "robot": "pr2"}
+        where = f"{folder.resolve().name}/robot"
+        return {"urdf": f"{where}/{URDF}", "robot": f"{where}/{DESCRIPTION}"}
+
+    def about(self) -> list[tuple[str, str]]:
+        """See `Domain.about`."""
+        return [("Robot", self.robot.description.name)]
+
+    def draw_scenarios(
+        self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
+    ) -> "Figure":
+        """See `Domain.draw_scenarios`: the scenes from above."""
+        footprint = self.robot.description.footprint
+        return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
+
+    def draw_stage(self, stage: str) -> str:
+        """See `Domain.draw_stage`: the paper's drawing of an experiment."""
+        return stage_drawing(self.stages[stage], self.robot.description.footprint)
+
+
+def usual_percept(kind: str) -> str:
+    """What runs about such scenarios perceive, in `PERCEPTS`, if nothing else is said."""
+    return "yaw" if kind.startswith("general") else "box"
+
+
+def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """`graspable`, its rows shared out among all ranks."""
+    mine, rows = distributed.share(len(position)), len(position)
+    return distributed.gathered(graspable(robot, position[mine], table[mine]), rows)

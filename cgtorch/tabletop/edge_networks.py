@@ -1,0 +1,72 @@
+"""The networks in the frame of the edge nearest to the object (`cgtorch.tabletop.world.edge_frame`).
+
+They need not learn that a table that is turned, or seen from another side, is still the same
+table: what a node says of one edge holds for all.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from cgtorch.actions import ActionSet, named_actions
+from cgtorch.actions.networks import BranchingNN, ContinuousNN, one_hidden_layer
+from cgtorch.environment import Environment, Lanes
+from cgtorch.tabletop.world.edge_frame import (
+    SCENE,
+    edge_frame,
+    motion_to,
+    scene,
+    scene_size,
+    table_scene,
+)
+
+
+class EdgeNN(ContinuousNN):
+    """From the scene to a pose to stand at, both in the edge's frame; sent as a motion to there.
+
+    The pose is x, y (m) and heading (rad) of the base. Obstacles are not looked at: whether one is
+    in the way is MoveBase's to say, and where else to go then another node's.
+    """
+
+    native_kind = "EDGE"
+    plain_module = "cgtorch.tabletop.plain_edge_networks"
+
+    def __init__(self, percept_size: int = 9, hidden: int = 3):
+        super().__init__(SCENE, hidden)
+        self.percept_size = percept_size
+
+    def sees(self, percept: Tensor) -> Tensor:
+        """The scene without obstacles (n, inputs)."""
+        return table_scene(edge_frame(percept), percept)
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        """See `Action.forward`."""
+        frame = edge_frame(lanes.percept)
+        seen = table_scene(frame, lanes.percept)
+        pose = one_hidden_layer(seen, parameters, self.hidden, self.outputs)
+        message = lanes.message.clone()
+        message[:, : self.outputs] = motion_to(frame, pose)
+        lanes = replace(lanes, message=message, has_message=lanes.has_message | True)
+        return lanes, lanes.step.new_zeros(len(lanes))
+
+
+class EdgeBranchingNN(BranchingNN):
+    """From the scene in the edge's frame to one of two branches."""
+
+    native_kind = "EDGE_BRANCHING"
+    plain_module = "cgtorch.tabletop.plain_edge_networks"
+
+    def __init__(self, percept_size: int = 9, hidden: int = 3):
+        super().__init__(scene_size(percept_size), hidden)
+        self.percept_size = percept_size
+
+    def sees(self, percept: Tensor) -> Tensor:
+        """The scene (n, inputs)."""
+        return scene(percept)
+
+
+def edge_actions(percept_size: int = 9) -> ActionSet:
+    """The actions of section VI with networks that see and act from the nearest edge."""
+    return named_actions(EdgeNN(percept_size), EdgeBranchingNN(percept_size))

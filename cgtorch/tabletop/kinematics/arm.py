@@ -1,0 +1,158 @@
+"""One arm, ready for batched forward and inverse kinematics on any device."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytorch_kinematics
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.kinematics.collision import Capsules
+from cgtorch.tabletop.kinematics.inverse_kinematics import (
+    PAN_SAMPLES,
+    SphericalArm,
+    closed_form_candidates,
+    closed_form_follow,
+)
+from cgtorch.tabletop.kinematics.numerical_ik import (
+    numerical_candidates,
+    numerical_follow,
+    within_one_turn,
+)
+
+CHUNK = 16_384
+"""Rows of forward kinematics at a time: larger batches fall out of the processor's cache."""
+
+
+@dataclass(frozen=True)
+class ChainTable:
+    """The frames of a chain in order, each in the one before, as compiled code reads them.
+
+    Attributes:
+        offset: (F, 3, 4) upper rows of poses before a joint moves; the first in the base frame.
+        axis: (F, 3) of each frame's joint.
+        kind: (F,) long, 0 where a frame's joint is fixed, 1 where it turns, 2 where it slides.
+        joint: (F,) long, which of the joints that move it is, or -1.
+    """
+
+    offset: Tensor
+    axis: Tensor
+    kind: Tensor
+    joint: Tensor
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """One arm, ready for batched forward and inverse kinematics.
+
+    Attributes:
+        name: What the arm is called.
+        joint_names: The n joints that move, from base to tool.
+        lower: (n,) lower limits, the soft ones where the URDF has them; rad or m.
+        upper: (n,) upper limits.
+        continuous: (n,) whether a joint turns without end.
+        mount: (4, 4) pose of the arm's base link in the robot's base frame.
+        reach: How far from its base link's origin the tool frame's can be at most, m.
+        capsules: The arm's shapes.
+        closed_form: What the closed form of inverse kinematics needs, or None for arms without.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    lower: Tensor
+    upper: Tensor
+    continuous: Tensor
+    mount: Tensor
+    reach: float
+    capsules: Capsules
+    closed_form: SphericalArm | None
+    _xml: bytes
+    _links: tuple[str, str]
+    _chains: dict[tuple[torch.dtype, torch.device], Any] = field(default_factory=dict, repr=False)
+    _tables: dict[tuple[torch.dtype, torch.device], ChainTable] = field(
+        default_factory=dict, repr=False
+    )
+
+    def chain(self, like: Tensor) -> Any:
+        """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor (...)."""
+        key = (like.dtype, like.device)
+        if key not in self._chains:
+            base, tip = self._links
+            chain = pytorch_kinematics.build_serial_chain_from_urdf(self._xml, tip, base)
+            self._chains[key] = chain.to(dtype=like.dtype, device=like.device)
+        return self._chains[key]
+
+    def chain_table(self, like: Tensor) -> ChainTable:
+        """The chain as a table on the device and in the dtype of a tensor (...)."""
+        key = (like.dtype, like.device)
+        if key not in self._tables:
+            chain = self.chain(like)
+            unmoved = torch.eye(4).to(like)
+            pairs = zip(chain.link_offsets, chain.joint_offsets, strict=True)
+            offsets = [
+                (unmoved if link is None else link) @ (unmoved if joint is None else joint)
+                for link, joint in pairs
+            ]
+            offset = torch.stack([each.view(4, 4) for each in offsets])
+            offset[0] = self.mount.to(like) @ offset[0]
+            kind, joint = chain.joint_type_indices, chain.joint_indices
+            axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]
+            self._tables[key] = ChainTable(offset[:, :3].contiguous(), axis, kind, joint)
+        return self._tables[key]
+
+    def frames(self, q: Tensor) -> Tensor:
+        """Poses of every frame of the chain in the robot's base frame.
+
+        Args:
+            q: (B, n) joint positions, rad or m.
+
+        Returns:
+            (F, B, 4, 4) poses, the tool frame last.
+        """
+        chain = self.chain(q)
+        parts = [chain.forward_kinematics_tensor(part) for part in q.split(CHUNK)]
+        frames = parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+        return self.mount.to(q) @ frames
+
+    def candidates(self, pose: Tensor, samples: int = PAN_SAMPLES) -> tuple[Tensor, Tensor]:
+        """Joint positions within limits that bring the tool frame to poses.
+
+        Args:
+            pose: (B, 4, 4) poses of the tool frame in the robot's base frame.
+            samples: How finely the closed form samples the pan angle.
+
+        Returns:
+            The row each solution belongs to, ascending, (M,), and its joint positions (M, n).
+        """
+        local = torch.linalg.inv(self.mount.to(pose)) @ pose
+        if self.closed_form is not None:
+            return closed_form_candidates(self.closed_form.to(pose), local, samples)
+        lower, upper = self._search_limits(pose)
+        return numerical_candidates(self.chain(pose), lower, upper, local)
+
+    def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Joint positions at waypoints near a solution, without changing its posture.
+
+        Args:
+            q: (M, n) joint positions to start from.
+            pose: (M, W, 4, 4) poses of the tool frame in the robot's base frame.
+
+        Returns:
+            Joint positions (M, W, n), and whether each waypoint was reached (M, W).
+        """
+        local = torch.linalg.inv(self.mount.to(pose)) @ pose
+        if self.closed_form is not None:
+            return closed_form_follow(self.closed_form.to(pose), q, local)
+        lower, upper = self._search_limits(pose)
+        return numerical_follow(self.chain(pose), lower, upper, q, local)
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """(..., n): how far each joint is from b to a, the short way round if it is continuous."""
+        away = a - b
+        short = away - math.tau * (away / math.tau).round()
+        return torch.where(self.continuous.to(away.device), short, away)
+
+    def _search_limits(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        lower, upper = within_one_turn(self.lower, self.upper, self.continuous)
+        return lower.to(like), upper.to(like)

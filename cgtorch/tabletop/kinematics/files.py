@@ -1,0 +1,72 @@
+"""Where a robot's two files are: by name for a built-in robot, by path for any other."""
+
+from os.path import isdir, isfile  # which take any text for a path
+from pathlib import Path
+
+from cgtorch.errors import RobotError
+
+DEFAULT = "pr2"
+DESCRIPTION = "robot.json"
+
+
+def robots_folder() -> Path:
+    """Where the built-in robots are: in an installed package, or beside it in a checkout.
+
+    Raises:
+        RobotError: They are in neither place.
+    """
+    package = Path(__file__).resolve().parents[2]
+    for folder in (package / "robots", package.parent / "robots"):
+        if (folder / DEFAULT / DESCRIPTION).is_file():
+            return folder
+    raise RobotError(
+        f"no built-in robots in {str(package / 'robots')!r} or {str(package.parent / 'robots')!r}: "
+        "install cgtorch again, or give a URDF and its robot description"
+    )
+
+
+def built_in_robots() -> list[str]:
+    """Names of the built-in robots."""
+    return sorted(path.parent.name for path in robots_folder().glob(f"*/{DESCRIPTION}"))
+
+
+def robot_files(
+    urdf: Path | str | None = None, description: Path | str | None = None
+) -> tuple[Path, Path]:
+    """The URDF and the robot description that are meant.
+
+    Args:
+        urdf: The URDF, or None for the one beside the description.
+        description: The name of a built-in robot, such as fetch; a folder that holds a URDF and a
+            `robot.json`; the description itself; or None for `robot.json` beside the URDF, and for
+            the PR2 without one. Names of built-in robots come before folders.
+
+    Returns:
+        Both paths. A URDF or description that is given by its own path may be missing.
+
+    Raises:
+        RobotError: The description is none of these, or there is not one URDF beside it.
+    """
+    if description is None and urdf is not None:
+        return Path(urdf), Path(urdf).parent / DESCRIPTION
+    words = _description(DEFAULT if description is None else str(description))
+    if urdf is not None:
+        return Path(urdf), words
+    if not isfile(words):
+        raise RobotError(
+            f"robot {str(description)!r} is no description, no folder with one and none of the "
+            f"built-in robots ({', '.join(built_in_robots())}): give one of these"
+        )
+    beside = sorted(words.parent.glob("*.urdf"))
+    if len(beside) != 1:
+        raise RobotError(
+            f"{len(beside)} URDFs lie beside the robot description {str(words)!r}: keep one there, "
+            "or give the one that is meant"
+        )
+    return beside[0], words
+
+
+def _description(robot: str) -> Path:
+    if robot in built_in_robots():
+        return robots_folder() / robot / DESCRIPTION
+    return Path(robot) / DESCRIPTION if isdir(robot) else Path(robot)

@@ -1,0 +1,285 @@
+"""Whether an object on a table can be grasped from where the robot stands.
+
+A grasp succeeds, as the PR2's own manipulation pipeline has it, if an arm reaches the grasp and a
+pre-grasp behind it, if the way between the two and a straight lift can be followed without changing
+posture, and if nothing touches the table, the torso or the base on the way.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import RobotError
+from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.collision import Boxes, rectangles_overlap
+from cgtorch.tabletop.kinematics.robot import Robot
+from cgtorch.tabletop.kinematics.touching import touches
+
+GRASP_HEIGHT = 0.05
+"""The grasp point above the table top, m: the middle of an object 0.10 m high."""
+PRE_GRASP = 0.10
+"""How far behind the grasp the straight approach starts, m."""
+LIFT = 0.10
+"""How far straight up the object is lifted, m."""
+TABLE_THICKNESS = 0.04
+"""Thickness of the table's slab, m."""
+MAX_STEP = 0.6
+"""How far a joint may move between waypoints 0.05 m apart, rad or m."""
+_CHUNK = 2048
+_GROUP = 256
+_FEW, _SPARSE = 16, 8
+"""Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
+
+SIDES = tuple(
+    sign * math.tau * step / 12 for step in range(7) for sign in ((1, -1) if 0 < step < 6 else (1,))
+)
+"""The 12 directions around an object, as turns from the line base to object, nearest first, rad."""
+
+APPROACHES = (
+    (math.pi / 2, 0.0),
+    *((math.pi / 4, side) for side in SIDES),
+    *((0.0, side) for side in SIDES),
+)
+"""Approaches as (how steeply down, turn from the line base to object), rad: one from above, twelve
+slanted, twelve from the side."""
+
+
+@dataclass(frozen=True)
+class GraspSolution:
+    """How each object is grasped.
+
+    Attributes:
+        found: (B,) whether there is a grasp at all; where not, the rest means nothing.
+        arm: (B,) index into the robot's arms.
+        approach: (B,) index into `APPROACHES`.
+        joints: (B, 5, n) joint positions at pre-grasp, half-way, grasp, half-way up and lifted, in
+            the order of the arm's joints; n is the largest number of joints of any arm, and what
+            an arm does not have is 0.
+    """
+
+    found: Tensor
+    arm: Tensor
+    approach: Tensor
+    joints: Tensor
+
+
+def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """Whether objects can be grasped by either arm.
+
+    Args:
+        robot: The robot.
+        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
+        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
+            frame, m and rad.
+
+    Returns:
+        (B,) bool.
+
+    Raises:
+        RobotError: A shape is wrong or a value is not finite.
+    """
+    return grasp_solution(robot, position, table).found
+
+
+def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSolution:
+    """How objects can be grasped: the first approach and arm that serve.
+
+    Args:
+        robot: The robot.
+        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
+        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
+            frame, m and rad.
+
+    Returns:
+        The grasps.
+
+    Raises:
+        RobotError: A shape is wrong or a value is not finite.
+    """
+    for what, value, width in (("position", position, 3), ("table", table, 6)):
+        if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):
+            raise RobotError(
+                f"{what} has the shape {tuple(value.shape)}: give (B, {width}), "
+                "as many rows of both"
+            )
+        if not bool(torch.isfinite(value).all()):
+            raise RobotError(f"{what} has a value that is not finite: give finite numbers")
+    table = table.to(position)
+    widest = max(len(arm.joint_names) for arm in robot.arms)
+    index = torch.zeros(len(position), dtype=torch.long, device=position.device)
+    solution = GraspSolution(
+        found=torch.zeros(len(position), dtype=torch.bool, device=position.device),
+        arm=index,
+        approach=index.clone(),
+        joints=position.new_zeros(len(position), 5, widest),
+    )
+    for start in range(0, len(position), _CHUNK):
+        _grasp(robot, position, table, slice(start, start + _CHUNK), solution)
+    return solution
+
+
+def _grasp(
+    robot: Robot, position: Tensor, table: Tensor, rows: slice, solution: GraspSolution
+) -> None:
+    """Fill in the solution of some rows; rows that are solved leave the search.
+
+    When few rows are left, several approaches are tried at once; the one that comes first counts,
+    so that a row's solution does not depend on the others.
+    """
+    position, table = position[rows], table[rows]
+    slab, body = table_slab(table), robot.body.to(position)
+    approaches = position.new_tensor(APPROACHES)
+    possible = ~_standing_in_table(robot, table) & _within_reach(robot, position)
+    open_rows = possible.nonzero().squeeze(1)
+    start = 0
+    while start < len(APPROACHES) and len(open_rows):
+        group = torch.arange(start, len(APPROACHES), device=position.device)
+        group = group[: max(1, _GROUP // len(open_rows))]
+        start += len(group)
+        rank = torch.full_like(open_rows, len(APPROACHES) * len(robot.arms))
+        for which, arm in enumerate(robot.arms):
+            order = group * len(robot.arms) + which
+            row, column = (order < rank[:, None]).nonzero(as_tuple=True)
+            at = open_rows[row]
+            path = waypoints(position[at], *approaches[group[column]].unbind(1))
+            solved, joints = _try(arm, path, _rows(slab, at), body)
+            first = _first_of_each(row[solved])
+            solved, joints = solved[first], joints[first]
+            rank[row[solved]] = order[column[solved]]
+            done = open_rows[row[solved]] + rows.start
+            solution.found[done] = True
+            solution.arm[done] = which
+            solution.approach[done] = group[column[solved]]
+            solution.joints[done] = 0
+            solution.joints[done, :, : joints.shape[-1]] = joints
+        open_rows = open_rows[rank == len(APPROACHES) * len(robot.arms)]
+
+
+def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
+    """Try one approach with one arm.
+
+    Args:
+        arm: The arm.
+        path: (B, 5, 4, 4) the tool's waypoints.
+        slab: The table of each row.
+        body: The robot's own boxes.
+
+    Returns:
+        The rows that are solved, ascending, (R,), and the joint positions of each (R, 5, n).
+    """
+    row, q = arm.candidates(path[:, 2])
+    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    solved = torch.zeros(len(path), dtype=torch.bool, device=row.device)
+    joints = q.new_zeros(len(path), path.shape[1], q.shape[1])
+    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
+    soon = few | (nth % _SPARSE == 0)
+    for part in (soon, ~soon):
+        part = part & ~solved[row]
+        if not part.any():
+            break
+        at, found = _feasible(arm, path, slab, body, row[part], q[part])
+        solved[at] = True
+        joints[at] = found
+    rows = solved.nonzero().squeeze(1)
+    return rows, joints[rows]
+
+
+def _feasible(
+    arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
+) -> tuple[Tensor, Tensor]:
+    """As `_try`, of postures q (M, n) at the grasps of ascending rows (M,) only."""
+    free = ~touches(arm, q, _rows(slab, row), body)
+    row, q = row[free], q[free]
+    joints, reached = arm.follow(q, path[row])
+    steps = arm.difference(joints[:, 1:], joints[:, :-1]).abs().amax(dim=(1, 2))
+    smooth = reached.all(dim=1) & (steps < MAX_STEP)
+    row, joints = row[smooth], joints[smooth]
+    for step in (0, 4, 1, 3):
+        free = ~touches(arm, joints[:, step], _rows(slab, row), body)
+        row, joints = row[free], joints[free]
+    first = _first_of_each(row)
+    return row[first], joints[first]
+
+
+def _first_of_each(row: Tensor) -> Tensor:
+    """(M,) which of ascending rows is the first of its kind."""
+    first = torch.ones_like(row, dtype=torch.bool)
+    first[1:] = row[1:] != row[:-1]
+    return first
+
+
+def _rows(boxes: Boxes, row: Tensor | slice) -> Boxes:
+    return Boxes(boxes.centre[row], boxes.rotation[row], boxes.half[row])
+
+
+def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
+    """The tool's way to an object and up: straight in, then straight up.
+
+    Args:
+        position: (B, 3) objects on the table in the base frame, m.
+        steepness: How steeply down the tool comes, from 0 (level) to pi / 2 (from above), rad; one
+            angle or (B,).
+        side: Turn of the approach from the line base to object, rad; one angle or (B,).
+
+    Returns:
+        (B, 5, 4, 4) poses at pre-grasp, half-way, grasp, half-way up and lifted: x along the
+        approach, y level.
+    """
+    heading = torch.atan2(position[:, 1], position[:, 0]) + side
+    cos, sin = heading.cos(), heading.sin()
+    zero = torch.zeros_like(cos)
+    steep = torch.as_tensor(steepness).to(position).expand(len(position))
+    level, down = steep.cos(), steep.sin()
+    along = torch.stack([level * cos, level * sin, -down], dim=1)
+    across = torch.stack([-sin, cos, zero], dim=1)
+    upward = torch.linalg.cross(along, across)
+    up = torch.stack([zero, zero, zero + 1], dim=1)
+    grasp = position + GRASP_HEIGHT * up
+    points = [
+        grasp - PRE_GRASP * along,
+        grasp - PRE_GRASP / 2 * along,
+        grasp,
+        grasp + LIFT / 2 * up,
+        grasp + LIFT * up,
+    ]
+    pose = torch.zeros(len(position), 5, 4, 4, dtype=position.dtype, device=position.device)
+    pose[:, :, :3, :3] = torch.stack([along, across, upward], dim=2)[:, None]
+    pose[:, :, :3, 3] = torch.stack(points, dim=1)
+    pose[:, :, 3, 3] = 1
+    return pose
+
+
+def table_slab(table: Tensor) -> Boxes:
+    """(B, 1, ...) the slabs of tables (B, 6)."""
+    cos, sin, zero = table[:, 2].cos(), table[:, 2].sin(), torch.zeros_like(table[:, 2])
+    rotation = torch.stack(
+        [
+            torch.stack([cos, -sin, zero], dim=1),
+            torch.stack([sin, cos, zero], dim=1),
+            torch.stack([zero, zero, zero + 1], dim=1),
+        ],
+        dim=1,
+    )
+    height = table[:, 5:] - TABLE_THICKNESS / 2
+    thickness = torch.full_like(height, TABLE_THICKNESS)
+    centre = torch.cat([table[:, :2], height], dim=1)
+    half = torch.cat([table[:, 3:5], thickness], dim=1) / 2
+    return Boxes(centre[:, None], rotation[:, None], half[:, None])
+
+
+def _within_reach(robot: Robot, position: Tensor) -> Tensor:
+    """(B,) whether an arm is long enough, which it is not for most that a skill tries."""
+    grasp = position + position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
+    away = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) for arm in robot.arms]
+    return torch.stack([a <= arm.reach for a, arm in zip(away, robot.arms, strict=True)]).any(0)
+
+
+def _standing_in_table(robot: Robot, table: Tensor) -> Tensor:
+    """(B,) whether the robot's footprint overlaps the table."""
+    x_min, x_max, y_min, y_max = robot.description.footprint
+    footprint = table.new_tensor(
+        [(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0, x_max - x_min, y_max - y_min]
+    )
+    return rectangles_overlap(footprint.expand(len(table), 5), table[:, :5])

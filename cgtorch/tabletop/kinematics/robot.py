@@ -1,0 +1,301 @@
+"""The robot: its URDF and description, checked together and ready for batched kinematics."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytorch_kinematics
+import torch
+from lxml import etree
+from torch import Tensor
+
+from cgtorch.errors import RobotError
+from cgtorch.tabletop.kinematics.arm import CHUNK, ArmModel
+from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
+from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
+from cgtorch.tabletop.kinematics.files import robot_files
+from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
+from cgtorch.tabletop.kinematics.urdf import Urdf, load_urdf
+
+_TURNS = 3 * math.pi
+_MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A mobile robot whose torso stands still: arms on a base that drives.
+
+    Attributes:
+        description: What the robot description says.
+        urdf: The URDF.
+        arms: The arms, in the description's order.
+        body: The boxes an arm must not touch, in the base frame.
+    """
+
+    description: RobotDescription
+    urdf: Urdf
+    arms: tuple[ArmModel, ...]
+    body: Boxes
+
+    def arm(self, name: str) -> ArmModel:
+        """The arm of a name.
+
+        Raises:
+            RobotError: There is no such arm.
+        """
+        for arm in self.arms:
+            if arm.name == name:
+                return arm
+        known = ", ".join(arm.name for arm in self.arms)
+        raise RobotError(f"{self.description.name} has no arm {name!r}: its arms are {known}")
+
+    def forward_kinematics(self, arm: str, q: Tensor) -> Tensor:
+        """Poses of an arm's tool frame in the base frame.
+
+        Args:
+            arm: The arm's name.
+            q: (..., n) joint positions, rad or m, of any floating dtype and on any device.
+
+        Returns:
+            (..., 4, 4) poses.
+
+        Raises:
+            RobotError: There is no such arm, or q has not n positions.
+        """
+        model = self.arm(arm)
+        count = len(model.joint_names)
+        if q.ndim == 0 or q.shape[-1] != count:
+            raise RobotError(
+                f"joint positions have the shape {tuple(q.shape)}: arm {arm!r} takes (..., {count})"
+            )
+        flat = q.reshape(-1, count)
+        if not len(flat):
+            return q.new_zeros(*q.shape[:-1], 4, 4)
+        tool = torch.cat([model.frames(part)[-1] for part in flat.split(CHUNK)])
+        return tool.reshape(*q.shape[:-1], 4, 4)
+
+
+def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
+    """Load a robot and check that its URDF and its description fit.
+
+    Args:
+        urdf: The URDF, or None for the one beside the description.
+        description: The name of a built-in robot, a folder with a URDF and a `robot.json`, or a
+            robot description; None for `robot.json` beside the URDF, or the PR2 without one.
+
+    Returns:
+        The robot.
+
+    Raises:
+        RobotError: A file is missing or broken, or the description names a link or joint that the
+            URDF lacks or that cannot serve.
+    """
+    urdf, description = robot_files(urdf, description)
+    model, words = load_urdf(urdf), load_description(description)
+    rest = _rest_positions(model, words)
+    model.model.update_cfg(rest)
+    joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
+    in_arms = {joint.name for path in joints.values() for joint in path if joint.type in _MOVING}
+    for name in rest:
+        if name in in_arms:
+            raise RobotError(
+                f"joint {name!r} is named in the robot description but moves an arm: name a joint "
+                "outside the arms"
+            )
+    for name in words.capsules:
+        model.link(name)
+    return Robot(
+        description=words,
+        urdf=model,
+        arms=tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms),
+        body=_body(model, words, in_arms),
+    )
+
+
+def _rest_positions(urdf: Urdf, words: RobotDescription) -> dict[str, float]:
+    """Positions of the joints that the description holds still, checked against limits."""
+    rest = dict(words.gripper_joints)
+    if words.torso_joint is not None and words.torso_position is not None:
+        rest[words.torso_joint] = words.torso_position
+    for name, position in rest.items():
+        joint = urdf.joint(name)
+        if joint.type not in _MOVING or joint.mimic is not None:
+            raise RobotError(
+                f"joint {name!r} cannot be held at {position}: it is fixed or follows another "
+                "joint; name a joint that moves"
+            )
+        if joint.type != "continuous" and not joint.limit.lower <= position <= joint.limit.upper:
+            raise RobotError(
+                f"joint {name!r} cannot be held at {position}: give a position within its limits "
+                f"{joint.limit.lower} to {joint.limit.upper}"
+            )
+    return rest
+
+
+def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...]) -> ArmModel:
+    _fixed_to_base(urdf, words, arm.base_link, {j.name for j in joints}, f"arm {arm.name!r}")
+    moving = [joint for joint in joints if joint.type != "fixed"]
+    if not moving:
+        raise RobotError(
+            f"arm {arm.name!r} has no joint between {arm.base_link!r} and {arm.tool_frame!r}: name "
+            "the links at both ends of the arm"
+        )
+    for joint in moving:
+        if joint.type not in _MOVING or joint.mimic is not None:
+            kind = "mimic" if joint.mimic is not None else joint.type
+            raise RobotError(
+                f"arm {arm.name!r} has the {kind} joint {joint.name!r}: use an arm of revolute, "
+                "continuous and prismatic joints"
+            )
+    limits = torch.tensor([_limits(joint) for joint in moving], dtype=torch.float64)
+    xml = _chain_xml(urdf, joints)
+    probe = pytorch_kinematics.build_serial_chain_from_urdf(xml, arm.tool_frame, arm.base_link)
+    return ArmModel(
+        name=arm.name,
+        joint_names=tuple(joint.name for joint in moving),
+        lower=limits[:, 0],
+        upper=limits[:, 1],
+        continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
+        mount=_transform(urdf, arm.base_link, words.base_frame),
+        reach=_reach(joints),
+        capsules=_capsules(urdf, words, arm, joints, probe.frame_to_idx),
+        closed_form=spherical_arm(joints, limits),
+        _xml=xml,
+        _links=(arm.base_link, arm.tool_frame),
+    )
+
+
+def _reach(joints: tuple[Any, ...]) -> float:
+    """The length of a chain with all its links in one line and its slides drawn out."""
+    slides = [_limits(joint) for joint in joints if joint.type == "prismatic"]
+    drawn = sum(max(-lower, upper, 0.0) for lower, upper in slides)
+    offsets = [joint.origin[:3, 3] for joint in joints if joint.origin is not None]
+    return drawn + sum(math.hypot(*offset) for offset in offsets)
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    """The limits to keep: the hard ones, narrowed by the soft ones where there are any."""
+    if joint.type == "continuous":
+        return -_TURNS, _TURNS
+    lower, upper, soft = float(joint.limit.lower), float(joint.limit.upper), joint.safety_controller
+    if soft is not None and soft.soft_lower_limit is not None and soft.soft_upper_limit is not None:
+        narrow = max(lower, soft.soft_lower_limit), min(upper, soft.soft_upper_limit)
+        if narrow[0] < narrow[1]:
+            return narrow
+    return lower, upper
+
+
+def _chain_xml(urdf: Urdf, joints: tuple[Any, ...]) -> bytes:
+    """A URDF of the arm alone, with the finite limits that pytorch-kinematics needs."""
+    elements = {e.get("name"): e for e in etree.fromstring(urdf.xml).findall("joint")}
+    robot = etree.Element("robot", name="arm")
+    for link in [joints[0].parent, *(joint.child for joint in joints)]:
+        etree.SubElement(robot, "link", name=link)
+    for joint in joints:
+        source = elements[joint.name]
+        kind = "revolute" if joint.type == "continuous" else joint.type
+        target = etree.SubElement(robot, "joint", name=joint.name, type=kind)
+        for tag in ("origin", "parent", "child", "axis"):
+            if source.find(tag) is not None:
+                target.append(source.find(tag))
+        if joint.type != "fixed":
+            lower, upper = _limits(joint)
+            bounds = {"lower": repr(lower), "upper": repr(upper), "effort": "1", "velocity": "1"}
+            etree.SubElement(target, "limit", bounds)
+    xml: bytes = etree.tostring(robot)
+    return xml
+
+
+def _transform(urdf: Urdf, link: str, frame: str) -> Tensor:
+    """(4, 4): the pose of a link in the frame of another, with the held joints at rest."""
+    return torch.tensor(urdf.model.get_transform(link, frame), dtype=torch.float64)
+
+
+def _fixed_to_base(
+    urdf: Urdf, words: RobotDescription, link: str, arm_joints: set[str], what: str
+) -> None:
+    """Refuse a link that the base frame does not carry, or that an unheld joint can move."""
+    held = {words.torso_joint, *words.gripper_joints}
+    for joint in urdf.joints_between(words.base_frame, link):
+        moves = joint.type != "fixed" and joint.name not in held and joint.mimic is None
+        if moves or joint.name in arm_joints:
+            raise RobotError(
+                f"{what}: joint {joint.name!r} can move {link!r}: hold it as the torso_joint, or "
+                "name another link"
+            )
+
+
+def _capsules(
+    urdf: Urdf,
+    words: RobotDescription,
+    arm: Arm,
+    joints: tuple[Any, ...],
+    frame_index: dict[str, int],
+) -> Capsules:
+    """The shapes of every link that the arm's joints move, fingers at rest included."""
+    moving = {joint.name: joint for joint in joints if joint.type != "fixed"}
+    parents = {joint.child: joint for joint in urdf.model.robot.joints}
+    frames: list[int] = []
+    counts: list[int] = []
+    starts: list[Tensor] = []
+    ends: list[Tensor] = []
+    radii: list[float] = []
+    for link in urdf.model.robot.links:
+        path, name = [], link.name
+        while name in parents and name != arm.base_link:
+            path.append(parents[name])
+            name = parents[name].parent
+        carriers = [joint for joint in path if joint.name in moving]
+        if name != arm.base_link or not carriers:
+            continue
+        carrier = carriers[0].child
+        pose = _transform(urdf, link.name, carrier)
+        for start, end, radius in _link_capsules(link, words):
+            frames.append(frame_index[carrier])
+            counts.append(len(carriers))
+            starts.append(pose[:3, :3] @ start + pose[:3, 3])
+            ends.append(pose[:3, :3] @ end + pose[:3, 3])
+            radii.append(radius)
+    empty = torch.zeros(0, 3, dtype=torch.float64)
+    return Capsules(
+        frame=torch.tensor(frames, dtype=torch.long),
+        joints=torch.tensor(counts, dtype=torch.long),
+        start=torch.stack(starts) if starts else empty,
+        end=torch.stack(ends) if ends else empty,
+        radius=torch.tensor(radii, dtype=torch.float64),
+    )
+
+
+def _link_capsules(link: Any, words: RobotDescription) -> list[tuple[Tensor, Tensor, float]]:
+    if link.name in words.capsules:
+        return [
+            (
+                torch.tensor(capsule[:3], dtype=torch.float64),
+                torch.tensor(capsule[3:6], dtype=torch.float64),
+                capsule[6],
+            )
+            for capsule in words.capsules[link.name]
+        ]
+    return [
+        capsule
+        for collision in link.collisions
+        for capsule in capsules_of(collision, f"link {link.name!r}")
+    ]
+
+
+def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Boxes:
+    centres, rotations, halves = [], [], []
+    for name in words.body:
+        _fixed_to_base(urdf, words, name, arm_joints, "body")
+        pose = _transform(urdf, name, words.base_frame)
+        for collision in urdf.link(name).collisions:
+            local, half = box_of(collision, f"link {name!r}")
+            box = pose @ local
+            centres.append(box[:3, 3])
+            rotations.append(box[:3, :3])
+            halves.append(half)
+    if not centres:
+        empty = torch.zeros(0, 3, dtype=torch.float64)
+        return Boxes(empty, torch.zeros(0, 3, 3, dtype=torch.float64), empty)
+    return Boxes(torch.stack(centres), torch.stack(rotations), torch.stack(halves))

@@ -1,0 +1,211 @@
+"""What the geometry of a percept says by itself, without data.
+
+The first seven numbers of a percept are the table's axis-aligned box x min, x max, y min, y max and
+the object's x, y, z; what may follow is in `cgtorch.tabletop.world.percepts`. A motion (..., 3) is dx, dy
+and dθ: the robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres and
+radians in the robot's base frame.
+
+Skills ask for thousands of motions at once, so what is put together here has its columns side by
+side in memory (`columns`), where operations on some of them are several times as fast.
+"""
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DataError
+from cgtorch.numerics import atan2
+from cgtorch.tabletop.world.percepts import parted, table_seen
+
+COORDINATES = (
+    "table x min", "table x max", "table y min", "table y max", "object x", "object y", "object z",
+)  # fmt: skip
+FEATURES = 4
+
+
+def columns(*parts: Tensor) -> Tensor:
+    """Parts (..., k_i) joined to (..., sum k_i), each column in one piece of memory."""
+    return torch.cat([part.movedim(-1, 0) for part in parts]).movedim(0, -1)
+
+
+def side_by_side(*numbers: Tensor) -> Tensor:
+    """Numbers (...), of shapes that broadcast, as columns (..., k)."""
+    if any(x.shape != numbers[0].shape for x in numbers):
+        numbers = torch.broadcast_tensors(*numbers)
+    return torch.stack(numbers).movedim(0, -1)
+
+
+def length(vector: Tensor) -> Tensor:
+    """Length (...) of vectors (..., 2)."""
+    # The bound keeps the gradient at 0 finite.
+    return vector.square().sum(-1).clamp_min(1e-30).sqrt()
+
+
+def coordinates(percept: Tensor) -> tuple[str, ...]:
+    """Names of the D numbers of percepts (..., D)."""
+    _, side, boxes = parted(percept)
+    sides = ("side x", "side y")[: side.shape[-1]]
+    ends = ("x min", "x max", "y min", "y max")
+    obstacles = (f"obstacle {k + 1} {end}" for k in range(boxes.shape[-2]) for end in ends)
+    return (*COORDINATES, *sides, *obstacles)
+
+
+def check_percept(percept: Tensor, motion: Tensor) -> None:
+    """Refuse percepts that are not of the tabletop or motions that are not (..., 3).
+
+    Raises:
+        DataError: Another last dimension.
+    """
+    try:
+        parted(percept)
+    except DataError as error:
+        raise DataError(
+            f"percept has shape {tuple(percept.shape)}; pass (..., 7): {error}"
+        ) from error
+    if motion.shape[-1:] != (3,):
+        raise DataError(f"motion has shape {tuple(motion.shape)}; pass (..., 3)")
+
+
+def to_parts(percept: Tensor) -> Tensor:
+    """Box centre x, y, extents along x, y and object x, y, z (..., 7) of a percept (..., D)."""
+    low, high = percept[..., 0:4:2], percept[..., 1:4:2]
+    return columns((low + high) / 2, high - low, percept[..., 4:7])
+
+
+def from_parts(parts: Tensor) -> Tensor:
+    """The first numbers (..., 7) of a percept with the given parts (..., 7), of `to_parts`."""
+    centre, half = parts[..., 0:2], parts[..., 2:4] / 2
+    low, high = centre - half, centre + half
+    return columns(low[..., :1], high[..., :1], low[..., 1:], high[..., 1:], parts[..., 4:])
+
+
+def move_rigidly(parts: Tensor, motion: Tensor) -> Tensor:
+    """Parts (..., 7) after the robot's motion (..., 3), the box's extents kept.
+
+    A point moves as R(-dθ)(point - (dx, dy)), and so does the centre of the box, because the
+    table is a centrally symmetric rectangle. The extents are the only part that the turn leaves
+    open: they depend on the rectangle inside the box, which the percept does not show.
+    """
+    dx, dy, cos, sin = motion[..., 0], motion[..., 1], motion[..., 2].cos(), motion[..., 2].sin()
+    moved = list(parts.unbind(-1))
+    for x, y in ((0, 1), (4, 5)):
+        px, py = parts[..., x] - dx, parts[..., y] - dy
+        moved[x], moved[y] = cos * px + sin * py, cos * py - sin * px
+    return side_by_side(*moved)
+
+
+def table_sides(extents: Tensor) -> Tensor:
+    """Short and long side (2,) of the one table whose box had the extents (n, 2) from n yaws.
+
+    The box of a rectangle a × b has the extents w = a|cos| + b|sin| and h = a|sin| + b|cos|, so
+    with A = a² + b², B = 2ab and K = A² - B² all (w, h) lie on the ellipse
+    (A (w² + h²) - 2B wh) / K = 1, whose two coefficients are found by linear least squares.
+    Where that gives no rectangle, the mean extents are its sides.
+    """
+    w, h = extents.double().unbind(-1)
+    terms = torch.stack([w * w + h * h, -2 * w * h], dim=1)
+    gram = terms.T @ terms + 1e-12 * torch.eye(2).to(terms)
+    first, second = torch.linalg.solve(gram, terms.sum(0)).unbind()
+    scale = first * first - second * second
+    total, gap = (first + second) / scale, (first - second) / scale
+    if bool((scale > 0) & (gap > 0) & (total > gap)):
+        low, high = total.sqrt() - gap.sqrt(), total.sqrt() + gap.sqrt()
+        return torch.stack([low, high]) / 2
+    return extents.double().mean(0).sort().values
+
+
+def turned_extents(yaw: Tensor, sides: Tensor) -> Tensor:
+    """Extents (..., 2) of the box of a rectangle of sides (..., 2), the first along x at yaw 0."""
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    a, b = sides[..., 0], sides[..., 1]
+    return side_by_side(a * c + b * s, a * s + b * c)
+
+
+def loosely_turned(extents: Tensor, turn: Tensor) -> Tensor:
+    """Extents (..., 2) of a box after turns (...) of the robot, of a shape that is not known.
+
+    Their sum stays and their difference turns as that of an ellipse's squared extents does: a
+    quarter turn swaps them, and half-way there they are equal.
+    """
+    total, gap = extents.sum(-1), (extents[..., 0] - extents[..., 1]) * torch.cos(2 * turn)
+    return side_by_side(total + gap, total - gap) / 2
+
+
+def boxes_moved(boxes: Tensor, motion: Tensor) -> Tensor:
+    """Boxes of obstacles (..., K, 4) after motions (..., 3); those that are not there stay so."""
+    parts = to_parts(torch.nn.functional.pad(boxes, (0, 3)))
+    each = motion[..., None, :]
+    moved = move_rigidly(parts, each)
+    extents = loosely_turned(parts[..., 2:4], each[..., 2])
+    centre, half = moved[..., 0:2], extents / 2
+    after = torch.stack([centre - half, centre + half], dim=-1).flatten(-2)
+    return torch.where((boxes != 0).any(-1, keepdim=True), after, torch.zeros_like(after))
+
+
+def side_turned(side: Tensor, motion: Tensor) -> Tensor:
+    """Sides of tables (..., 2 or 0), at twice their angle, after motions (..., 3)."""
+    if not side.shape[-1]:
+        return side.expand(*torch.broadcast_tensors(side[..., :0], motion[..., :0])[0].shape)
+    c, s = torch.cos(2 * motion[..., 2]), torch.sin(2 * motion[..., 2])
+    x, y = side[..., 0], side[..., 1]
+    return side_by_side(c * x + s * y, c * y - s * x)
+
+
+def tables_seen(percept: Tensor, sides: Tensor) -> tuple[Tensor, Tensor]:
+    """The two yaws (..., 2) a table may have, and its sides (2,), or (..., 2) where they are seen.
+
+    Where the percept tells the yaw, both are the same.
+
+    Args:
+        percept: (..., D).
+        sides: (2,) of the table if there is only one, short and long.
+    """
+    seven, side, _ = parted(percept)
+    if not side.shape[-1]:
+        return mirror_yaws(to_parts(seven), sides), sides
+    table = table_seen(seven, side)
+    return table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5]
+
+
+def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
+    """The two yaws (..., 2) that a table of sides (2,) may have within the box of parts (..., 7).
+
+    With the terms of `table_sides`, w² + h² = A + B |sin 2θ| and h² - w² = (b² - a²) cos 2θ, so
+    the box tells the yaw but for its sign. The first of the two is the one with the sign of u v,
+    where (u, v) is the object's place relative to the box's centre: then mirroring the scene
+    mirrors both and changes nothing else.
+    """
+    w2, h2 = parts[..., 2].square(), parts[..., 3].square()
+    u, v = parts[..., 4] - parts[..., 0], parts[..., 5] - parts[..., 1]
+    a2, b2 = sides.square().unbind()
+    sin = ((w2 + h2 - a2 - b2) / (2 * sides.prod())).clamp_min(0)
+    size = atan2(sin, (h2 - w2) / (b2 - a2).clamp_min(1e-9)) / 2
+    first = torch.where(u * v < 0, -size, size)
+    return side_by_side(first, -first)
+
+
+def places_on_table(parts: Tensor, yaws: Tensor) -> Tensor:
+    """Features (..., 4): |x|, |y| (m) of the object in the table's frame under either yaw (..., 2).
+
+    A rectangle is the same after half a turn and mirrored in its axes, so only sizes matter.
+    They tell the yaws apart, because people put things near the edges of tables.
+    """
+    offset = parts[..., 4:6] - parts[..., 0:2]
+    u, v, c, s = offset[..., :1], offset[..., 1:], yaws.cos(), yaws.sin()
+    (x1, x2), (y1, y2) = ((c * u + s * v).unbind(-1), (c * v - s * u).unbind(-1))
+    return side_by_side(x1, y1, x2, y2).abs()
+
+
+def boxes_after(yaws: Tensor, motion: Tensor, sides: Tensor) -> Tensor:
+    """Extents (..., 2 yaws, 2) of the box after motions (..., 3), for either yaw (..., 2)."""
+    return turned_extents(yaws - motion[..., 2:3], sides[..., None, :])
+
+
+def extremes(parts: Tensor, motion: Tensor, yaws: Tensor, sides: Tensor) -> Tensor:
+    """What tells how unusual a transition is (..., 4).
+
+    Distance of the object (m), way driven (m), size of the turn (rad), and how badly a table of
+    the given sides fits the box (m).
+    """
+    misfit = parts[..., 2:4] - turned_extents(yaws[..., 0], sides)
+    far, way = length(parts[..., 4:6]), length(motion[..., :2])
+    return side_by_side(far, way, motion[..., 2].abs(), length(misfit))

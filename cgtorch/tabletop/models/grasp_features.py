@@ -1,0 +1,79 @@
+"""What C sees of a percept: the object in polar coordinates, and the table as far as arms reach."""
+
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.world.percepts import BOX, PERCEPTS, parted, table_seen
+
+SIZES = tuple(size + obstacle for size in PERCEPTS.values() for obstacle in (0, 4))
+"""Lengths of percepts that are those of a tabletop: box or yaw, with an obstacle or without."""
+FLAT = 7
+"""Features of box percepts, without the height, where all tables are as high."""
+SAME_HEIGHT = 0.02
+"""Standard deviation of heights that is hardly more than noise, m."""
+NEAR = 0.5
+"""Distance over which a side of the table stops to matter, m."""
+STRETCH = 4.0
+"""Weight of the object's distance, in which success changes over centimetres."""
+TURN = 2.0
+"""Weight of its direction."""
+RISE = 3.0
+"""Weight of its height, with which the reach of the arms changes."""
+EDGES = 2
+"""How many edges matter, those that the robot stands farthest in front of."""
+
+
+def grasp_features(percept: Tensor) -> Tensor:
+    """Features (..., F) of tabletop percepts (..., D); percepts of other lengths stay as they are.
+
+    An arm reaches a ring about its shoulder, not a box, so the object is given by its distance, the
+    two numbers of its direction, and its height. Obstacles are reached over and left out. Of the
+    table, F = 8: the four sides of its box come first, each saturated at `NEAR`, as what lies
+    beyond the reach of the arms changes nothing; the height is last. Where the percept tells the
+    table's yaw, F = 10: last come the two edges that the robot stands in front of (`edges`).
+    """
+    if percept.shape[-1] not in SIZES:
+        return percept
+    seven, side, _ = parted(percept)
+    placed = seven[..., 4:6]
+    distance = placed.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    polar = torch.cat([STRETCH * distance, TURN * placed / distance], -1)
+    height = RISE * seven[..., 6:7]
+    if side.shape[-1]:
+        return torch.cat([polar, height, edges(table_seen(seven, side), placed)], -1)
+    return torch.cat([NEAR * torch.tanh(seven[..., :4] / NEAR), polar, height], -1)
+
+
+def edges(table: Tensor, placed: Tensor) -> Tensor:
+    """How the two edges of tables (..., 5) lie that the robot stands farthest in front of (..., 6).
+
+    How far in front of either it stands, saturated at `NEAR`; how far from either the object
+    (..., 2) stands (m); and the outward direction of the first, of length `NEAR`.
+    """
+    c, s = table[..., 2].cos(), table[..., 2].sin()
+    outward = torch.stack([c, s, -c, -s, -s, c, s, -c], -1).unflatten(-1, (4, 2))
+    half = table[..., [3, 3, 4, 4]] / 2
+    ahead = -(outward * table[..., None, :2]).sum(-1) - half
+    inset = half - (outward * (placed - table[..., :2])[..., None, :]).sum(-1)
+    order = ahead.argsort(-1, descending=True)[..., :EDGES]
+    first = outward.gather(-2, order[..., :1, None].expand(*order.shape[:-1], 1, 2))[..., 0, :]
+    ahead = NEAR * torch.tanh(ahead.gather(-1, order) / NEAR)
+    return torch.cat([ahead, inset.gather(-1, order), NEAR * first], -1)
+
+
+def used_features(percept: Tensor) -> int:
+    """How many of the features of percepts (n, D) are worth learning from, counted from the first.
+
+    All, but not the height of box percepts where all tables are as high.
+    """
+    features = grasp_features(percept[:1]).shape[-1]
+    if features != FLAT + 1 or percept.shape[-1] not in SIZES:
+        return features
+    return FLAT + int(bool(percept[:, 6].std(correction=0) > SAME_HEIGHT))
+
+
+def compiled_features(size: int, used: int) -> bool:
+    """Whether compiled code knows the `used` features of percepts of a size (models.h)."""
+    if size in SIZES:
+        return used == FLAT + 3 if size % BOX == 1 else used in (FLAT, FLAT + 1)
+    return size > max(SIZES) and size % BOX in (1, 3) and used == size

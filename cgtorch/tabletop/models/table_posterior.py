@@ -1,0 +1,83 @@
+"""Which tables a percept leaves possible, where tables are of any size and yaw.
+
+They are those of `cgtorch.tabletop.world.general`, sampled by importance sampling (Kahn & Marshall 1953). A
+box and a yaw determine the sides of its rectangle, so where only the box is seen any yaw is drawn;
+where the yaw is seen, the sides are as seen but for the noise.
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.tabletop.models.geometry import to_parts
+from cgtorch.tabletop.models.object_prior import placement_density
+from cgtorch.tabletop.world.general import INSET, SIDE
+from cgtorch.tabletop.world.geometry import rotate
+from cgtorch.tabletop.world.percepts import parted
+
+_FLATTEST = 1e-3  # of the determinant that gives the sides; at 45° only their sum is known
+_OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said not to contain
+
+
+def tables_behind(
+    percept: Tensor, blur: float, samples: int, generator: Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Samples of the table and the object behind percepts.
+
+    Args:
+        percept: (n, D) with noise.
+        blur: m, standard deviation of the noise of each of its numbers.
+        samples: S, for each row.
+        generator: of all random choices.
+
+    Returns:
+        Tables (n, S, 5) and objects (n, S, 2) in the base frame, and weights (n, S).
+    """
+    _, side, _ = parted(percept)
+    parts = to_parts(percept)[:, None].expand(-1, samples, -1)
+
+    def noise(deviation: float, size: int) -> Tensor:
+        return deviation * torch.randn(len(percept), samples, size, generator=generator)
+
+    # A centre is the mean of two numbers with noise, an extent their difference.
+    centre = parts[..., :2] - noise(blur / 2**0.5, 2)
+    placed = parts[..., 4:6] - noise(blur, 2)
+    if side.shape[-1]:
+        shape, weight = _seen_sides(parts, side, blur, noise)
+    else:
+        shape, weight = _any_yaw(parts[..., 2:4] - noise(blur * 2**0.5, 2), generator)
+    sides = shape[..., 1:].clamp(*SIDE)
+    weight = weight * (shape[..., 1:] == sides).all(-1)
+    yaw = shape[..., :1]
+    density = placement_density(rotate(placed - centre, -yaw[..., 0]), sides, INSET)
+    # Where no sample fits, all that are left are as likely.
+    return torch.cat([centre, yaw, sides], -1), placed, weight * (density + _OUTLIER) + _OUTLIER**2
+
+
+def _any_yaw(extents: Tensor, generator: Generator) -> tuple[Tensor, Tensor]:
+    """Yaws and the sides they imply (n, S, 3) given extents (n, S, 2), and weights (n, S)."""
+    yaw = torch.pi * torch.rand(extents.shape[:2], generator=generator)
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    w, h = extents.unbind(-1)
+    both = c.square() - s.square()
+    safe = torch.where(both.abs() < _FLATTEST, _FLATTEST, both)
+    sides = torch.stack([(w * c - h * s) / safe, (h * c - w * s) / safe], -1)
+    return torch.cat([yaw[..., None], sides], -1), 1 / safe.abs()
+
+
+def _seen_sides(
+    parts: Tensor, side: Tensor, blur: float, noise: Callable[[float, int], Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Yaw and sides (n, S, 3) where a side (n, 2) is seen, and weights (n, S).
+
+    The box has two extents for the one side that is left: one combination of them gives it, the
+    other tells how likely yaw and length are.
+    """
+    seen = side[:, None] - noise(blur, 2)
+    yaw, length = torch.atan2(seen[..., 1], seen[..., 0]) / 2, seen.norm(dim=-1)
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    w, h = parts[..., 2] - length * c, parts[..., 3] - length * s
+    other = s * w + c * h + noise(blur * 2**0.5, 1)[..., 0]
+    misfit = (c * w - s * h).square() / (4 * blur**2)
+    return torch.stack([yaw, length, other], -1), torch.exp(-misfit) / length

@@ -1,0 +1,165 @@
+"""Γ, the transition model: the next percept from a percept and a motion.
+
+Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`): points move rigidly, and the box
+around a rectangle of known sides follows from its yaw. The box seen leaves open to which side the
+table is turned, and that is what support vector regression learns, from where on the table the
+object would stand. Where the percept tells the table's yaw, there is nothing to learn, and its
+sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is fitted is in
+`cgtorch.tabletop.models.transition_fit`.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.domains.transition import TransitionModel
+from cgtorch.native.structures import suits
+from cgtorch.svm.compiled import Compiled
+from cgtorch.tabletop.models import geometry
+from cgtorch.tabletop.models.compiled import gamma_structure, transitions
+from cgtorch.tabletop.world.percepts import parted
+
+DECISIVE = 0.03
+"""Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
+three times the noise of a transition."""
+_NUMBERS = ("mean", "scale", "sides", "most", "trust", "reach")
+
+
+class TableTransitionModel(TransitionModel):
+    """Γ: (percept (..., D), motion (..., 3)) -> next percept (..., D), m and rad.
+
+    D is that of any percept of the tabletop (`cgtorch.tabletop.world.percepts`). Differentiable in
+    both. The machine's one value in [-1, 1] says which of the two yaws that the box allows is the
+    table's: 1 the first, -1 the second. Further buffers: the table's `sides` (2,), and `trust` () 1
+    where turning the table beats turning its box loosely and else 0. `most` (4,) is how far off,
+    driven, turned and out of shape the data are at most.
+    """
+
+    sides: Tensor
+    trust: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, size in (("mean", 4), ("scale", 4), ("sides", 2), ("most", 4)):
+            self.register_buffer(name, torch.ones(size, dtype=torch.float64))
+        self.register_buffer("trust", torch.ones((), dtype=torch.float64))
+
+    def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.predict_with_novelty`."""
+        compiled = self.compiled(percept, control)
+        if compiled is not None and percept.shape[:-1] == control.shape[:-1]:
+            rows = percept.reshape(-1, percept.shape[-1]), control.reshape(-1, 3)
+            if (found := transitions(compiled, *rows)) is not None:
+                return found[0].view_as(percept), found[1].view(percept.shape[:-1])
+        return self.predict_in_torch(percept, control)
+
+    def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.predict_in_torch`; a scene is read off percepts only once."""
+        scene = self._scene(percept, control)
+        value, distance = self.machine.values_and_distance(self._features(scene))
+        after = _next_percept(scene, control, value[..., 0].to(percept), self.trust)
+        novelty = self.novelty_of(_extremes(scene, control), distance)
+        return after, novelty.to(percept.dtype)
+
+    def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
+        """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
+
+        Raises:
+            DataError: Wrong shapes.
+        """
+        geometry.check_percept(percept, motion)
+        machine, numbers = self.machine._machine, self.tensors()[4:]
+        suited = suits(percept, motion, *machine)
+        if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
+            return None
+        return gamma_structure(machine, dict(zip(_NUMBERS, numbers, strict=True)))
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Centres (m, 4), weights (m, 1), bias (1,) and γ () of the machine, then other buffers."""
+        return *self.machine._machine, *(getattr(self, name) for name in _NUMBERS)
+
+    def features(self, percept: Tensor, control: Tensor | None = None) -> Tensor:
+        """See `TransitionModel.features`; no motion changes them."""
+        return self._features(self._scene(percept))
+
+    def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
+        """See `TransitionModel.next_percept`; `value` (..., 1) is about the two yaws."""
+        return _next_percept(self._scene(percept, control), control, value[..., 0], self.trust)
+
+    def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
+        """See `TransitionModel.extremes`."""
+        return _extremes(self._scene(percept, control), control)
+
+    def targets(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.targets`.
+
+        The target is where the next extents lie between those of the second yaw, -1, and of the
+        first, 1. Where the percept tells the yaw, it is 0 and all transitions are worth as much.
+        """
+        yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
+        first, second = geometry.boxes_after(yaws, control, sides).unbind(-2)
+        half = (first - second) / 2
+        size = half.norm(dim=-1)
+        off = geometry.to_parts(next_percept)[..., 2:4] - (first + second) / 2
+        target = ((off * half).sum(-1) / size.square().clamp_min(1e-12)).clamp(-1, 1)
+        return target[:, None], (size > DECISIVE / 2) | (yaws[..., 0] == yaws[..., 1])
+
+    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
+        """See `TransitionModel.shapes`."""
+        return {"mean": (4,), "scale": (4,), "most": (4,), "sides": (2,)}
+
+    def _scene(self, percept: Tensor, motion: Tensor | None = None) -> "_Scene":
+        """What percepts (..., D) show; motions are only checked."""
+        if motion is not None:
+            geometry.check_percept(percept, motion)
+        _, side, boxes = parted(percept)
+        yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
+        return _Scene(geometry.to_parts(percept), side, boxes, yaws, sides)
+
+    def _features(self, scene: "_Scene") -> Tensor:
+        places = geometry.places_on_table(scene.parts, scene.yaws).to(self.mean)
+        return (places - self.mean) / self.scale
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is read off percepts once, for all that is asked of them.
+
+    Attributes:
+        parts: (..., 7) as of `geometry.to_parts`.
+        side: (..., 2 or 0) and
+        boxes: (..., K, 4) as of `cgtorch.tabletop.world.percepts.parted`.
+        yaws: (..., 2) that the table may have.
+        sides: (2,) or (..., 2) of the table.
+    """
+
+    parts: Tensor
+    side: Tensor
+    boxes: Tensor
+    yaws: Tensor
+    sides: Tensor
+
+
+def _next_percept(scene: _Scene, motion: Tensor, value: Tensor, trust: Tensor) -> Tensor:
+    """Next percepts (..., D) if the machine says `value` (...) about the two yaws."""
+    moved = geometry.move_rigidly(scene.parts, motion)
+    first, second = geometry.boxes_after(scene.yaws, motion, scene.sides).unbind(-2)
+    # Sharper than the value itself, which the width of the kernel has smoothed.
+    weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
+    extents = (first + second) / 2 + weight * (first - second)
+    loose = geometry.loosely_turned(scene.parts[..., 2:4], motion[..., 2])
+    extents = loose + trust.to(loose) * (extents - loose)
+    after = geometry.columns(moved[..., :2], extents, moved[..., 4:])
+    seven = geometry.from_parts(after)
+    if scene.side.shape[-1] + scene.boxes.shape[-2] == 0:
+        return seven
+    others = geometry.boxes_moved(scene.boxes, motion).flatten(-2)
+    side = geometry.side_turned(scene.side, motion)
+    return torch.cat([seven, side, others], dim=-1)
+
+
+def _extremes(scene: _Scene, motion: Tensor) -> Tensor:
+    return geometry.extremes(scene.parts, motion, scene.yaws, scene.sides)

@@ -1,0 +1,63 @@
+"""What can be chosen to be shown: skills, scenarios, and where the object lies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.graphs import Skill
+from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of
+from cgtorch.tabletop.world.geometry import rotate
+
+FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A skill that can be shown.
+
+    Attributes:
+        skill: the skill.
+        robot: the robot that it is for.
+        world_of: makes the world that it acts in.
+    """
+
+    skill: Skill
+    robot: Robot
+    world_of: Callable[[Scenarios], TabletopWorld]
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is to be shown first.
+
+    Attributes:
+        skill: name of a candidate.
+        against: name of another one, or None.
+        scenarios: which kind.
+        count: how many there are to choose from.
+        seed: of the scenarios and their noise.
+    """
+
+    skill: str
+    against: str | None
+    scenarios: str
+    count: int
+    seed: int
+
+
+def scenario_of(kind: str, count: int, seed: int, number: int) -> Scenarios:
+    """The scenario of a number, from 0 on, of those that `cgtorch-evaluate` tries."""
+    drawn = draw_of(kind)(count, Generator().manual_seed(seed))
+    return drawn[torch.tensor([number])]
+
+
+def put_object(scenario: Scenarios, at: Tensor) -> Scenarios:
+    """The scenario with its object at (2,) m, or at the nearest place on the table."""
+    table = scenario.table[0]
+    half = table[3:5] / 2 - FROM_EDGE
+    local = rotate(at - table[:2], -table[2])
+    placed = rotate(local.clamp(-half, half), table[2]) + table[:2]
+    return replace(scenario, object=placed[None])

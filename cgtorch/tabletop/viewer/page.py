@@ -1,0 +1,280 @@
+"""The page: a picture in three dimensions, the graph beside it, and what one can do with them."""
+
+import contextlib
+import io
+import math
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+import viser
+from torch import Tensor
+
+from cgtorch.errors import CgtorchError, SettingsError
+from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
+from cgtorch.tabletop.viewer.execution import execute
+from cgtorch.tabletop.viewer.graph_levels import levels_html
+from cgtorch.tabletop.viewer.postures import rest_postures
+from cgtorch.tabletop.viewer.readings import headline, readings_html
+from cgtorch.tabletop.viewer.scene import Scene
+from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
+from cgtorch.tabletop.world import Scenarios, TabletopWorld
+from cgtorch.tabletop.world.draws import DRAWS
+from cgtorch.training.evaluate import check_percepts
+
+NONE = "nothing"
+NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
+APART = 4.5  # m between two skills that are compared
+GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
+
+
+class Page:
+    """The page's state: what is chosen, what is shown of it, and which picture of it."""
+
+    def __init__(
+        self, server: viser.ViserServer, candidates: Mapping[str, Candidate], wish: Wish
+    ) -> None:
+        self.server, self.candidates, self.wish = server, candidates, wish
+        self.lock = threading.RLock()
+        self.scenes: list[Scene] = []
+        self.timelines: list[Timeline] = []
+        self.rest: dict[int, tuple[Tensor, ...]] = {}
+        self.scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
+        self.shown: list[tuple[int, int, str]] = []
+        self.clock: float | None = None  # when the first picture would have been due, if playing
+        server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        server.gui.set_panel_label("cgtorch")
+        server.scene.add_grid(
+            "/floor", 14.0, 14.0, cell_size=0.5, cell_color=(226, 229, 233),
+            section_color=(205, 210, 216), plane_color=(247, 248, 250), plane_opacity=1.0,
+        )  # fmt: skip
+        self._controls()
+        self._graphs()
+        self.gizmo = server.scene.add_transform_controls(
+            "/drag", scale=0.22, active_axes=(True, True, False), disable_rotations=True
+        )
+        self.gizmo.on_update(self._dragged)
+        self._run(self.scenario)
+
+    def _controls(self) -> None:
+        gui, wish = self.server.gui, self.wish
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(CONTROLS_WIDTH)
+        with gui.add_folder("Execution"):
+            self.playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            self.steps = gui.add_button_group("Step", ("first", "back", "next", "last"))
+            self.frame = gui.add_slider("Picture", 0, 1, 1, 0)
+            self.speed = gui.add_slider("Speed", 0.25, 4.0, 0.25, 1.0)
+        with gui.add_folder("Scenario"):
+            self.kind = gui.add_dropdown("Scenarios", tuple(DRAWS), initial_value=wish.scenarios)
+            self.number = gui.add_slider("Number", 1, max(2, wish.count), 1, 1)
+            self.seed = gui.add_number("Seed", wish.seed, min=0, max=2**31 - 1, step=1)
+            self.again = gui.add_button("Run again", icon=viser.Icon.REFRESH)
+        names = tuple(self.candidates)
+        with gui.add_folder("Skills"):
+            self.skill = gui.add_dropdown("Skill", names, initial_value=wish.skill)
+            self.against = gui.add_dropdown(
+                "Compare with", (NONE, *names), initial_value=wish.against or NONE
+            )
+        self.note = gui.add_markdown("")
+        self.playing.on_click(lambda _: self.toggle())
+        self.steps.on_click(lambda event: self.step(event.target.value))
+        self.frame.on_update(self._seek)
+        self.speed.on_update(lambda _: self._wind())
+        for choice in (self.kind, self.number, self.seed):
+            choice.on_update(lambda _: self.choose())
+        for choice in (self.skill, self.against):
+            choice.on_update(lambda _: self.run())
+        self.again.on_click(lambda _: self.run(play=True))
+
+    def _graphs(self) -> None:
+        panel = self.server.gui.add_panel()
+        panel.dock_left()
+        panel.set_width(GRAPH_WIDTH)
+        self.graphs: list[tuple[Any, Any]] = []
+        for title in ("Skill", "Compared with"):
+            with panel.add_tab(title):
+                self.graphs.append((self.server.gui.add_html(""), self.server.gui.add_html("")))
+
+    def choose(self) -> None:
+        """Take the scenario that is chosen, and run."""
+        number = min(int(self.number.value), self.wish.count) - 1
+        seed = int(self.seed.value)
+        self.run(scenario_of(self.kind.value, self.wish.count, seed, number))
+
+    def run(self, scenario: Scenarios | None = None, play: bool = False) -> None:
+        """Run the chosen skills, or say why that cannot be and leave what is shown."""
+        with self.lock:
+            try:
+                self._run(self.scenario if scenario is None else scenario)
+            except CgtorchError as e:
+                self.note.content = f"**Not run:** {e}"
+                return
+            if play:
+                self.toggle()
+
+    def _run(self, scenario: Scenarios) -> None:
+        """Run the chosen skills on a scenario and show what they do, from its start."""
+        chosen = [n for n in (self.skill.value, self.against.value) if n != NONE]
+        timelines = [self._timeline(self.candidates[name], scenario) for name in chosen]
+        self.scenario = scenario
+        with self.server.atomic():
+            self.pause()
+            self._draw([self.candidates[name] for name in chosen], timelines)
+            self.note.content = "\n\n".join(
+                f"**{name}**: {t.execution.end} after {len(t.execution.steps)} steps"
+                for name, t in zip(chosen, timelines, strict=True)
+            )
+            self.frame.max = max(map(len, timelines)) - 1
+            self.frame.value = 0
+            self.show(0)
+
+    def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
+        world = candidate.world_of(scenario)
+        _check(candidate, world)
+        robot = candidate.robot
+        if id(robot) not in self.rest:
+            self.rest[id(robot)] = rest_postures(robot)
+        return timeline_of(execute(candidate.skill, world), robot, self.rest[id(robot)])
+
+    def _draw(self, chosen: list[Candidate], timelines: list[Timeline]) -> None:
+        """Make as many scenes as there are skills, of their robots, side by side."""
+        if [id(s.robot) for s in self.scenes] != [id(c.robot) for c in chosen]:
+            for scene in self.scenes:
+                scene.remove()
+            self.scenes = [Scene(self.server, f"/skill-{i}", c.robot) for i, c in enumerate(chosen)]
+        self.timelines, self.shown = timelines, []
+        for i, (scene, timeline) in enumerate(zip(self.scenes, timelines, strict=True)):
+            scene.stand_at((0.0, -APART * i))
+            scene.load(timeline)
+        x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
+        self.gizmo.position = np.array([x, y, z])
+        self._look_at(-APART / 2 * (len(chosen) - 1))
+
+    def _look_at(self, middle: float) -> None:
+        """Where a camera begins: beside one skill, behind two that stand left and right of it."""
+        camera = self.server.initial_camera
+        camera.fov = math.radians(45)
+        camera.position = (-2.6, -4.4, 3.6) if middle == 0 else (-8.2, middle, 6.6)
+        camera.look_at = (-0.3, middle - 0.2, 0.3)
+
+    def show(self, picture: int) -> None:
+        """Show one picture of all scenes."""
+        with self.lock, self.server.atomic():
+            for i, (scene, timeline) in enumerate(zip(self.scenes, self.timelines, strict=True)):
+                scene.show(picture)
+                self._explain(i, timeline, min(picture, len(timeline) - 1))
+            for readings, graph in self.graphs[len(self.timelines) :]:
+                readings.content, graph.content = NOTHING, ""
+
+    def _explain(self, i: int, timeline: Timeline, picture: int) -> None:
+        """Graph and readings of one skill, where they differ from what is shown."""
+        step = int(timeline.step[picture])
+        now = (step, int(timeline.seen[picture]), headline(timeline, picture))
+        if i < len(self.shown) and self.shown[i] == now:
+            return
+        self.shown[i : i + 1] = [now]
+        readings, graph = self.graphs[i]
+        readings.content = readings_html(timeline, picture)
+        run = timeline.execution
+        graph.content = levels_html(run.skill, run.steps[step])
+
+    def toggle(self) -> None:
+        """Play, or pause; at the end play from the start."""
+        with self.lock:
+            if self.clock is not None:
+                self.pause()
+                return
+            if self.frame.value >= self.frame.max:
+                self.frame.value = 0
+            self.clock = 0.0
+            self._wind()
+            self.playing.label, self.playing.icon = "Pause", viser.Icon.PLAYER_PAUSE
+
+    def _wind(self) -> None:
+        """Set the clock so that the picture that is shown is due now."""
+        with self.lock:
+            if self.clock is not None:
+                self.clock = time.monotonic() - self.frame.value / (FPS * self.speed.value)
+
+    def pause(self) -> None:
+        """Stay at the picture that is shown."""
+        self.clock = None
+        self.playing.label, self.playing.icon = "Play", viser.Icon.PLAYER_PLAY
+
+    def step(self, where: str) -> None:
+        """Go to the start of another step of the first skill."""
+        with self.lock:
+            self.pause()
+            timeline, here = self.timelines[0], int(self.frame.value)
+            now = int(timeline.step[min(here, len(timeline) - 1)])
+            last = int(self.frame.max)
+            targets = {
+                "first": 0,
+                "back": timeline.start_of(now if here > timeline.start_of(now) else now - 1),
+                "next": timeline.start_of(now + 1),
+                "last": last,
+            }
+            self.frame.value = min(max(0, targets[where]), last)
+
+    def _seek(self, event: Any) -> None:
+        """Show the picture that the slider is at."""
+        if event.client is not None:
+            self._wind()
+        self.show(int(self.frame.value))
+
+    def tick(self) -> None:
+        """Go on playing."""
+        with self.lock:
+            if self.clock is None:
+                return
+            due = int((time.monotonic() - self.clock) * FPS * self.speed.value)
+            self.frame.value = min(due, int(self.frame.max))
+            if self.frame.value >= self.frame.max:
+                self.pause()
+
+    def _dragged(self, event: Any) -> None:
+        """Put the object where it was dragged to and run again."""
+        if event.phase != "end":
+            return
+        with self.lock:
+            at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
+            self.run(put_object(self.scenario, at), play=True)
+
+
+def _check(candidate: Candidate, world: TabletopWorld) -> None:
+    check_percepts(candidate.skill, world.percept_size, "such scenarios")
+
+
+def open_page(
+    candidates: Mapping[str, Candidate], wish: Wish, host: str, port: int
+) -> tuple[Page, str]:
+    """Serve the page; the address says where it is, also if the port was taken.
+
+    Raises:
+        SettingsError: this machine cannot listen there, or a skill is for other percepts.
+    """
+    scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
+    for name in filter(None, (wish.skill, wish.against)):
+        _check(candidates[name], candidates[name].world_of(scenario))
+    try:
+        socket.create_server((host, 0)).close()
+    except OSError as e:
+        raise SettingsError(
+            f"host {host!r} cannot be listened on ({e.strerror}); give 127.0.0.1, or an address "
+            "of this machine"
+        ) from e
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    return Page(server, candidates, wish), f"http://{host}:{server.get_port()}"
+
+
+def play_for_ever(page: Page) -> None:
+    """Keep the page going until the process is told to end."""
+    while True:
+        time.sleep(1 / FPS)
+        page.tick()

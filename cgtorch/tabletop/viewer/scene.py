@@ -1,0 +1,199 @@
+"""One skill at work in three dimensions: robot, table, object, its way, what it perceives."""
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import viser
+import yourdfpy
+from torch import Tensor
+from viser.extras import ViserUrdf
+
+from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
+from cgtorch.tabletop.viewer.timeline import Timeline, joint_names
+from cgtorch.tabletop.world.geometry import box_rectangle, corners, moved, rotate
+from cgtorch.tabletop.world.percepts import BOX, present
+
+Array = npt.NDArray[np.float64]
+Colour = tuple[int, int, int]
+
+WOOD, LEG, OBJECT, BOX_COLOUR = (196, 154, 108), (120, 92, 66), (214, 39, 40), (140, 145, 152)
+DONE, AHEAD, SEEN, GOAL, REFUSED = (
+    (31, 119, 180), (150, 170, 192), (0, 150, 136), (255, 140, 0), (214, 39, 40),
+)  # fmt: skip
+OBJECT_RADIUS, LEG_SIDE, OBSTACLE_HEIGHT = 0.03, 0.06, 0.35  # m
+FLOOR = 0.006  # m above the floor that lines are drawn
+
+
+class Scene:
+    """What is drawn for one skill, under one name of the scene tree."""
+
+    def __init__(self, server: viser.ViserServer, name: str, robot: Robot):
+        self.server, self.name, self.robot = server, name, robot
+        self.place = server.scene.add_frame(name, show_axes=False)
+        self.base = server.scene.add_frame(f"{name}/base", show_axes=False)
+        # Robots whose shapes are files of meshes, which a run does not keep, show what they
+        # collide with.
+        model = _model(robot)
+        visual = bool(model.scene.geometry)
+        if not visual:
+            model = _model(robot, build_collision_scene_graph=True)
+        root = self._root(model)
+        server.scene.add_frame(
+            f"{name}/base/robot", show_axes=False, wxyz=root[0], position=root[1]
+        )
+        self.drawn = ViserUrdf(
+            server, model, root_node_name=f"{name}/base/robot",
+            load_meshes=visual, load_collision_meshes=not visual,
+        )  # fmt: skip
+        self.rest = _rest(model, robot)
+        self.columns = [model.actuated_joint_names.index(n) for n in joint_names(robot)]
+        self.object = server.scene.add_cylinder(
+            f"{name}/object", OBJECT_RADIUS, 2 * GRASP_HEIGHT, color=OBJECT
+        )
+        self.timeline: Timeline | None = None
+        self.frame = -1
+
+    def _root(self, model: Any) -> tuple[Array, Array]:
+        """Where the URDF's root link is in the base frame, as a quaternion and a position."""
+        pose = model.get_transform(model.base_link, self.robot.description.base_frame)
+        return viser.transforms.SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
+
+    def remove(self) -> None:
+        """Take everything away."""
+        self.place.remove()
+
+    def stand_at(self, offset: tuple[float, float]) -> None:
+        """Where the world's origin is drawn (m)."""
+        self.place.position = np.array([*offset, 0.0])
+
+    def load(self, timeline: Timeline) -> None:
+        """Show another execution, from its start."""
+        self.timeline, self.frame = timeline, -1
+        scene, run = timeline.execution.scenario, timeline.execution
+        self._table(scene.table[0])
+        for k, box in enumerate(scene.obstacles[0]):
+            self._block(
+                f"obstacle-{k}", box[:3], [*box[3:5].tolist(), OBSTACLE_HEIGHT],
+                OBSTACLE_HEIGHT / 2, BOX_COLOUR, visible=bool(present(box)),
+            )  # fmt: skip
+        above = float(scene.table[0, 5]) + 0.5
+        self.server.scene.add_label(
+            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, above),
+            anchor="bottom-center", font_screen_scale=1.3,
+        )  # fmt: skip
+        stops = run.pose[torch.cat([torch.tensor([True]), (run.pose[1:] != run.pose[:-1]).any(1)])]
+        self._lines("stops", self._footprints(stops), AHEAD, FLOOR, 1.5)
+        self._lines("way", _segments(timeline.pose[:, :2]), AHEAD, FLOOR, 3)
+        self.show(0)
+
+    def show(self, frame: int) -> None:
+        """Show one picture of the execution, the last one for numbers beyond it."""
+        timeline = self.timeline
+        if timeline is None:
+            return
+        frame = min(frame, len(timeline) - 1)
+        if frame == self.frame:
+            return
+        first, self.frame = self.frame < 0, frame
+        x, y, turn = timeline.pose[frame].tolist()
+        self.base.position = np.array([x, y, 0.0])
+        self.base.wxyz = np.array([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)])
+        self.object.position = timeline.object[frame].numpy() + np.array([0.0, 0.0, GRASP_HEIGHT])
+        joints = timeline.joints[frame].double().numpy()
+        if first or not np.array_equal(joints, self.rest[self.columns]):
+            self.rest[self.columns] = joints
+            self.drawn.update_cfg(self.rest)
+        self._lines("driven", _segments(timeline.pose[: frame + 1, :2]), DONE, 2 * FLOOR, 5)
+        self._perceived(timeline, int(timeline.seen[frame]))
+        self._asked(timeline, int(timeline.step[frame]))
+
+    def _table(self, table: Tensor) -> None:
+        x, y, yaw, sx, sy, height = table.tolist()
+        self._block("table", table[:3], [sx, sy, TABLE_THICKNESS], height - TABLE_THICKNESS / 2,
+                    WOOD)  # fmt: skip
+        inner = torch.tensor([x, y, yaw, sx - 2 * LEG_SIDE, sy - 2 * LEG_SIDE])
+        for k, corner in enumerate(corners(inner)):
+            at, length = torch.cat([corner, table[2:3]]), height - TABLE_THICKNESS
+            self._block(f"leg-{k}", at, [LEG_SIDE, LEG_SIDE, length], length / 2, LEG)
+
+    def _block(
+        self, name: str, at: Tensor, sides: list[float], z: float, colour: Colour, **how: Any
+    ) -> None:
+        x, y, yaw = at.tolist()
+        self.server.scene.add_box(
+            f"{self.name}/{name}", color=colour, dimensions=(sides[0], sides[1], sides[2]),
+            position=(x, y, z), wxyz=(math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)), **how,
+        )  # fmt: skip
+
+    def _footprints(self, pose: Tensor) -> Tensor:
+        """(4 n, 2, 2) outlines of the base at poses (n, 3)."""
+        ring = corners(box_rectangle(torch.tensor(self.robot.description.footprint)))
+        ring = rotate(ring.expand(len(pose), 4, 2), pose[:, None, 2]) + pose[:, None, :2]
+        return torch.stack([ring, ring.roll(-1, 1)], 2).flatten(0, 1)
+
+    def _perceived(self, timeline: Timeline, seen: int) -> None:
+        """The box of the table and the object, where the robot believes them to be."""
+        run, table = timeline.execution, timeline.execution.scenario.table[0]
+        pose, percept = run.pose[seen], run.percept[seen]
+        box = corners(box_rectangle(percept[:BOX]))
+        box = rotate(box, pose[2]) + pose[:2]
+        self._lines("perceived", torch.stack([box, box.roll(-1, 0)], 1), SEEN,
+                    float(table[5]) + FLOOR, 3)  # fmt: skip
+        at = rotate(percept[4:6], pose[2]) + pose[:2]
+        arm = torch.tensor([[[-0.06, 0.0], [0.06, 0.0]], [[0.0, -0.06], [0.0, 0.06]]])
+        self._lines("perceived-object", at + rotate(arm, pose[2].expand(2, 2)), SEEN,
+                    float(percept[6]) + 2 * FLOOR, 4)  # fmt: skip
+
+    def _asked(self, timeline: Timeline, step: int) -> None:
+        """The pose that the message asks for, as the outline of the base."""
+        run = timeline.execution
+        drives = run.steps[step].name == "MoveBase"
+        message = run.message[step + 1, :3]
+        there = len(message) == 3 and bool(message.isfinite().all())
+        goal = moved(run.pose[step], message) if there else run.pose[step]
+        lines = self._footprints(goal[None])
+        nose = torch.stack([goal[:2], goal[:2] + rotate(torch.tensor([0.33, 0.0]), goal[2])])
+        refused = drives and run.steps[step].outcome == "failure"
+        self._lines("asked", torch.cat([lines, nose[None]]), REFUSED if refused else GOAL,
+                    3 * FLOOR, 4, visible=there)  # fmt: skip
+
+    def _lines(
+        self, name: str, points: Tensor, colour: Colour, z: float, width: float, **how: Any
+    ) -> None:
+        """Lines (n, 2, 2) at a height, `width` pixels wide; none is drawn where there are none."""
+        flat = torch.nn.functional.pad(points, (0, 1), value=z).double().numpy()
+        self.server.scene.add_line_segments(
+            f"{self.name}/{name}", flat if len(flat) else np.zeros((1, 2, 3)), colour,
+            thickness=width, thickness_units="screen", **how,
+        )  # fmt: skip
+
+
+def _segments(points: Tensor) -> Tensor:
+    """(n, 2, 2) the pieces of a way (F, 2) that have a length."""
+    pieces = torch.stack([points[:-1], points[1:]], 1)
+    return pieces[(pieces[:, 0] != pieces[:, 1]).any(1)]
+
+
+def _model(robot: Robot, **how: bool) -> Any:
+    """A model of the robot to move, apart from the one that kinematics keep."""
+    return yourdfpy.URDF.load(io.BytesIO(robot.urdf.xml), load_meshes=False, **how)
+
+
+def _rest(model: Any, robot: Robot) -> Array:
+    """Positions of all joints: those that the description holds, else the one nearest to 0."""
+    words = robot.description
+    held = dict(words.gripper_joints)
+    if words.torso_joint is not None and words.torso_position is not None:
+        held[words.torso_joint] = words.torso_position
+    positions = []
+    for joint in model.actuated_joints:
+        limit = joint.limit
+        bounded = joint.type != "continuous" and limit is not None
+        nearest = min(max(0.0, limit.lower), limit.upper) if bounded else 0.0
+        positions.append(held.get(joint.name, nearest))
+    return np.array(positions)

@@ -1,0 +1,159 @@
+"""From the steps of an execution to pictures in time: where base, arms and object are when."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import Detect, Grasp
+from cgtorch.tabletop.kinematics import Robot, grasp_solution
+from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT
+from cgtorch.tabletop.viewer.execution import Execution
+from cgtorch.tabletop.viewer.postures import way_to
+from cgtorch.tabletop.world.geometry import rectangle_in_frame, to_frame, wrap
+
+FPS = 20
+DRIVE, TURN, SWING = 0.6, 1.2, 1.2
+"""Speeds of the base (m/s, rad/s) and of an arm's fastest joint (rad/s)."""
+NEAR = 0.4
+"""How long a hand takes at least between waypoints of a grasp, which are 0.05 m apart (s)."""
+THINK, LOOK, REST = 0.4, 0.8, 1.0
+"""How long a step lasts that moves nothing, one that looks, and the end (s)."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """F pictures of an execution, `FPS` a second.
+
+    Attributes:
+        execution: what they show.
+        pose: (F, 3) base x, y (m), θ (rad).
+        joints: (F, J) positions of the joints of all arms, one arm after the other, rad or m.
+        object: (F, 3) where the object stands or is held, m.
+        step: (F,) long, the step that is being made.
+        seen: (F,) long, how many steps the robot's percept comes after.
+    """
+
+    execution: Execution
+    pose: Tensor
+    joints: Tensor
+    object: Tensor
+    step: Tensor
+    seen: Tensor
+
+    def __len__(self) -> int:
+        """F."""
+        return len(self.step)
+
+    def start_of(self, step: int) -> int:
+        """The first picture of a step, the last picture of all where there is no such step."""
+        at = (self.step >= step).nonzero()
+        return int(at[0]) if len(at) else len(self) - 1
+
+
+def joint_names(robot: Robot) -> tuple[str, ...]:
+    """The joints that the columns of `Timeline.joints` stand for."""
+    return tuple(name for arm in robot.arms for name in arm.joint_names)
+
+
+def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) -> Timeline:
+    """Lay an execution out in time.
+
+    The base drives straight and then turns, as the world has it. Where a grasp succeeds, the arm
+    that the world's answer is about comes to the pre-grasp, grasps and lifts the object.
+
+    Args:
+        execution: what happened.
+        robot: the robot that it happened to.
+        rest: the posture of each arm while it does nothing (`cgtorch.tabletop.viewer.postures`).
+    """
+    scene = execution.scenario
+    joints = torch.cat(rest).double()[None]
+    thing = torch.cat([scene.object[0], scene.table[0, 5:6]]).double()[None]
+    poses, arms, things, steps, seen = [], [], [], [], []
+    for k, step in enumerate(execution.steps):
+        before, after = execution.pose[k].double(), execution.pose[k + 1].double()
+        pose = _drive(before, after)
+        if isinstance(step.action, Grasp) and step.outcome == "success":
+            joints, thing = _grasp(execution, k, robot, joints[-1], thing[-1])
+        elif len(pose) == 1:
+            looks = isinstance(step.action, Detect | Grasp)
+            pose = pose.expand(_count(LOOK if looks else THINK), 3)
+        count = max(len(pose), len(joints))
+        poses.append(_held(pose, count))
+        arms.append(_held(joints, count))
+        things.append(_held(thing, count))
+        steps += [k] * count
+        seen += [k] * (count - 1) + [k + 1]
+        joints, thing = joints[-1:], thing[-1:]
+    last, count = len(execution.steps), _count(REST)
+    return Timeline(
+        execution,
+        torch.cat([*poses, execution.pose[-1:].double().expand(count, 3)]).float(),
+        torch.cat([*arms, joints.expand(count, -1)]).float(),
+        torch.cat([*things, thing.expand(count, 3)]).float(),
+        torch.tensor(steps + [max(0, last - 1)] * count),
+        torch.tensor(seen + [last] * count),
+    )
+
+
+def _count(seconds: float) -> int:
+    return max(1, round(seconds * FPS))
+
+
+def _held(rows: Tensor, count: int) -> Tensor:
+    """The rows, and the last one again until there are `count`."""
+    return torch.cat([rows, rows[-1:].expand(count - len(rows), -1)])
+
+
+def _line(start: Tensor, end: Tensor, seconds: float) -> Tensor:
+    """(F, n) on the straight line, its end included and its start not."""
+    count = _count(seconds)
+    return start + torch.arange(1, count + 1, dtype=start.dtype)[:, None] / count * (end - start)
+
+
+def _drive(before: Tensor, after: Tensor) -> Tensor:
+    """(F, 3) poses from one to another: straight, then turning; one where nothing moves."""
+    way, turn = float((after - before)[:2].norm()), wrap(after[2:] - before[2:])
+    if way == 0 and float(turn) == 0:
+        return after[None]
+    corner = torch.cat([after[:2], before[2:]])
+    driven = _line(before, corner, way / DRIVE)
+    return torch.cat([driven, _line(corner, torch.cat([after[:2], before[2:] + turn]),
+                                    float(turn.abs()) / TURN)])  # fmt: skip
+
+
+def _grasp(
+    execution: Execution, k: int, robot: Robot, joints: Tensor, thing: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Joints (F, J) and objects (F, 3) while the object is grasped and lifted, from step k on."""
+    pose, scene = execution.pose[k : k + 1], execution.scenario
+    at = torch.cat([to_frame(pose, scene.object), scene.table[:, 5:6]], 1)
+    table = torch.cat([rectangle_in_frame(pose, scene.table[:, :5]), scene.table[:, 5:6]], 1)
+    solution = grasp_solution(robot, at, table)
+    if not solution.found[0]:
+        return joints[None], thing[None]
+    which = int(solution.arm[0])
+    arm = robot.arms[which]
+    first = sum(len(a.joint_names) for a in robot.arms[:which])
+    mine = slice(first, first + len(arm.joint_names))
+    grasp = solution.joints[0, :, : len(arm.joint_names)].double()
+    there = way_to(robot, arm, joints[mine], grasp[0], table[0])
+    moving = [there[:1]]
+    for goal in there[1:]:  # not the short way round, which may not be free
+        here = moving[-1][-1]
+        moving.append(_line(here, goal, float((goal - here).abs().max()) / SWING))
+    for waypoint in grasp[1:]:
+        here = moving[-1][-1]
+        goal = here + arm.difference(waypoint, here)
+        seconds = float((goal - here).abs().max()) / SWING
+        moving.append(_line(here, goal, max(seconds, NEAR)))
+    path = torch.cat(moving)
+    grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
+    all_joints = joints.expand(len(path), -1).clone()
+    all_joints[:, mine] = path
+    tool = arm.frames(path[grasped:])[-1][:, :3, 3]
+    lifted = tool[:, 2] - GRASP_HEIGHT
+    things = thing.expand(len(path), 3).clone()
+    things[grasped:, 2] = lifted
+    return all_joints, things

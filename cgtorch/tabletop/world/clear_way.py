@@ -1,0 +1,90 @@
+"""Which motions MoveBase can make: those whose way is clear of the table and of obstacles."""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.native import function, threads
+from cgtorch.native.structures import POINTER, WHOLE, structures, suits
+from cgtorch.tabletop.world.percepts import present, things_seen
+from cgtorch.tabletop.world.sweep import sweep_blocked
+
+MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
+CLEARANCE = 0.02  # m kept between base and table, four times the odometry noise
+WORTH_SHARING = 4096  # motions that are worth one more thread
+
+
+def motion_possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
+    """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
+
+    False where the swept footprint would come within `CLEARANCE` of one of them, beyond
+    `MAX_TRANSLATION`, and for motions that are not finite.
+
+    Args:
+        motion: (n, 3) dx, dy (m), dθ (rad).
+        things: (n, 5) a table, or (n, R, 5) the table and obstacles; one of size 0 is none.
+        footprint: (4,) of the base (m).
+    """
+    if things.dim() == 2:
+        things = things[:, None]
+    if suits(motion, things, footprint):
+        found = _possible_compiled(motion, things, footprint)
+        if found is not None:
+            return found
+    return motion_possible_in_torch(motion, things, footprint)
+
+
+def motion_possible_in_torch(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
+    """The same on any device, for things (n, R, 5)."""
+    short = motion[:, :2].norm(dim=1) <= MAX_TRANSLATION
+    free = short & torch.isfinite(motion).all(1)
+    for thing in things.unbind(1):
+        free = free & ~(present(thing) & sweep_blocked(motion, thing, footprint, CLEARANCE))
+    return free
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class ClearWay:
+    """MoveBase's own check on percepts: the way must be clear of table and obstacles as seen.
+
+    Attributes:
+        footprint: (4,) of the base (m).
+    """
+
+    footprint: Tensor
+
+    def __call__(self, percept: Tensor, motion: Tensor) -> Tensor:
+        """(n,) bool for percepts (n, D) and motions (n, 3)."""
+        return motion_possible(motion, things_seen(percept), self.footprint)
+
+
+def body_structure(footprint: Tensor) -> Any:
+    """The base as compiled code knows it."""
+    x0, x1, y0, y1 = footprint.tolist()
+    return structures(footprint.dtype).Body(
+        bx=(x0 + x1) / 2,
+        by=(y0 + y1) / 2,
+        hx=(x1 - x0) / 2 + CLEARANCE,
+        hy=(y1 - y0) / 2 + CLEARANCE,
+        farthest=MAX_TRANSLATION,
+    )
+
+
+def _possible_compiled(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor | None:
+    call = function(
+        "motions_possible", motion.dtype,
+        POINTER, POINTER, POINTER, WHOLE, WHOLE, POINTER, WHOLE,
+    )  # fmt: skip
+    if call is None:
+        return None
+    n, body = len(motion), body_structure(footprint)
+    motion, things = motion.contiguous(), things.expand(n, -1, -1).contiguous()
+    free = torch.empty(n, dtype=torch.bool)
+    call(
+        motion.data_ptr(), things.data_ptr(), ctypes.addressof(body), n, things.shape[1],
+        free.data_ptr(), max(1, min(threads(), n // WORTH_SHARING)),
+    )  # fmt: skip
+    return free

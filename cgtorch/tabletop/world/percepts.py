@@ -1,0 +1,108 @@
+"""What there is to perceive: the paper's seven numbers, and what may follow them.
+
+A percept is the table's box x min, x max, y min, y max and the object's x, y, z (7); where it is
+to tell the table's yaw then one side of the table (2); then the box of each obstacle (4K). All in
+m, in the robot's base frame. A percept's length tells which of these it holds.
+"""
+
+import torch
+from torch import Tensor
+
+from cgtorch.errors import DataError
+from cgtorch.numerics import atan2
+from cgtorch.tabletop.world.geometry import (
+    bounding_box,
+    box_rectangle,
+    rectangle_in_frame,
+    to_frame,
+)
+
+PERCEPTS = {"box": 7, "yaw": 9}
+"""Numbers that table and object take, by the percept's name."""
+TABLETOP = PERCEPTS["box"]
+BOX = 4
+"""Numbers that each obstacle takes: x min, x max, y min, y max; all 0 where there is none."""
+
+
+def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
+    """The percept (..., 7) without noise: table box and object in the base frame (m).
+
+    Args:
+        pose: (..., 3) base pose.
+        table: (..., 6) table in the world.
+        placed: (..., 2) object in the world.
+    """
+    box = bounding_box(rectangle_in_frame(pose, table[..., :5]))
+    return torch.cat([box, to_frame(pose, placed), table[..., 5:6]], -1)
+
+
+def side_seen(pose: Tensor, table: Tensor) -> Tensor:
+    """The table's side (..., 2) that lies along its own x axis (m), without noise.
+
+    A vector as long as the side, at twice the angle from the base's x axis to the side: a side has
+    no beginning and no end, and twice its angle is the same after half a turn. The other side
+    follows from the box.
+
+    Args:
+        pose: (..., 3) base pose.
+        table: (..., 6) table in the world.
+    """
+    angle = 2 * (table[..., 2] - pose[..., 2])
+    return table[..., 3:4] * torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def present(rectangle: Tensor) -> Tensor:
+    """(...) bool, whether rectangles (..., 5) stand for something: they have a size."""
+    return (rectangle[..., 3:5] > 0).all(-1)
+
+
+def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
+    """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), without noise.
+
+    What is not there is seen as four zeros, which no box can be: one that is there has a size.
+    """
+    box = bounding_box(rectangle_in_frame(pose[..., None, :], obstacles))
+    return (box * present(obstacles)[..., None]).flatten(-2)
+
+
+def parted(percept: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The seven numbers (..., 7), the side (..., 2 or 0) and the boxes (..., K, 4) of a percept.
+
+    Raises:
+        DataError: it is of another length than a percept of the tabletop can have.
+    """
+    size = percept.shape[-1]
+    tabletop = next((n for n in PERCEPTS.values() if size >= n and (size - n) % BOX == 0), None)
+    if tabletop is None:
+        raise DataError(
+            f"a percept has {size} numbers; give 7, or 9 with the table's side, and 4 for each "
+            "obstacle"
+        )
+    seven, side = percept[..., :TABLETOP], percept[..., TABLETOP:tabletop]
+    return seven, side, percept[..., tabletop:].unflatten(-1, ((size - tabletop) // BOX, BOX))
+
+
+def table_seen(seven: Tensor, side: Tensor) -> Tensor:
+    """Tables (..., 5) as rectangles, from the first two parts of percepts.
+
+    Without the side it is the box itself. With it, the other side is the one that fits the box
+    best, by least squares.
+    """
+    box = box_rectangle(seven[..., :BOX])
+    if not side.shape[-1]:
+        return box
+    length, yaw = side.norm(dim=-1), atan2(side[..., 1], side[..., 0]) / 2
+    c, s = yaw.cos().abs(), yaw.sin().abs()
+    other = s * (box[..., 3] - length * c) + c * (box[..., 4] - length * s)
+    return torch.cat([box[..., :2], torch.stack([yaw, length, other.clamp_min(0)], -1)], -1)
+
+
+def things_seen(percept: Tensor) -> Tensor:
+    """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is none.
+
+    Raises:
+        DataError: as for `parted`.
+    """
+    seven, side, boxes = parted(percept)
+    table = table_seen(seven, side)[..., None, :]
+    return torch.cat([table, box_rectangle(boxes)], -2) if boxes.shape[-2] else table

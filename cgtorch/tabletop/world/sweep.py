@@ -1,0 +1,112 @@
+"""What a driving footprint sweeps over: the separating-axis test of two rectangles, in columns.
+
+A skill asks for thousands of motions at once, so every operation works on n numbers that lie side
+by side: x of all motions, then y of all motions.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from cgtorch.environment import rows_where
+from cgtorch.tabletop.world.geometry import wrap
+
+TURN_STEP = math.radians(15)  # a corner of the PR2 protrudes 4 mm between two such steps
+
+
+@dataclass(frozen=True)
+class _Body:
+    """The footprint seen from above: its `centre` and `half` sides (2,) in the base frame (m)."""
+
+    centre: Tensor
+    half: Tensor
+
+
+def sweep_blocked(
+    motion: Tensor, rectangle: Tensor, footprint: Tensor, clearance: float = 0.0
+) -> Tensor:
+    """Whether a footprint that drives straight and then turns would touch a rectangle.
+
+    Args:
+        motion: (n, 3) dx, dy (m), dθ (rad), in the frame of the robot before it moves.
+        rectangle: (n, 5) the obstacle in the same frame.
+        footprint: (4,) the robot seen from above.
+        clearance: m, added to the footprint on every side.
+
+    Returns:
+        (n,) bool. A motion that is not finite counts as blocked.
+    """
+    low, high = footprint[0::2], footprint[1::2]
+    body = _Body((low + high) / 2, (high - low) / 2 + clearance)
+    motion, rectangle = motion.mT.contiguous(), rectangle.mT.contiguous()
+    blocked = _drive_blocked(motion, rectangle, body) | ~motion.isfinite().all(0)
+    # Only where the drive is free does the turn matter, and only where something is near.
+    turning = ~blocked & (motion[2] != 0) & _within_reach(motion, rectangle, body)
+    rows = rows_where(turning)
+    if len(rows):
+        hits = _turn_blocked(motion[:, rows], rectangle[:, rows], body)
+        blocked[rows] |= turning[rows] & hits
+    return blocked
+
+
+def _drive_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
+    """(n,) bool, whether the hull of the body before and after the drive meets the rectangle.
+
+    Two convex shapes are apart where the normal of one of their sides separates them: here the
+    body's two, the rectangle's two, and that of the way driven.
+    """
+    dx, dy, _ = motion
+    x, y, yaw, *size = rectangle
+    (bx, by), (hx, hy) = body.centre, body.half
+    x, y, w, h = x - bx, y - by, size[0] / 2, size[1] / 2
+    c, s = yaw.cos(), yaw.sin()
+    along, across = dx * c + dy * s, dy * c - dx * s  # the way driven, in the rectangle's frame
+    ac, as_ = c.abs(), s.abs()
+    apart = _beyond(x, dx, hx + ac * w + as_ * h)
+    apart |= _beyond(y, dy, hy + as_ * w + ac * h)
+    apart |= _beyond(x * c + y * s, along, w + ac * hx + as_ * hy)
+    apart |= _beyond(y * c - x * s, across, h + as_ * hx + ac * hy)
+    reach = dy.abs() * hx + dx.abs() * hy + across.abs() * w + along.abs() * h
+    apart |= (y * dx - x * dy).abs() > reach
+    return ~apart
+
+
+def _beyond(place: Tensor, way: Tensor, reach: Tensor) -> Tensor:
+    """(n,) bool, whether a place is further than `reach` from all of [0, way] or [way, 0]."""
+    return (place - way.clamp_min(0) > reach) | (place - way.clamp_max(0) < -reach)
+
+
+def _within_reach(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
+    """(n,) bool, whether the circle that the body turns in touches the rectangle."""
+    dx, dy, _ = motion
+    x, y, yaw, *size = rectangle
+    x, y, c, s = x - dx, y - dy, yaw.cos(), yaw.sin()
+    along = ((x * c + y * s).abs() - size[0] / 2).clamp_min(0)
+    across = ((y * c - x * s).abs() - size[1] / 2).clamp_min(0)
+    radius = (body.centre.abs() + body.half).square().sum()
+    return along.square() + across.square() < radius
+
+
+def _turn_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
+    """(n,) bool, whether the body, turned on the spot after the drive, meets the rectangle.
+
+    It is looked at on the way, too, every `TURN_STEP` at least: from the turned body the rectangle
+    is turned the other way, (steps, n).
+    """
+    steps = math.ceil(math.pi / TURN_STEP)
+    share = torch.linspace(1 / steps, 1, steps, dtype=motion.dtype, device=motion.device)
+    turned = share[:, None] * wrap(motion[2])
+    x, y, yaw, *size = rectangle
+    x, y, w, h = x - motion[0], y - motion[1], size[0] / 2, size[1] / 2
+    (bx, by), (hx, hy) = body.centre, body.half
+    c, s = turned.cos(), turned.sin()
+    x, y = c * x + s * y - bx, c * y - s * x - by
+    c, s = (yaw - turned).cos(), (yaw - turned).sin()
+    ac, as_ = c.abs(), s.abs()
+    apart = x.abs() > hx + ac * w + as_ * h
+    apart |= y.abs() > hy + as_ * w + ac * h
+    apart |= (x * c + y * s).abs() > w + ac * hx + as_ * hy
+    apart |= (y * c - x * s).abs() > h + as_ * hx + ac * hy
+    return (~apart).any(0)

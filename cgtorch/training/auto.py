@@ -1,0 +1,278 @@
+"""The autonomous loop: act, collect what succeeds and what fails, improve, until a goal is met.
+
+Nobody tells the robot about stages. A round improves the skill on what was missed so far and tries
+it on fresh scenarios; what succeeds joins W, what fails joins M.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Generator
+
+from cgtorch.domains.domain import Domain
+from cgtorch.files import write_json
+from cgtorch.graphs import Skill
+from cgtorch.improvement.compose import specialists_of
+from cgtorch.improvement.events import FreshTested, StageStarted
+from cgtorch.improvement.setup import Progress
+from cgtorch.parallel import distributed as ranks
+from cgtorch.runs.goal import (
+    DECISIVE_EPISODES,
+    EPISODES,
+    Goal,
+    holds,
+    mean_holds,
+    worth_deciding,
+)
+from cgtorch.runs.journal import journal_of
+from cgtorch.runs.run import Run, round_name
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_result
+from cgtorch.training.context import Training
+from cgtorch.training.evaluate import Score, joined, try_on
+from cgtorch.training.initial_models import initial_progress
+from cgtorch.training.stages import stage_generator
+from cgtorch.training.train import (
+    METHODS,
+    Tally,
+    counts,
+    evidence,
+    keep_stage,
+    listener,
+    not_improved,
+)
+
+BATCH = 400  # scenarios tried before the next look at how many were missed
+ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
+
+
+@dataclass(frozen=True)
+class Tests:
+    """How a round's skill did on fresh scenarios.
+
+    Attributes:
+        screening: on up to `Goal.screening` of them.
+        decisive: on those that decide; None where that was not worth it.
+        holds: whether the goal holds.
+    """
+
+    screening: Score
+    decisive: Score | None
+    holds: bool
+
+
+def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
+    """Improve in rounds until the goal holds or what may be spent is spent.
+
+    A run that has stages or rounds goes on from its last one. `goal.minutes` are those of this
+    call, `goal.rounds` all the run's; a round that has begun is finished.
+
+    Returns:
+        The result of every stage and round, as in its result.json.
+
+    Raises:
+        NotImprovedError: a round ended and there is still no skill at all.
+        RunError: a file cannot be written or read.
+    """
+    run, began = training.run, time.monotonic()
+    progress = load_progress(run, run.folder / run.stages[-1]) if run.stages else None
+    progress = progress or initial_progress(training)
+    results = [load_result(run.folder / name / "result.json") for name in run.stages]
+    first, made = len(results) - len(run.rounds), len(run.rounds)
+    while (
+        not reached(goal, results[first:])
+        and made < goal.rounds
+        and ranks.agreed(time.monotonic() - began < 60 * goal.minutes)
+    ):
+        made += 1
+        decisions = len(_decisions(results[first:]))
+        progress, result = _round(training, goal, made, decisions, progress)
+        results.append(result)
+    summary = {"stages": results, "reached": reached(goal, results[first:])}
+    if ranks.first():
+        write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.all_settings()})
+    return results
+
+
+def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
+    """Whether the last round's skill meets the goal, given the results of all rounds."""
+    last = _decisions(rounds[-1:])
+    if not last:
+        return False
+    if rounds[-1].get("mean_holds") is not None:
+        return bool(rounds[-1]["mean_holds"])
+    return holds(goal, *last[0], decision=len(_decisions(rounds)))
+
+
+def _decisions(rounds: list[dict[str, Any]]) -> list[tuple[int, int]]:
+    """How many placements succeeded and how many were tried in each decisive test."""
+    tests = [r.get("decisive") for r in rounds]
+    return [(t["succeeded"], t["tried"]) for t in tests if t is not None]
+
+
+def _round(
+    training: Training, goal: Goal, number: int, decisions: int, progress: Progress[Any]
+) -> tuple[Progress[Any], dict[str, Any]]:
+    """Make one round and keep it in the run; `decisions` were made before."""
+    run, name = training.run, round_name(number)
+    generator = stage_generator(run.domain, run.settings.seed, name)
+    if not len(progress.missed):  # as at the very beginning
+        most = EPISODES if run.domain.rewarded else goal.screening
+        progress = _with(progress, act(run, progress.skill, most, generator))
+    missed, earlier, parent = progress.missed, len(progress.solved), progress.skill
+    names = tuple(map(round_name, range(1, number + 1)))
+    training.watch(StageStarted(name, names, earlier, len(missed), run.settings.attempts))
+    tally, began = Tally(), time.perf_counter()
+    if parent is not None:
+        progress = replace(progress, members=specialists_of(parent))
+    everything = torch.ones(len(missed), dtype=torch.bool)
+    method = METHODS[run.settings.method]
+
+    def nothing(generator: Generator) -> Any:
+        return run.like()  # fresh scenarios are drawn at the round's end
+
+    with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
+        progress = method(
+            training.setup(journal), progress, name, missed, everything, nothing, generator,
+            listener(training, tally),
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+        skill = progress.skill
+        if skill is not None:
+            with training.working(f"testing {name} on fresh scenarios"):
+                progress, tests = _tested(training, goal, name, decisions, progress, generator)
+            entry = None
+            if tally.accepted is not None:
+                entry = evidence(training, tally.accepted, parent, progress)
+            result = _result(name, run.kind, skill, tally, tests, earlier, len(missed), seconds)
+            keep_stage(run, name, progress, result, entry)
+    if skill is None:
+        raise not_improved(run, name)
+    return progress, result
+
+
+def _tested(
+    training: Training,
+    goal: Goal,
+    name: str,
+    decisions: int,
+    progress: Progress[Any],
+    generator: Generator,
+) -> tuple[Progress[Any], Tests]:
+    """Try a round's skill on fresh scenarios, all of which join W or M."""
+    if training.run.domain.rewarded:
+        return _tested_by_return(training, name, progress, generator)
+    run = training.run
+    screening = act(run, progress.skill, goal.screening, generator)
+    counted = screening.successes, screening.tried
+    training.watch(FreshTested(name, *counted, goal.target, decisive=False))
+    progress = _with(progress, screening)
+    if not worth_deciding(goal, *counted):
+        return progress, Tests(screening, None, holds=False)
+    tried = goal.decisive
+    most = next(m for m in range(tried + 1) if not holds(goal, tried - m, tried, decisions + 1))
+    decisive = act(run, progress.skill, tried, generator, enough=most)
+    counted = decisive.successes, decisive.tried
+    training.watch(FreshTested(name, *counted, goal.target, decisive=True))
+    met = holds(goal, *counted, decisions + 1)
+    return _with(progress, decisive), Tests(screening, decisive, met)
+
+
+def _tested_by_return(
+    training: Training, name: str, progress: Progress[Any], generator: Generator
+) -> tuple[Progress[Any], Tests]:
+    """The same where the domain gives rewards: what counts is the mean of the returns."""
+    target, scores = float(training.run.domain.target_return), list[Score]()
+    for episodes in (EPISODES, DECISIVE_EPISODES):
+        score = act(training.run, progress.skill, episodes, generator, enough=episodes + 1)
+        scores.append(score)
+        mean, decisive = score.mean_return, episodes == DECISIVE_EPISODES
+        counted = score.successes, score.tried
+        training.watch(FreshTested(name, *counted, target, decisive, mean_return=mean))
+        progress = _with(progress, score)
+        if mean is None or mean < target:
+            break
+    if len(scores) == 1:
+        return progress, Tests(scores[0], None, holds=False)
+    returns = scores[1].returns
+    met = returns is not None and mean_holds(returns.tolist(), target)
+    return progress, Tests(scores[0], scores[1], met)
+
+
+def act(
+    run: Run, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
+) -> Score:
+    """Try a skill on fresh scenarios, batch by batch, until `enough` were missed.
+
+    Args:
+        run: whose world.
+        skill: what to try; without one everything is missed.
+        most: scenarios at most.
+        generator: of the scenarios.
+        enough: missed scenarios after which no batch is tried any more.
+    """
+    domain: Domain[Any] = run.domain
+    parts = list[Score]()
+    while (tried := sum(p.tried for p in parts)) < most and (
+        sum(p.tried - p.successes for p in parts) < enough
+    ):
+        fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
+        if skill is None:
+            nobody = torch.zeros(len(fresh), dtype=torch.bool)
+            parts.append(Score(fresh, nobody, nobody.long()))
+        else:
+            parts.append(try_on(skill, domain, fresh))
+    return joined(parts)
+
+
+def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
+    """W and M with what succeeded and what failed."""
+    solved, missed = (
+        score.scenarios[rows.nonzero()[:, 0]] for rows in (score.succeeded, ~score.succeeded)
+    )
+    return replace(
+        progress,
+        solved=progress.solved.joined(solved),
+        missed=progress.missed.joined(missed),
+    )
+
+
+def _result(
+    name: str,
+    kind: str,
+    skill: Skill,
+    tally: Tally,
+    tests: Tests,
+    earlier: int,
+    missed: int,
+    seconds: float,
+) -> dict[str, Any]:
+    """A round's line of the final table; it began with W of `earlier` and M of `missed`."""
+    accepted = tally.accepted
+    won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
+    lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
+    decisive = tests.decisive
+    by_return = tests.screening.returns is not None
+    return {
+        "stage": name,
+        "scenarios": kind,
+        "skill": skill.name,
+        "targets_succeeded": won,
+        "targets": missed,
+        "earlier_failures": 0,
+        "earlier_failures_succeeded": 0,
+        "w_size": earlier,
+        "w_lost": lost,
+        "nodes": skill.num_nodes,
+        "depth": skill.depth,
+        "generations": tally.generations,
+        "transitions": tally.transitions,
+        "seconds": round(seconds, 1),
+        "search_seconds": round(tally.searching, 3),
+        "fresh": counts(kind, tests.screening),
+        "overall": counts(kind, decisive or tests.screening),
+        "decisive": None if decisive is None else counts(kind, decisive),
+        "mean_holds": tests.holds if by_return else None,
+    }

@@ -1,0 +1,114 @@
+"""What a training works with from its beginning to its end."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import torch
+from torch import Generator
+
+from cgtorch.domains.knowledge import learn
+from cgtorch.domains.summary import summary_of
+from cgtorch.environment import Environment
+from cgtorch.evolution import (
+    EvolutionSettings,
+    chance_of_success,
+    episode_return,
+    lexicase,
+    tournament,
+)
+from cgtorch.improvement.events import Watch
+from cgtorch.improvement.journal import Journal, NoJournal
+from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.stopping import Budget
+from cgtorch.runs.journal import SECONDS
+from cgtorch.runs.run import Run
+
+Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
+"""Makes a context in which a long step runs under a message."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a training works with.
+
+    Attributes:
+        run: an open run.
+        watch: told what happens.
+        working: makes a context in which a long step runs under a message.
+        device: where populations are evaluated.
+        checkpoint_seconds: least time between two notes of where an evolution stands.
+    """
+
+    run: Run
+    watch: Watch
+    working: Working
+    device: torch.device | str = "cpu"
+    checkpoint_seconds: float = SECONDS
+
+    def setup(self, journal: Journal | None = None) -> Setup[Any]:
+        """The run's settings in the terms of improvement."""
+        run, s = self.run, self.run.settings
+        domain, specialists = run.domain, run.domain.specialists
+        learns, noisy = run.learns, run.learns or run.domain.noisy_world
+        replicas = 2 if noisy else 1
+        enough = float("inf") if domain.rewarded else Budget.enough
+        return Setup(
+            actions=run.actions,
+            world_of=domain.world,
+            imagine=self._in_models if learns else self._in_world,
+            learn=learn if learns else None,
+            describe=summary_of,
+            evolution=evolution_settings(run),
+            budget=Budget(generations=s.generations, stall=specialists.stall, enough=enough),
+            group_of=specialists.group_of,
+            group=specialists.group,
+            lanes=replicas * specialists.group,
+            replicas=replicas,
+            trials=3 if domain.noisy_world else 1,
+            attempts=s.attempts,
+            max_transitions=s.max_transitions,
+            device=self.device,
+            journal=journal or NoJournal(),
+        )
+
+    def _in_models(
+        self,
+        knowledge: Any,
+        scenarios: Any,
+        percepts: torch.Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str,
+    ) -> Environment:
+        """Skills are evolved in Γ and C."""
+        return self.run.domain.imagine(knowledge, percepts, replicas, generator, device)
+
+    def _in_world(
+        self,
+        knowledge: Any,
+        scenarios: Any,
+        percepts: torch.Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str,
+    ) -> Environment:
+        """Skills are evolved in the world itself, each scenario under other noise each time."""
+        copies = [scenarios.with_noise(copy) for copy in range(replicas)]
+        rows = torch.arange(replicas * len(scenarios)).view(replicas, -1).T.flatten()
+        return self.run.domain.world(copies[0].joined(*copies[1:])[rows])
+
+
+def evolution_settings(run: Run) -> EvolutionSettings:
+    """How populations evolve: as published for the method of the paper, else the default way."""
+    s, rewarded = run.settings, run.domain.rewarded
+    # Of continuous scores lexicase selection would leave one to three distinct parents.
+    by_rank = s.method == "paper" or rewarded
+    return EvolutionSettings(
+        population=s.population,
+        selection=tournament(s.tournament) if by_rank else lexicase,
+        fitness=episode_return if rewarded else chance_of_success,
+        islands=s.islands,
+        migration=s.migration,
+    )

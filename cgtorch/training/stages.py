@@ -1,0 +1,65 @@
+"""What stages and rounds are about, and where their random numbers come from."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.domains.domain import Domain
+from cgtorch.errors import SettingsError
+from cgtorch.runs.run import AUTO, Run
+
+_SEED_STRIDE = 1_000_003
+_AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """What a stage is to solve.
+
+    Attributes:
+        scenarios: the stage's tests, then what failed before, then practice.
+        targets: (B,) bool, the tests and what failed before.
+        tests: how many of these are the stage's own tests, which come first.
+    """
+
+    scenarios: Any
+    targets: Tensor
+    tests: int
+
+
+def stages_up_to(domain: Domain[Any], stage: str) -> tuple[str, ...]:
+    """All stages that lead to one, itself included; SettingsError if it is unknown."""
+    names = tuple(domain.stages)
+    if stage not in names:
+        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*names, AUTO))}")
+    return names[: names.index(stage) + 1]
+
+
+def check_stages(run: Run) -> None:
+    """SettingsError unless a run's scenarios are those that the domain's stages are about."""
+    if run.kind != run.domain.usual_kind:
+        first, last = (list(run.domain.stages)[i] for i in (0, -1))
+        raise SettingsError(
+            f"stages {first} to {last} are about {run.domain.usual_kind} scenarios, not "
+            f"{run.kind}; use --stage {AUTO}"
+        )
+
+
+def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
+    """The randomness of one stage or round; it does not depend on how those before it went."""
+    if stage in domain.stages:
+        offset = list(domain.stages).index(stage) + 1
+    else:
+        offset = _AUTO_SEEDS + int(stage.removeprefix(f"{AUTO}-"))
+    return Generator().manual_seed(seed * _SEED_STRIDE + offset)
+
+
+def exercise(run: Run, stage: str, missed: Any, practice: int, generator: Generator) -> Exercise:
+    """The scenarios of a stage: its tests, earlier failures, random practice."""
+    kind = run.domain.stages[stage]
+    tests = run.domain.tests(kind)
+    scenarios = tests.joined(missed, run.domain.draw(kind, practice, generator))
+    targets = torch.arange(len(scenarios)) < len(tests) + len(missed)
+    return Exercise(scenarios, targets, len(tests))

@@ -1,0 +1,200 @@
+"""What is plugged in is checked at the door, and the error says which method returned what."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from support import Counter, custom_actions, model, nested_actions, seeded, world
+from torch import Tensor
+
+from cgtorch.actions import paper_actions
+from cgtorch.environment.dry_run import check_environment
+from cgtorch.environment import Environment, Lanes
+from cgtorch.errors import ActionError, CgtorchError, ModelError, WorldError
+from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.simulation import ModelEnvironment
+
+SETTINGS = EvolutionSettings(population=8, capacity=8, initial_nodes=(2, 6))
+PERCEPTS = torch.rand(5, 7, generator=torch.Generator().manual_seed(0))
+ROWS = torch.tensor([0, 1])
+
+
+class Plain:
+    """A domain of one's own: points on a line, in two numbers."""
+
+    num_scenarios: Any = 3
+    percept_size: Any = 2
+    control_size: Any = 1
+
+    def start(self, scenario: Tensor) -> Any:
+        return scenario[:, None].float(), torch.stack([scenario.float(), -scenario.float()], 1)
+
+    def step(self, lanes: Lanes, control: Tensor) -> Any:
+        return replace(lanes, percept=lanes.percept + control), control[:, 0] < 1
+
+    def observe(self, lanes: Lanes) -> Any:
+        return lanes
+
+    def success(self, lanes: Lanes) -> Any:
+        return lanes, torch.sigmoid(lanes.percept[:, 0])
+
+
+def test_good_environments_pass() -> None:
+    own: Environment = Plain()
+    double = torch.float64
+    for environment in (own, world(0, 1), world(0, 4), model(0, 1), model(0, 3, dtype=double)):
+        check_environment(environment)
+    Plain.num_scenarios = 1
+    check_environment(own)
+    Plain.num_scenarios = 3
+
+
+def in_place(lanes: Lanes) -> Lanes:
+    lanes.percept[:, 0] += 1
+    return lanes
+
+
+@pytest.mark.parametrize(
+    ("method", "result", "message"),
+    [
+        (
+            "start",
+            lambda s: s.float(),
+            r"start returned a tensor \(2,\) of float32; return \(states",
+        ),
+        ("start", lambda s: (s[:, None], s), r"percepts as a tensor \(2,\) of int64; .* \(2, 2\)"),
+        (
+            "start",
+            lambda s: (s, torch.zeros(2, 2)),
+            r"states as a tensor \(2,\) of int64; .*\(2, S\)",
+        ),
+        (
+            "start",
+            lambda s: (s[:1, None], torch.zeros(1, 2)),
+            r"percepts as a tensor \(1, 2\) of float32; return a tensor \(2, 2\) of float32",
+        ),
+        ("start", lambda s: {}["x"], "Own.start raised KeyError: 'x' on two rows"),
+        ("step", lambda lanes, u: lanes, r"step returned a Lanes; return \(lanes, whether"),
+        (
+            "step",
+            lambda lanes, u: (lanes, u[:, 0]),
+            r"whether it could be done as a tensor \(2,\) of float32; return .* of bool",
+        ),
+        (
+            "step",
+            lambda lanes, u: (replace(lanes, percept=lanes.percept.double()), u[:, 0] < 1),
+            r"step returned lanes.percept as a tensor \(2, 2\) of float64; return .* float32",
+        ),
+        ("step", lambda lanes, u: (lanes.rows(ROWS[:1]), u[:, 0] < 1), r"as a tensor \(1, 2\)"),
+        ("step", lambda lanes, u: (in_place(lanes), u[:, 0] < 1), "changed lanes.percept in place"),
+        ("step", lambda lanes, u: u @ u, "Own.step raised RuntimeError: .* on two rows"),
+        ("observe", lambda lanes: lanes.percept, r"a tensor \(2, 2\) of float32 as lanes; return"),
+        ("observe", in_place, "Own.observe changed lanes.percept in place"),
+        ("success", lambda lanes: 0.5, r"success returned a float; return \(lanes, prob"),
+        ("success", lambda lanes: lanes.percept[:, 0], r"success returned a tensor \(2,\)"),
+        ("success", lambda lanes: (in_place(lanes), lanes.percept[:, 0]), "changed lanes.percept"),
+        ("success", lambda lanes: (lanes, lanes.percept), r"probabilities as a tensor \(2, 2\)"),
+        ("success", lambda lanes: (lanes, lanes.has_message), r"\(2,\) of bool; return"),
+        (
+            "success",
+            lambda lanes: (lanes, 2 + lanes.percept[:, 0]),
+            r"success returned \[2.0, 3.0\]; return probabilities",
+        ),
+    ],
+)
+def test_what_a_method_returns_wrongly_is_named(
+    method: str, result: Callable[..., object], message: str
+) -> None:
+    own = type("Own", (Plain,), {method: lambda self, *given: result(*given)})()
+    with pytest.raises(WorldError, match=message) as caught:
+        check_environment(own)
+    assert str(caught.value).startswith(f"Own.{method} ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["num_scenarios", "percept_size", "control_size"])
+@pytest.mark.parametrize("bad", [0, -1, 2.0, None, "3"])
+def test_sizes_are_whole_numbers(name: str, bad: object) -> None:
+    own = type("Own", (Plain,), {name: bad})()
+    with pytest.raises(WorldError, match=f"Own: {name} is {bad!r}; give a whole number"):
+        check_environment(own)
+
+
+def made(**changed: Any) -> ModelEnvironment:
+    parts: dict[str, Any] = {
+        "percepts": PERCEPTS,
+        "gamma": lambda p, u: (p, p[:, 0]),
+        "classifier": lambda p: p[:, 0],
+        "possible": lambda p, u: p[:, 0] > 0,
+    }
+    return ModelEnvironment(**{**parts, **changed})
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "message"),
+    [
+        ("gamma", lambda p, u: p, r"Γ returned a tensor \(2, 7\) .*; return \(next percepts, nov"),
+        (
+            "gamma",
+            lambda p, u: (p[:, :6], p[:, 0]),
+            r"Γ returned next percepts as a tensor \(2, 6\) of float32; return a tensor \(2, 7\)",
+        ),
+        ("gamma", lambda p, u: (p.double(), p[:, 0]), r"\(2, 7\) of float64; return .* of float32"),
+        (
+            "gamma",
+            lambda p, u: (p, p),
+            r"Γ returned novelty as a tensor \(2, 7\) .*return .*\(2,\)",
+        ),
+        ("gamma", lambda p, u: p @ u, r"Γ raised RuntimeError: .* on two rows"),
+        ("classifier", lambda p: p > 0, r"C returned a tensor \(2, 7\) of bool; return .*\(2,\)"),
+        ("classifier", lambda p: None, r"C returned a NoneType; return a tensor \(2,\) of float32"),
+        ("possible", lambda p, u: p[:, 0], r"possible returned a tensor \(2,\) of float32; .*bool"),
+        ("percepts", PERCEPTS[0], r"percepts are a tensor \(7,\) of float32; give .*\(B, D\)"),
+        ("percepts", PERCEPTS.long(), r"percepts are a tensor \(5, 7\) of int64; give"),
+        (
+            "errors",
+            torch.zeros(5, 7),
+            r"errors of Γ are a tensor \(5, 7\) .*; give \(B, T, D\) for",
+        ),
+        ("errors", torch.zeros(4, 2, 7), r"errors of Γ are a tensor \(4, 2, 7\)"),
+        ("errors", torch.zeros(5, 0, 7), r"errors of Γ are a tensor \(5, 0, 7\)"),
+        ("errors", torch.zeros(5, 2, 7).long(), r"\(5, 2, 7\) of int64; give"),
+    ],
+)
+def test_models_are_tried_where_they_are_put_together(
+    part: str, value: object, message: str
+) -> None:
+    made(errors=torch.zeros(5, 2, 7))
+    with pytest.raises(ModelError, match=message) as caught:
+        made(**{part: value})
+    assert "\n" not in str(caught.value)
+
+
+def search(environment: Any, actions: Any) -> Iterator[Generation]:
+    return evolve(environment, actions, SETTINGS, seeded(0))
+
+
+def test_evolve_is_a_door() -> None:
+    """Nothing is evaluated before what it is given has been tried."""
+
+    class Silent(Counter):
+        def forward(self, lanes: Lanes, parameters: Tensor, environment: Environment) -> Any:
+            return lanes
+
+    bad = type("Own", (Plain,), {"success": lambda self, lanes: lanes.percept})()
+    cases: list[tuple[Any, Any, type[CgtorchError], str]] = [
+        (bad, paper_actions(), WorldError, "Own.success returned"),
+        (
+            model(0, 3),
+            paper_actions().extended(["Silent"], [Silent()]),
+            ActionError,
+            "action 'Silent': forward returned a Lanes",
+        ),
+    ]
+    for environment, actions, error, message in cases:
+        with pytest.raises(error, match=message):
+            next(search(environment, actions))
+    for actions in (custom_actions(), nested_actions()):
+        next(search(model(0, 3), actions))

@@ -1,0 +1,96 @@
+"""Where an evolution of islands stands, kept and read again; nonsense in it is one error."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support import custom_actions, model, same, seeded
+from torch import Tensor
+
+from cgtorch.errors import RunError
+from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.runs.journal import FileJournal
+from cgtorch.improvement.journal import Standing
+from cgtorch.improvement.stopping import (
+    Found,
+    found_from,
+    found_tensors,
+    island_tensors,
+    islands_from,
+    standing_of,
+)
+
+ACTIONS = custom_actions()
+
+
+def second_generation(count: int) -> Generation:
+    settings = EvolutionSettings(6, capacity=8, initial_nodes=(2, 6), islands=count, migration=1)
+    search = evolve(model(0, 3), ACTIONS, settings, seeded(0))
+    next(search)
+    return next(search)
+
+
+def stands(generation: Generation) -> Standing:
+    solved = torch.tensor([True, False, True])
+    found = Found(generation.champion, solved, 0.5, 1, 1, 99, 1.5)
+    return standing_of(found, generation.islands, len(generation.islands))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_is_kept_is_what_is_read(count: int, tmp_path: Path) -> None:
+    generation = second_generation(count)
+    states = [island.generator.get_state() for island in generation.islands]
+    FileJournal(tmp_path, seconds=0).record_standing("x", stands(generation))
+    standing = FileJournal(tmp_path).recall_standing("x")
+    assert standing is not None
+    found = found_from(standing.about, ACTIONS, 3)
+    assert (found.best, found.since, found.generations, found.transitions) == (0.5, 1, 1, 99)
+    assert found.solved.tolist() == [True, False, True]
+    assert same(found.champion.graphs, generation.champion.graphs)
+    generator = seeded(9)
+    islands = islands_from(standing, ACTIONS, generator, count)
+    assert islands[0].generator is generator
+    for island, wanted, state in zip(islands, generation.islands, states, strict=True):
+        assert same(island.state.population.graphs, wanted.state.population.graphs)
+        assert torch.equal(island.state.population.strategy, wanted.state.population.strategy)
+        assert island.state.generation == wanted.state.generation == 1
+        assert torch.equal(island.generator.get_state(), state)
+
+
+def test_another_count_of_islands_is_refused() -> None:
+    with pytest.raises(RunError, match="is one of 3 islands, not 2; remove it"):
+        islands_from(stands(second_generation(3)), ACTIONS, seeded(0), 2)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"generator": torch.zeros(3)},
+        {"generator": None},
+        {"population.edges": torch.full((6, 8, 3), 99)},
+        {"population.strategy": torch.zeros(5, 8)},
+        {"population.action": None},
+    ],
+)
+def test_an_island_that_makes_no_sense_is_one_error(bad: dict[str, Any]) -> None:
+    """Whole files with nonsense in them: somebody wrote them on purpose."""
+    generation = second_generation(2)
+    tensors: dict[str, Tensor] = island_tensors(generation.islands[1])
+    odd = {name: value for name, value in {**tensors, **bad}.items() if value is not None}
+    standing = stands(generation)
+    parts = (standing.parts[0], partial(dict, odd))
+    with pytest.raises(RunError, match="the state of an evolution is damaged") as caught:
+        islands_from(replace(standing, parts=parts), ACTIONS, seeded(0), 2)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["champion.start", "solved", "counts", "numbers", "generations"])
+def test_what_it_has_come_to_and_makes_no_sense_is_one_error(name: str) -> None:
+    about = found_tensors(Found(second_generation(1).champion, torch.ones(3) > 0, 0.5))
+    without = {k: v for k, v in about.items() if k != name}
+    for bad in (without, {**about, name: torch.full((2, 2), 1j)}):
+        with pytest.raises(RunError, match="the state of an evolution is damaged"):
+            found_from(bad, ACTIONS, 3)

@@ -1,0 +1,178 @@
+"""Several ranks come to what one does, to the last bit."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import islands_on_ranks
+import pytest
+import torch
+from islands_on_ranks import everything
+from torch._C._distributed_c10d import HashStore
+from trained import SMALL, trained_run
+
+from cgtorch.parallel import distributed as ranks
+
+GATHER = """
+import torch
+from cgtorch import ranks
+
+with ranks.together():
+    assert ranks.count() == 5
+    for rows in range(13):
+        for whole in (
+            torch.arange(rows),
+            torch.arange(rows * 3.0).view(rows, 3),
+            torch.arange(rows) % 2 == 0,
+        ):
+            part = whole[ranks.share(rows)]
+            assert torch.equal(ranks.gathered(part, rows), whole)
+            assert ranks.gathered(part, rows).dtype == whole.dtype
+    for parts in range(1, 12):
+        mine, crew = ranks.held(parts), ranks.crew(parts)
+        assert len(mine) == 1 or len(mine) <= -(-parts // 5)
+        own = torch.arange(parts * 6.0).view(parts, 2, 3)
+        every = ranks.exchanged(own[mine.start : mine.stop], parts)
+        assert torch.equal(every, own)
+        before = [(part - 1) % parts for part in mine]
+        for whole in (own, own > 9):
+            found = ranks.passed_on(whole[mine.start : mine.stop], parts)
+            assert torch.equal(found, whole[before])
+        rows = torch.arange(7) + 10 * mine.start
+        part = rows[ranks.share(7, crew)]
+        assert torch.equal(ranks.gathered(part, 7, crew), rows)
+        for i in range(parts):
+            held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
+            found = ranks.fetched(held, i, parts)
+            assert not ranks.first() or torch.equal(found["x"], own[i])
+            assert not ranks.first() or bool(found["y"])
+    assert ranks.agreed(ranks.first())
+    assert ranks.told(torch.tensor([int(ranks.first())])).tolist() == [1]
+    ranks.wait()
+    if ranks.first():
+        print("all gathered")
+"""
+
+
+RESTARTED = """
+import os, signal, sys
+import torch
+from cgtorch import ranks
+
+with ranks.together():
+    if int(os.environ["TORCHELASTIC_RESTART_COUNT"]) < 2:
+        ranks.wait()
+        if ranks.first():
+            os.kill(os.getpid(), signal.SIGKILL)
+        ranks.wait()
+    if ranks.first():
+        print("met again")
+"""
+
+
+def torchrun(count: int, *words: str) -> str:
+    """What so many ranks print."""
+    program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    ended = subprocess.run(
+        [*program, f"--nproc-per-node={count}", *words],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr[-3000:]
+    return ended.stdout + ended.stderr
+
+
+def test_ranks_that_were_started_again_meet(tmp_path: Path) -> None:
+    script = tmp_path / "restarted.py"
+    script.write_text(RESTARTED)
+    assert "met again" in torchrun(3, "--max-restarts=2", str(script))
+
+
+def test_no_start_of_ranks_is_called_as_one_before() -> None:
+    store = HashStore()
+    names = [ranks.name_of_start(store, 0, 1) for _ in range(3)]
+    assert len(set(names)) == 3
+    store.set("word of 1", "left by a rank that is gone")
+    with ThreadPoolExecutor(3) as pool:
+        late = pool.submit(ranks.name_of_start, store, 0, 3)
+        time.sleep(0.3)
+        others = [pool.submit(ranks.name_of_start, store, rank, 3) for rank in (1, 2)]
+        assert len({each.result(30) for each in [late, *others]} - set(names)) == 1
+
+
+def test_alone_everything_is_ones_own() -> None:
+    rows = torch.arange(7)
+    with ranks.together():
+        assert ranks.count() == 1
+        assert ranks.first()
+        assert ranks.share(7) == slice(0, 7)
+        assert ranks.gathered(rows, 7) is rows
+        assert ranks.agreed(True)
+        assert not ranks.agreed(False)
+        assert ranks.held(3) == range(3)
+        assert torch.equal(ranks.exchanged(rows, 7), rows)
+        assert torch.equal(ranks.passed_on(rows, 7), rows.roll(1))
+        assert ranks.fetched({"x": rows}, 6, 7)["x"] is rows
+        ranks.wait()
+
+
+def test_uneven_parts_are_gathered_in_order(tmp_path: Path) -> None:
+    (tmp_path / "gather.py").write_text(GATHER)
+    assert "all gathered" in torchrun(5, str(tmp_path / "gather.py"))
+
+
+def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
+    tmp_path: Path,
+) -> None:
+    """Broken off after five generations on some ranks, and ended on others."""
+
+    def found(count: int, folder: str, stop: int) -> list[Any]:
+        words = str(tmp_path / folder), str(stop)
+        return json.loads(torchrun(count, islands_on_ranks.__file__, *words).splitlines()[0])
+
+    whole = everything(tmp_path / "whole", -1)
+    one, three = everything(tmp_path / "one", 4), found(3, "three", 4)
+    assert len({str(told) for told, _ in whole}) == len(whole)  # they do exchange something
+    assert one == three
+    assert [len(kept) for _, kept in one] == [2, 4, 6, 8]  # of the last two generations
+    for count, folder in ((2, "one"), (5, "three")):
+        for (told, result), (before, _), (after, same) in zip(
+            whole, one, found(count, folder, -1), strict=True
+        ):
+            assert same == result
+            assert before == told[:5]
+            assert after == told[4:]
+
+
+@pytest.fixture(scope="session")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return trained_run(tmp_path_factory.getbasetemp()).folder
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_path: Path) -> None:
+    """60 individuals and 13 scenarios do not divide evenly by all of these."""
+    given = {k: v for k, v in SMALL.to_dict().items() if v != getattr(type(SMALL), k, None)}
+    options = [
+        part
+        for name, value in given.items()
+        if name != "actions"
+        for part in (f"--{name.replace('_', '-')}", str(value))
+    ]
+    run = tmp_path / "run"
+    words = ["-m", "cgtorch.commands.train", "--stage", "S0", "--quiet", "--run-dir", str(run)]
+    printed = torchrun(count, *words, *options)
+    assert printed.count("S0     perimeter") == 1  # only one of them says so
+    for name in ("start/gamma", "start/classifier", "S0/data", "S0/specialists"):
+        path = f"{name}.safetensors"
+        assert (run / path).read_bytes() == (alone / path).read_bytes(), path
+    for path in ("S0/skill.json", "S0/scenarios.json", "ledger/S0.json"):
+        assert (run / path).read_bytes() == (alone / path).read_bytes(), path
+    assert len(list(run.glob("events.*"))) == 1

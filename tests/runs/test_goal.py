@@ -1,0 +1,82 @@
+"""When a goal holds: how often chance says so, and how often it is missed."""
+
+from math import exp, lgamma, log
+
+import pytest
+
+from cgtorch.errors import SettingsError
+from cgtorch.runs.goal import SLACK, Goal, holds, worth_deciding
+
+
+def allowed(goal: Goal, decision: int) -> int:
+    """The most failures with which the test that decides says yes; -1 if none is few enough."""
+    n = goal.decisive
+    yes = [f for f in range(100) if holds(goal, n - f, n, decision)]
+    assert yes == list(range(len(yes)))
+    return len(yes) - 1
+
+
+def at_most(k: int, n: int, p: float) -> float:
+    """The probability of k failures or fewer of n (binomial)."""
+    log_terms = (
+        lgamma(n + 1) - lgamma(i + 1) - lgamma(n - i + 1) + i * log(p) + (n - i) * log(1 - p)
+        for i in range(k + 1)
+    )
+    return sum(map(exp, log_terms))
+
+
+@pytest.mark.parametrize("target", [0.9, 0.99, 0.995])
+def test_repeated_looks_stop_by_luck_in_one_run_of_forty(target: float) -> None:
+    """However often a skill that is not good enough is tried; Wilson's interval is approximate."""
+    goal = Goal(target=target)
+    failing, n = SLACK * (1 - target), goal.decisive
+    lucky = [at_most(allowed(goal, j), n, failing) for j in range(1, 31)]
+    assert sum(lucky) < 0.03
+    once = sum(at_most(allowed(goal, 1), n, failing) for j in range(1, 31))
+    assert once > 0.06  # which is what would happen if every look were taken for the first
+
+
+@pytest.mark.parametrize("target", [0.9, 0.99, 0.995])
+def test_a_skill_that_is_good_enough_is_soon_recognised(target: float) -> None:
+    goal = Goal(target=target)
+    assert at_most(allowed(goal, 1), goal.decisive, 0.5 * (1 - target)) > 0.95
+    assert at_most(allowed(goal, 3), goal.decisive, 0.5 * (1 - target)) > 0.95
+
+
+def test_the_share_itself_must_reach_the_target() -> None:
+    goal = Goal(target=0.99)
+    assert goal.decisive == 4000
+    assert holds(goal, 3970, 4000, 1)
+    assert not holds(goal, 3960, 4000, 1)
+    assert not holds(goal, 39590, 40000, 1)  # enough to be sure of 98.75 %
+    assert not holds(goal, 100, 100, 1)  # of so few nothing can be said
+    assert not holds(goal, 0, 0, 1)
+    assert allowed(goal, 1) >= allowed(goal, 2) >= allowed(goal, 20) > 0
+
+
+def test_deciding_begins_where_it_can_end_well() -> None:
+    goal = Goal(target=0.99)
+    assert goal.screening == 1000
+    assert worth_deciding(goal, 990, 1000)
+    assert not worth_deciding(goal, 989, 1000)
+    assert not worth_deciding(goal, 800, 800)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("target", 1.0),
+        ("target", 0.4),
+        ("target", float("nan")),
+        ("target", "0.9"),
+        ("target", True),
+        ("minutes", -1.0),
+        ("minutes", float("inf")),
+        ("rounds", 0),
+        ("rounds", 2.5),
+        ("rounds", True),
+    ],
+)
+def test_impossible_goals(name: str, value: object) -> None:
+    with pytest.raises(SettingsError, match=f"{name} is {value!r}; give a"):
+        Goal(**{name: value})  # type: ignore[arg-type]

@@ -1,0 +1,75 @@
+"""Going on under changed settings or with another version: nothing mixes, all is remembered."""
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from trained import Trained, interrupted
+
+from cgtorch.errors import SettingsError
+from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.run import open_run
+from cgtorch.runs.resume_settings import FIXED, overridden, refuse_others, take_over
+
+
+def about(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "run.json").read_text())
+    return found
+
+
+def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> None:
+    run = open_run(trained.folder)
+    assert set(FIXED) == {
+        *("seed", "method", "transitions", "labels", "position_noise", "heading_noise"),
+        *("scenarios", "percept", "networks", "actions"),
+    }
+    for name, reason in FIXED.items():
+        other = (getattr(run.settings, name), "x")
+        with pytest.raises(SettingsError, match=f"{name.replace('_', '-')} .* as {reason}"):
+            overridden(run, {name: other})
+        with pytest.raises(SettingsError, match=f"as {reason}; leave it out"):
+            refuse_others(run, {name: other}, "leave it out")
+        assert overridden(run, {name: getattr(run.settings, name)}) == run.settings
+    refuse_others(run, vars(run.settings), "leave it out")
+
+
+def test_the_history_grows_and_a_journal_goes_aside_each_time(
+    trained: Trained, tmp_path: Path
+) -> None:
+    run = interrupted(trained, tmp_path / "run")
+    for number in (1, 2):
+        FileJournal(run.folder / "journal" / "S1").record("x", {"x": torch.tensor(number)})
+        settings = overridden(run, {"attempts": run.settings.attempts + 1})
+        taken = take_over(run, settings, "S1")
+        assert (taken.before, taken.set_aside) == ("S1", f"set-aside/{number}")
+        assert not (run.folder / "journal").exists()
+        run = taken.run
+        assert run == replace(open_run(run.folder), robot=run.robot, actions=run.actions)
+    taken = take_over(run, overridden(run, {"islands": 3}), "auto")
+    assert (taken.before, taken.set_aside) == ("auto-1", None)
+    changes = [entry["changed"] for entry in about(run.folder)["history"]]
+    assert changes == [{"attempts": [3, 4]}, {"attempts": [4, 5]}, {"islands": [1, 3]}]
+
+
+def test_what_stops_it_in_between_leaves_a_run_of_the_old_settings(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = interrupted(trained, tmp_path / "run")
+    before = about(run.folder)
+
+    def fails(*words: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cgtorch.runs.resume_settings.write_json", fails)
+    with suppress(KeyboardInterrupt):
+        take_over(run, overridden(run, {"population": 30}), "S1")
+    assert about(run.folder) == before
+    assert not (run.folder / "journal").exists()  # so nothing of two kinds can meet
+    monkeypatch.undo()
+    taken = take_over(run, overridden(run, {"population": 30}), "S1")
+    assert taken.set_aside is None
+    assert open_run(run.folder).settings.population == 30

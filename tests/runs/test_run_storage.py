@@ -1,0 +1,210 @@
+"""What a run keeps comes back to the last bit."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import seeded
+from trained import Trained
+
+from cgtorch.errors import CgtorchError, RunError
+from cgtorch.runs.stage_files import load_progress, save_progress
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import (
+    load_dataset,
+    load_scenarios,
+    load_tensors,
+    save_scenarios,
+    save_tensors,
+    scenarios_from_list,
+    scenarios_to_list,
+)
+from cgtorch.graphs import skill_to_dict
+from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.world import Scenarios, cluttered_scenarios, random_scenarios
+
+
+@pytest.mark.parametrize("stage", ["start", "S0", "S1"])
+def test_progress_comes_back_to_the_last_bit(trained: Trained, stage: str, tmp_path: Path) -> None:
+    run = open_run(trained.folder)
+    progress = load_progress(run, run.folder / stage)
+    save_progress(tmp_path, progress, run.settings.seed)
+    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    was = {path.name: path.read_bytes() for path in (run.folder / stage).iterdir()}
+    was.pop("result.json", None)
+    assert set(kept) == set(was)
+    for name in kept:
+        if name.endswith(".json"):
+            assert kept[name] == was[name]
+    again = load_progress(run, tmp_path)
+    assert (again.skill is None) == (stage == "start")
+    if again.skill is not None and progress.skill is not None:
+        assert skill_to_dict(again.skill) == skill_to_dict(progress.skill)
+    for one, other in (
+        (progress.solved, again.solved),
+        (progress.missed, again.missed),
+        (progress.knowledge.dataset, again.knowledge.dataset),
+    ):
+        for key, value in vars(one).items():
+            assert torch.equal(value, vars(other)[key]), key
+    for model, same in (
+        (progress.knowledge.gamma, again.knowledge.gamma),
+        (progress.knowledge.classifier, again.knowledge.classifier),
+    ):
+        state = same.state_dict()
+        assert all(torch.equal(v, state[k]) for k, v in model.state_dict().items())
+    assert again.knowledge.gamma_report == progress.knowledge.gamma_report
+    assert again.knowledge.classifier_report == progress.knowledge.classifier_report
+    if progress.specialists is not None and again.specialists is not None:
+        for key, value in vars(progress.specialists.graphs).items():
+            assert torch.equal(value, vars(again.specialists.graphs)[key])
+        assert torch.equal(progress.specialists.strategy, again.specialists.strategy)
+
+
+def test_a_stage_keeps_what_its_skill_does_in_the_world(trained: Trained) -> None:
+    run = open_run(trained.folder)
+    for stage in run.stages:
+        progress = load_progress(run, run.folder / stage)
+        assert progress.skill is not None
+        assert len(progress.solved) > 0
+        assert try_skill(progress.skill, run.world_of(progress.solved)).succeeded.all()
+        if len(progress.missed):
+            assert not try_skill(progress.skill, run.world_of(progress.missed)).succeeded.any()
+
+
+float32 = st.floats(-1e6, 1e6, width=32).filter(lambda x: abs(x) < 1e6)
+
+
+@given(
+    st.lists(
+        st.tuples(st.lists(float32, min_size=11, max_size=11), st.integers(0, 2**63 - 1)),
+        max_size=4,
+    )
+)
+def test_scenarios_of_any_numbers(rows: list[tuple[list[float], int]]) -> None:
+    numbers = torch.tensor([row for row, _ in rows]).view(-1, 11)
+    seed = torch.tensor([s for _, s in rows], dtype=torch.long)
+    scenarios = Scenarios(numbers[:, :3], numbers[:, 3:9], numbers[:, 9:], seed)
+    again = scenarios_from_list(scenarios_to_list(scenarios), "here")
+    for name, value in vars(scenarios).items():
+        assert torch.equal(value, getattr(again, name))
+        assert value.dtype == getattr(again, name).dtype
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_obstacles_are_kept_and_what_has_none_is_written_as_before(count: int) -> None:
+    cluttered = cluttered_scenarios(count, seeded(0))
+    again = scenarios_from_list(json.loads(json.dumps(scenarios_to_list(cluttered))), "here")
+    for name, value in vars(cluttered).items():
+        assert count == 0 or torch.equal(value, getattr(again, name))
+    for row in scenarios_to_list(random_scenarios("near", count, seeded(0))):
+        assert list(row) == ["pose", "table", "object", "seed"]
+
+
+def test_numbers_may_be_whole() -> None:
+    (one,) = scenarios_from_list([GOOD], "here").pose.tolist()
+    assert one == [0.0, 1.5, 2.0]
+    whole = scenarios_from_list([{**GOOD, "pose": [0, 1, 2]}], "here")
+    assert whole.pose.dtype == torch.float32
+
+
+GOOD = {"pose": [0, 1.5, 2], "table": [0, 0, 0, 1, 1, 1], "object": [0, 0], "seed": 1}
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        None,
+        "near",
+        {"0": GOOD},
+        [None],
+        [[]],
+        [{}],
+        [{**GOOD, "colour": 1}],
+        [{k: v for k, v in GOOD.items() if k != "seed"}],
+        [{**GOOD, "pose": [0, 1]}],
+        [{**GOOD, "pose": 3}],
+        [{**GOOD, "obstacles": 3}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1]]}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1, None]]}],
+        [{**GOOD, "obstacles": [[0, 0, 0, 1, 1]]}, GOOD],
+        [{**GOOD, "pose": [0, 1, "2"]}],
+        [{**GOOD, "pose": [0, 1, None]}],
+        [{**GOOD, "pose": [0, 1, True]}],
+        [{**GOOD, "object": [1e6, 0]}],
+        [{**GOOD, "object": [10**400, 0]}],
+        [{**GOOD, "object": [float("nan"), 0]}],
+        [{**GOOD, "seed": -1}],
+        [{**GOOD, "seed": 2**63}],
+        [{**GOOD, "seed": 1.0}],
+        [{**GOOD, "seed": True}],
+    ],
+)
+def test_what_are_no_scenarios(bad: object) -> None:
+    scenarios_from_list([GOOD], "here")
+    with pytest.raises(RunError, match="here is ") as caught:
+        scenarios_from_list(bad, "here")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_a_batch_of_scenarios_that_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "scenarios.json"
+    save_scenarios(path, {"W": scenarios_from_list([GOOD], "here")})
+    assert len(load_scenarios(path, ("W",))[0]) == 1
+    with pytest.raises(RunError, match="lacks 'M'"):
+        load_scenarios(path, ("W", "M"))
+    path.write_text("3")
+    with pytest.raises(RunError, match="lacks 'W'"):
+        load_scenarios(path, ("W",))
+
+
+def test_tensor_files(tmp_path: Path) -> None:
+    path = tmp_path / "some.safetensors"
+    tensors = {"a": torch.randn(3, 2).T, "b": torch.tensor([True, False])}
+    save_tensors(path, tensors, {"seed": "3"})
+    again = load_tensors(path, {"a", "b"})
+    assert all(torch.equal(value, again[name]) for name, value in tensors.items())
+    for names in ({"a"}, {"a", "b", "c"}, set()):
+        with pytest.raises(RunError, match="lacks or has tensor"):
+            load_tensors(path, names)
+    for other in (tmp_path / "none", tmp_path):
+        with pytest.raises(RunError, match="cannot read"):
+            load_tensors(other, {"a"})
+    with path.open("wb") as file:
+        file.truncate(2**34)  # sparse, so it takes no room
+    with pytest.raises(RunError, match="larger than"):
+        load_tensors(path, {"a"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("percept", torch.zeros(3, 7)),
+        ("percept", torch.zeros(4, 6)),
+        ("percept", torch.full((4, 7), float("nan"))),
+        ("percept", torch.zeros(4, 7, dtype=torch.long)),
+        ("motion", torch.zeros(4)),
+        ("next_percept", torch.full((4, 7), float("inf"))),
+        ("grasp_percept", torch.zeros(2, 7)),
+        ("graspable", torch.zeros(3)),
+        ("graspable", torch.zeros(3, 1, dtype=torch.bool)),
+    ],
+)
+def test_data_that_do_not_fit(tmp_path: Path, name: str, value: torch.Tensor) -> None:
+    good = {
+        "percept": torch.zeros(4, 7),
+        "motion": torch.zeros(4, 3),
+        "next_percept": torch.zeros(4, 7),
+        "grasp_percept": torch.zeros(3, 7),
+        "graspable": torch.zeros(3, dtype=torch.bool),
+    }
+    path = tmp_path / "data.safetensors"
+    save_tensors(path, good, {})
+    load_dataset(path)
+    save_tensors(path, {**good, name: value}, {})
+    with pytest.raises(CgtorchError, match="do not fit one another or are not finite"):
+        load_dataset(path)

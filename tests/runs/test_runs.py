@@ -1,0 +1,295 @@
+"""Runs as folders: whole or not at all, made alike from the same seed, and never led astray."""
+
+import errno
+import json
+import shutil
+import sys
+from contextlib import nullcontext
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+from support import random_skill
+from trained import SMALL, Trained, copied
+
+from cgtorch.actions import paper_actions
+from cgtorch.errors import ActionError, GraphError, RunError
+from cgtorch.tabletop.network_presets import NETWORKS
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.run import create_run, last_skill, lone_skill, open_run, whole_folder
+from cgtorch.training.train import NotImprovedError, train
+from cgtorch.graphs import save_skill, skill_to_dict
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    ModelsFitted,
+    SkillAccepted,
+    StageStarted,
+    WorldTested,
+)
+from cgtorch.improvement.trial import try_skill
+
+
+def listing(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def quietly(message: str) -> nullcontext[None]:
+    return nullcontext()
+
+
+def test_a_folder_appears_with_all_its_files(tmp_path: Path) -> None:
+    with whole_folder(tmp_path / "S0") as folder:
+        (folder / "one").write_text("1")
+        assert not (tmp_path / "S0").exists()
+        (folder / "two").write_text("2")
+    assert listing(tmp_path) == {"S0", "S0/one", "S0/two"}
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "full"), ValueError(), KeyboardInterrupt()]
+)
+def test_or_not_at_all(tmp_path: Path, error: BaseException) -> None:
+    def write() -> None:
+        with whole_folder(tmp_path / "S0") as folder:
+            (folder / "one").write_text("1")
+            raise error
+
+    with pytest.raises(type(error)):
+        write()
+    assert listing(tmp_path) == set()
+
+
+def test_a_folder_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "S0").mkdir()
+    (tmp_path / "S0" / "mine").write_text("text")
+    with pytest.raises(RunError, match="cannot write"), whole_folder(tmp_path / "S0") as folder:
+        (folder / "one").write_text("1")
+    assert listing(tmp_path) == {"S0", "S0/mine"}
+
+
+@pytest.mark.parametrize("place", ["none/S0", "file/S0", "nul\0"])
+def test_where_no_folder_can_be(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("text")
+    with pytest.raises(RunError, match="cannot write"), whole_folder(tmp_path / place):
+        pass
+    assert listing(tmp_path) == {"file"}
+
+
+def test_a_run_is_opened_as_it_was_begun(tmp_path: Path) -> None:
+    run = create_run(tmp_path / "runs" / "one", SMALL)
+    assert listing(run.folder) == {"run.json", "robot", "robot/robot.urdf", "robot/robot.json"}
+    again = open_run(run.folder)
+    assert again.settings == SMALL
+    assert again.stages == ()
+    assert again.actions.names == run.actions.names
+    assert again.robot.description == run.robot.description
+    with pytest.raises(RunError, match="holds something that is no run"):
+        create_run(run.folder, SMALL)
+
+
+def test_a_run_may_begin_in_an_empty_folder(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert open_run(create_run(tmp_path / "empty", SMALL).folder).settings == SMALL
+
+
+def test_a_run_is_moved_as_a_whole(trained: Trained, tmp_path: Path) -> None:
+    folder = copied(trained, tmp_path / "elsewhere")
+    assert last_skill(folder)[1].name == "S1"
+    assert last_skill(folder / "S0")[1].name == "S0"
+    with pytest.raises(RunError, match="is no run and no stage of one"):
+        last_skill(folder / "S2")
+    shutil.copytree(folder / "S1", tmp_path / "alone" / "S1")
+    with pytest.raises(RunError, match=r"has no run\.json"):
+        last_skill(tmp_path / "alone" / "S1")
+
+
+def with_action(trained: Trained, target: Path, spec: str) -> Path:
+    """A copy of the run whose file names an action."""
+    folder = copied(trained, target)
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["actions"] = [spec]
+    (folder / "run.json").write_text(json.dumps(about))
+    return folder
+
+
+@pytest.mark.parametrize("networks", NETWORKS)
+@pytest.mark.parametrize(("size", "percept"), [(7, "box"), (9, "yaw"), (11, "box"), (13, "yaw")])
+def test_a_skill_file_tells_what_it_reads(
+    tmp_path: Path, size: int, percept: str, networks: str
+) -> None:
+    path = tmp_path / "skill.json"
+    skill = random_skill(4, "some", NETWORKS[networks].actions(size))
+    save_skill(path, skill)
+    found, again = lone_skill(path, scenarios="perimeter" if percept == "box" else "general")
+    assert found == percept
+    assert skill_to_dict(again) == skill_to_dict(skill)
+
+
+def test_a_skill_file_of_no_percept(tmp_path: Path) -> None:
+    path = tmp_path / "skill.json"
+    save_skill(path, random_skill(4, "some", paper_actions(8)))
+    with pytest.raises(GraphError, match="parameters"):
+        lone_skill(path)
+
+
+MARKING = """
+import pathlib
+pathlib.Path(__file__).with_name("imported").write_text("yes")
+from cgtorch.actions import Detect
+class Look(Detect): pass
+"""
+
+
+def test_code_is_imported_only_if_it_is_trusted(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "marking.py").write_text(MARKING)
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = with_action(trained, tmp_path / "run", "marking:Look")
+    for trusted in ((), ("other:Look",), ("marking",), ("marking:look",)):
+        with pytest.raises(ActionError):
+            open_run(folder, trusted)
+        assert not (tmp_path / "imported").exists()
+        assert "marking" not in sys.modules
+    assert "Look" in open_run(folder, ("marking:Look",)).actions.names
+    assert (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize("spec", ["Fly", "../x:Y", "/etc/passwd", ":", "a:b:c", "", "os:system"])
+def test_actions_that_lead_nowhere(trained: Trained, tmp_path: Path, spec: str) -> None:
+    folder = with_action(trained, tmp_path / "run", spec)
+    with pytest.raises(ActionError) as caught:
+        open_run(folder, (spec,))
+    assert "\n" not in str(caught.value)
+
+
+def test_every_accepted_skill_kept_what_the_one_before_solved(trained: Trained) -> None:
+    """Eq. 1 over the stages, checked in the world with what the run kept."""
+    run = open_run(trained.folder)
+    first, second = (load_progress(run, run.folder / stage) for stage in ("S0", "S1"))
+    assert second.skill is not None
+    assert try_skill(second.skill, run.world_of(first.solved)).succeeded.all()
+    assert len(second.solved) > len(first.solved)
+    accepted = [e for e in trained.events if isinstance(e, SkillAccepted)]
+    assert {e.stage for e in accepted} == {"S0", "S1"}
+    for event in accepted:
+        again = try_skill(event.skill, run.world_of(event.scenarios)).succeeded
+        assert torch.equal(again, event.succeeded)
+        assert again[event.keep].all()
+        assert again[~event.keep].any()
+
+
+def test_what_was_told_while_it_was_made(trained: Trained) -> None:
+    events = trained.events
+    started = [e for e in events if isinstance(e, StageStarted)]
+    assert [(e.stage, e.stages) for e in started] == [("S0", ("S0", "S1")), ("S1", ("S0", "S1"))]
+    assert started[0].size_w == 0
+    assert isinstance(events[0], ModelsFitted)
+    assert any(isinstance(e, WorldTested) for e in events)
+
+
+def test_data_grow_and_the_old_come_first(trained: Trained) -> None:
+    run = open_run(trained.folder)
+    known = [load_progress(run, run.folder / s).knowledge for s in ("start", "S0", "S1")]
+    data, aside = [k.dataset for k in known], [k.aside for k in known]
+    assert len(data[0].percept) + len(aside[0].percept) == SMALL.transitions
+    for before, after in (*pairwise(data), *pairwise(aside)):
+        for name, rows in vars(before).items():
+            assert torch.equal(vars(after)[name][: len(rows)], rows)
+    assert len(data[2].percept) > len(data[0].percept)
+
+
+def test_results_are_what_the_world_says(trained: Trained) -> None:
+    for result, stage, edge in zip(trained.results, ("S0", "S1"), ("near", "left"), strict=True):
+        assert (result["stage"], result["edge"]) == (stage, edge)
+        assert result["targets"] == 5
+        assert 0 <= result["targets_succeeded"] <= 5
+        assert result["w_lost"] == 0
+        assert result["fresh"]["tried"] == result["perimeter"]["tried"] == 40
+        assert result["generations"] > 0
+    assert trained.results[0]["w_size"] == 0
+    run = open_run(trained.folder)
+    first = load_progress(run, run.folder / "S0")
+    assert trained.results[1]["w_size"] == len(first.solved)
+    summary = json.loads((trained.folder / "summary.json").read_text())
+    assert summary["stages"] == trained.results
+    assert summary["seed"] == SMALL.seed
+
+
+def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
+    """The skill of S0 when it is made from the same start under a seed."""
+    folder = copied(trained, folder, ())
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["seed"] = seed
+    (folder / "run.json").write_text(json.dumps(about))
+    events: list[Event] = []
+    train(open_run(folder), "S0", events.append, quietly)
+    return (folder / "S0" / "skill.json").read_bytes()
+
+
+def test_another_seed_makes_another_skill(trained: Trained, tmp_path: Path) -> None:
+    """The same seed makes the same skills, which the test of the command shows."""
+    was = (trained.folder / "S0" / "skill.json").read_bytes()
+    assert made_again(trained, tmp_path / "other", SMALL.seed + 1) != was
+
+
+def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
+    trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run", ("S0",))
+    train(open_run(folder), "S1", lambda event: None, quietly)
+    one, other = (last_skill(place)[1] for place in (trained.folder, folder))
+    assert skill_to_dict(one) == skill_to_dict(other)
+    for name in ("data.safetensors", "scenarios.json", "skill.json"):
+        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
+
+
+class Interrupted(Exception):  # noqa: N818
+    """What stops a run in a test."""
+
+
+def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
+    trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run", ("S0",))
+    before = listing(folder)
+
+    def stop(event: Event) -> None:
+        if isinstance(event, WorldTested):
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        train(open_run(folder), "S1", stop, quietly)
+    left = listing(folder) - before
+    assert all(name.startswith("journal") for name in left)
+    assert "journal/S1/00000.safetensors" in left
+    told: list[Event] = []
+    train(open_run(folder), "S1", told.append, quietly)
+    assert isinstance(next(e for e in told if not isinstance(e, StageStarted)), EvolutionRecalled)
+    assert not (folder / "journal").exists()
+    for name in ("data.safetensors", "scenarios.json", "skill.json"):
+        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
+
+
+def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: Path) -> None:
+    folder = copied(trained, tmp_path / "run", ())
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"].update(population=2, generations=1, attempts=1)
+    (folder / "run.json").write_text(json.dumps(about))
+    before = listing(folder)
+    with pytest.raises(NotImprovedError, match="raise --attempts") as caught:
+        train(open_run(folder), "S0", lambda event: None, quietly)
+    assert "\n" not in str(caught.value)
+    assert listing(folder) == before
+
+
+def test_a_journal_that_a_finished_stage_has_left_goes(trained: Trained, tmp_path: Path) -> None:
+    """As after a kill between the end of a stage and that of its journal."""
+    run = open_run(copied(trained, tmp_path / "run"))
+    left = run.folder / "journal" / "S1"
+    left.mkdir(parents=True)
+    (left / "00001.safetensors").write_bytes(b"x")
+    train(run, "S1", lambda event: None, quietly)
+    assert not left.parent.exists()

@@ -1,0 +1,205 @@
+"""SVC and SVR against scikit-learn's libsvm, on public data sets and on the tabletop."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sklearn.svm
+from sklearn.base import clone
+from sklearn.calibration import CalibratedClassifierCV
+from sklearn.datasets import (
+    load_breast_cancer,
+    load_diabetes,
+    load_digits,
+    load_iris,
+    load_linnerud,
+    load_wine,
+)
+from sklearn.model_selection import StratifiedKFold
+from tabletop import labelled, transitions
+
+from cgtorch.svm import SVC, SVR
+
+
+def _scaled(x):
+    return (x - x.mean(0)) / np.where(x.std(0) > 0, x.std(0), 1)
+
+
+def _split(x, y, count):
+    """Rows to train on, and 1,000 or more others: those held out, and shaken copies of all."""
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(x))
+    train, fresh = order[:count], order[count:]
+    copies = x[rng.integers(0, len(x), 1000)]
+    shaken = copies + 0.3 * x.std(0) * rng.standard_normal(copies.shape)
+    return x[train], y[train], np.concatenate([x[fresh], shaken])
+
+
+def _classification(name):
+    if name == "tabletop":
+        x, y = labelled(900)
+    elif name == "digits":
+        x, y = load_digits(return_X_y=True)
+        keep = np.isin(y, [3, 5, 8])
+        x, y = x[keep] / 16, (y[keep] == 8).astype(int)
+        return _split(x, y, 300)
+    elif name == "wine":
+        x, y = load_wine(return_X_y=True)
+        y = (y == 1).astype(int)
+    elif name == "iris":
+        x, y = load_iris(return_X_y=True)
+        y = (y == 1).astype(int)
+    else:
+        x, y = load_breast_cancer(return_X_y=True)
+    return _split(_scaled(x), y, 120 if name in ("wine", "iris") else 400)
+
+
+def _regression(name):
+    if name == "diabetes":
+        x, y = load_diabetes(return_X_y=True)
+        return _split(_scaled(x), _scaled(y), 300)
+    if name == "digits":
+        x, y = load_digits(return_X_y=True)
+        return _split(x[:600] / 16, y[:600] / 9.0, 300)
+    p, u, q = transitions(600)
+    x = np.concatenate([p, u[:, :2], np.sin(u[:, 2:]), np.cos(u[:, 2:])], 1)
+    return _split(_scaled(x), _scaled(q[:, 0]), 400)
+
+
+def _objective(model, gram, z, epsilon):
+    """The dual function, without its sign, of a fitted scikit-learn or cgtorch model."""
+    beta = np.zeros(len(gram))
+    beta[np.asarray(model.support_)] = np.asarray(model.dual_coef_).ravel()
+    return 0.5 * beta @ gram @ beta - z @ beta + epsilon * np.abs(beta).sum()
+
+
+def _gram(x, gamma):
+    return np.exp(-gamma * ((x[:, None] - x[None]) ** 2).sum(-1))
+
+
+def _violation(model, gram, z, C):
+    """How far a classifier is from the optimality conditions, computed in double precision.
+
+    libsvm keeps its kernel values in single precision, so that it is about 1e-6 away from them,
+    whatever tolerance it is given.
+    """
+    beta = np.zeros(len(gram))
+    beta[np.asarray(model.support_)] = np.asarray(model.dual_coef_).ravel()
+    residual = z - gram @ beta
+    can_rise = beta < np.where(z > 0, C, 0) - 1e-9 * C
+    can_fall = beta > np.where(z < 0, -C, 0) + 1e-9 * C
+    return residual[can_rise].max() - residual[can_fall].min()
+
+
+@pytest.mark.parametrize("C", [0.3, 10.0])
+@pytest.mark.parametrize("name", ["breast cancer", "wine", "iris", "digits", "tabletop"])
+def test_classifier_matches_libsvm(name, C):
+    x, y, fresh = _classification(name)
+    gamma = 1 / (x.shape[1] * x.var())
+    folds = list(StratifiedKFold(5, shuffle=True, random_state=0).split(x, y))
+    theirs = sklearn.svm.SVC(C=C, gamma=gamma, tol=1e-8).fit(x, y)
+    ours = SVC(C, probability=True, folds=folds).fit(x, y)
+
+    gram, z = _gram(x, gamma), np.where(y > 0, 1.0, -1.0)
+    best = _objective(theirs, gram, z, 0.0)
+    assert abs(_objective(ours, gram, z, 0.0) - best) <= 1e-4 * abs(best)
+    assert float(ours.gap) <= 1e-4 * abs(best)
+    decision = theirs.decision_function(fresh)
+    assert len(fresh) >= 1000
+    assert np.abs(ours.decision_function(fresh) - decision).max() <= 1e-3 * np.abs(decision).max()
+    assert np.mean(ours.predict(fresh) == theirs.predict(fresh)) >= 0.999
+    assert ours.score(x, y) == pytest.approx(theirs.score(x, y), abs=1e-12)
+
+    base = sklearn.svm.SVC(C=C, gamma=gamma, tol=1e-8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        oracle = CalibratedClassifierCV(base, ensemble=False, cv=folds).fit(x, y)
+    chance = oracle.predict_proba(fresh)
+    own_error = _violation(theirs, gram, z, C)
+    assert _violation(ours, gram, z, C) <= 1e-6 * C
+    assert np.abs(ours.predict_proba(fresh) - chance).max() <= 1e-6 + own_error
+    assert np.ptp(chance[:, 1]) > 0.5  # otherwise the comparison would say nothing
+
+
+@pytest.mark.parametrize("C", [0.3, 10.0])
+@pytest.mark.parametrize("name", ["diabetes", "digits", "tabletop"])
+def test_regression_matches_libsvm(name, C):
+    x, y, fresh = _regression(name)
+    gamma = 1 / (x.shape[1] * x.var())
+    theirs = sklearn.svm.SVR(C=C, epsilon=0.05, tol=1e-6).fit(x, y)
+    ours = SVR(C, epsilon=0.05).fit(x, y)
+    gram = _gram(x, gamma)
+    best = _objective(theirs, gram, y, 0.05)
+    assert abs(_objective(ours, gram, y, 0.05) - best) <= 1e-4 * abs(best)
+    assert float(ours.gap) <= 1e-4 * abs(best)
+    value = theirs.predict(fresh)
+    assert len(fresh) >= 1000
+    assert np.abs(ours.predict(fresh) - value).max() <= 1e-3 * np.ptp(value)
+    assert ours.score(x, y) == pytest.approx(theirs.score(x, y), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["linnerud", "iris", "tabletop"])
+def test_several_outputs_match_one_libsvm_each(name):
+    if name == "linnerud":
+        x, y, fresh = _split(*map(_scaled, load_linnerud(return_X_y=True)), 15)
+    elif name == "iris":  # two measures of a flower from the two others
+        x = _scaled(load_iris(return_X_y=True)[0])
+        x, y, fresh = _split(x[:, :2], x[:, 2:], 100)
+    else:
+        p, u, q = transitions(400)
+        x, y, fresh = _split(_scaled(np.concatenate([p, u], 1)), _scaled(q[:, :6]), 300)
+    value = SVR(2.0, epsilon=0.1).fit(x, y).predict(fresh)
+    for k, target in enumerate(y.T):
+        oracle = sklearn.svm.SVR(C=2.0, epsilon=0.1, tol=1e-7).fit(x, target).predict(fresh)
+        assert np.abs(value[:, k] - oracle).max() <= 1e-3 * np.ptp(oracle)
+
+
+@pytest.mark.parametrize("kernel", ["linear", "poly"])
+def test_other_kernels_match_libsvm(kernel):
+    x, y, fresh = _classification("wine")
+    settings = {"C": 1.0, "kernel": kernel, "gamma": 0.1, "coef0": 1.0, "degree": 2}
+    decision = sklearn.svm.SVC(tol=1e-8, **settings).fit(x, y).decision_function(fresh)
+    ours = SVC(**settings).fit(x, y).decision_function(fresh)
+    assert np.abs(ours - decision).max() <= 1e-4 * np.abs(decision).max()
+
+    x, y, fresh = _regression("diabetes")
+    value = sklearn.svm.SVR(tol=1e-8, epsilon=0.2, **settings).fit(x, y).predict(fresh)
+    ours = SVR(epsilon=0.2, **settings).fit(x, y).predict(fresh)
+    assert np.abs(ours - value).max() <= 1e-3 * np.ptp(value)
+
+
+def test_a_callable_kernel_is_its_named_twin():
+    x, y, fresh = _classification("wine")
+    named = SVC(2.0, kernel="linear").fit(x, y).decision_function(fresh)
+    called = SVC(2.0, kernel=lambda a, b: a @ b.T).fit(x, y).decision_function(fresh)
+    np.testing.assert_allclose(called, named, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("weight", ["balanced", {0: 0.5, 1: 3.0}, {1: 4.0}])
+def test_class_weights_match_libsvm(weight):
+    x, y, fresh = _classification("digits")
+    theirs = sklearn.svm.SVC(C=0.1, class_weight=weight, tol=1e-8).fit(x, y)
+    ours = SVC(0.1, class_weight=weight).fit(x, y)
+    difference = ours.decision_function(fresh) - theirs.decision_function(fresh)
+    assert np.abs(difference).max() <= 1e-4
+    plain = SVC(0.1).fit(x, y).decision_function(fresh)
+    assert np.abs(plain - theirs.decision_function(fresh)).max() > 0.1
+
+
+def test_scikit_learn_can_clone_the_estimators():
+    model = SVR(3.0, epsilon=[0.1, 0.2], gamma=0.5)
+    copy = clone(model)
+    assert copy is not model
+    assert copy.get_params() == model.get_params()
+    assert clone(SVC(2.0, class_weight={0: 1.0, 1: 3.0})).class_weight == {0: 1.0, 1: 3.0}
+
+
+def test_outputs_share_centres_and_each_is_its_own_machine():
+    p, u, q = transitions(300)
+    x, y = _scaled(np.concatenate([p, u], 1)), _scaled(q)
+    together = SVR([1.0, 2.0, 4.0], epsilon=[0.1, 0.2, 0.4]).fit(x, y[:, :3])
+    value = together.predict(x)
+    for k, (cap, tube) in enumerate([(1.0, 0.1), (2.0, 0.2), (4.0, 0.4)]):
+        alone = SVR(cap, epsilon=tube).fit(x, y[:, k])
+        assert np.abs(alone.predict(x) - value[:, k]).max() < 1e-5
+        assert set(alone.support_.tolist()) <= set(together.support_.tolist())

@@ -1,0 +1,235 @@
+"""Model files: whole or not at all, and never more trusted than a file deserves."""
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors.torch import load_file, save_file
+from tabletop import labelled, transitions
+
+from cgtorch.errors import ModelError
+from cgtorch.svm import SVC, SVR, load_model, load_report, save_model
+from cgtorch.tabletop.models import fit_success_classifier, fit_transition_model
+from cgtorch.svm.storage import load_model_and_report, tensors_of
+
+GRID = {"C": [4.0], "gamma": [0.1]}
+
+
+@pytest.fixture(scope="module")
+def gamma_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "gamma.safetensors"
+    model, report = fit_transition_model(*transitions(100), **GRID)
+    save_model(path, model, report)
+    return path, model, report
+
+
+def test_what_was_saved_is_what_is_loaded(gamma_file, tmp_path):
+    path, model, report = gamma_file
+    p, u, _ = (torch.tensor(a, dtype=torch.float32) for a in transitions(50, 1))
+    again = load_model(path)
+    assert torch.equal(again(p, u), model(p, u))
+    assert not again.training
+    assert load_report(path)["error"] == list(report.error)
+
+    x, y = labelled(100)
+    for other in (
+        fit_success_classifier(x, y, **GRID)[0],
+        SVC(kernel="poly", degree=2, coef0=1.0, probability=True).fit(x, y),
+        SVR().fit(x, x[:, :2]),
+    ):
+        save_model(tmp_path / "one", other)
+        rows = torch.tensor(x)
+        assert torch.equal(load_model(tmp_path / "one")(rows), other(rows))
+    assert [file.name for file in tmp_path.iterdir()] == ["one"]
+
+
+def test_a_failed_save_leaves_the_old_file(gamma_file, tmp_path, monkeypatch):
+    _, model, _ = gamma_file
+    path = tmp_path / "gamma"
+    save_model(path, model)
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(ModelError, match="No space left"):
+        save_model(path, model)
+    assert path.read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(ModelError, match="cannot write"):
+        save_model(tmp_path / "nowhere" / "gamma", model)
+
+
+def test_what_cannot_be_saved_is_refused(tmp_path):
+    x, y = labelled(50)
+    with pytest.raises(ModelError, match="fitted"):
+        save_model(tmp_path / "m", SVC())
+    with pytest.raises(ModelError, match="callable"):
+        save_model(tmp_path / "m", SVC(kernel=lambda a, b: a @ b.T).fit(x, y))
+
+
+def _rewritten(path, target, change_state=None, **header):
+    """A copy of the file with other tensors or header entries."""
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        old = json.loads(file.metadata()["cgtorch"])
+    state = load_file(path)
+    if change_state:
+        change_state(state)
+    save_file(state, target, metadata={"cgtorch": json.dumps(old | header)})
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"version": 99}, "version 99"),
+        ({"kind": "os.system"}, "unknown model"),
+        ({"kind": "SVC"}, "missing or unknown"),
+        ({"format": "other"}, "no cgtorch model"),
+        ({"settings": {"kernel": "rbf"}}, "unusable settings"),
+        ({"settings": {"kernel": "rbf", "degree": 10**9, "coef0": 0.0}}, "unusable settings"),
+        ({"settings": {"kernel": "poly", "degree": 1, "coef0": 10**400}}, "unusable settings"),
+        ({"settings": {"kernel": "poly", "degree": 1, "coef0": True}}, "unusable settings"),
+        ({"settings": []}, "unknown model"),
+        ({"kind": ["SVR"]}, "damaged"),
+    ],
+)
+def test_a_foreign_header_is_refused(gamma_file, tmp_path, header, says):
+    _rewritten(gamma_file[0], tmp_path / "m", **header)
+    with pytest.raises(ModelError, match=says):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("machine.weights", lambda t: t * float("nan"), "NaN"),
+        ("machine.weights", lambda t: t[:-1], "wrong shape"),
+        ("machine.centres", lambda t: t[:, :-1], "wrong shape"),
+        ("machine.centres", lambda t: t.int(), "type"),
+        ("mean", lambda t: t[None].clone(), "shape"),
+        ("machine.gamma_value", lambda t: -t, "cannot have"),
+        ("machine.support", lambda t: -1 - t, "cannot have"),
+        ("scale", lambda t: 0 * t, "cannot have"),
+        ("machine.bias", lambda t: None, "missing"),
+    ],
+)
+def test_foreign_tensors_are_refused(gamma_file, tmp_path, name, change, says):
+    def edit(state):
+        value = change(state.pop(name))
+        if value is not None:
+            state[name] = value.contiguous()
+
+    _rewritten(gamma_file[0], tmp_path / "m", edit)
+    with pytest.raises(ModelError, match=says):
+        load_model(tmp_path / "m")
+
+
+def test_files_that_are_no_models_are_refused(tmp_path):
+    with pytest.raises(ModelError, match="cannot read"):
+        load_model(tmp_path / "missing")
+    with pytest.raises(ModelError):
+        load_model(tmp_path)
+    for content in (b"", b"\x00" * 8, b"\xff" * 64, pickle.dumps({"a": 1}), b"{}"):
+        (tmp_path / "m").write_bytes(content)
+        with pytest.raises(ModelError):
+            load_model(tmp_path / "m")
+
+
+def test_a_huge_file_is_refused_unread(tmp_path):
+    with (tmp_path / "m").open("wb") as file:
+        file.truncate(2 * 1024**3)
+    with pytest.raises(ModelError, match="larger than"):
+        load_model(tmp_path / "m")
+
+
+def test_a_file_is_read_once(gamma_file, monkeypatch):
+    opened, plain = [], Path.open
+    monkeypatch.setattr(Path, "open", lambda p, *a, **k: opened.append(p) or plain(p, *a, **k))
+    model, report = load_model_and_report(gamma_file[0])
+    assert opened == [gamma_file[0]]
+    assert report == load_report(gamma_file[0])
+    assert torch.equal(model.machine.weights, gamma_file[1].machine.weights)
+
+
+@pytest.mark.parametrize("shape", [[2**40, 0], [2**20, 2**20], [2**62, 2**62]])
+def test_a_file_cannot_ask_for_more_memory_than_it_is_large(gamma_file, tmp_path, shape):
+    """Shapes are taken from the file only where its bytes fill them."""
+    content = gamma_file[0].read_bytes()
+    length = int.from_bytes(content[:8], "little")
+    tensors = json.loads(content[8 : 8 + length])
+    tensors["machine.centres"]["shape"] = shape
+    text = json.dumps(tensors).encode()
+    head = len(text).to_bytes(8, "little") + text
+    (tmp_path / "m").write_bytes(head + content[8 + length :])
+    with pytest.raises(ModelError):
+        load_model(tmp_path / "m")
+    (tmp_path / "m").write_bytes((2**60).to_bytes(8, "little") + content[8:])
+    with pytest.raises(ModelError):
+        load_model(tmp_path / "m")
+
+
+def test_outputs_that_are_none_are_refused(tmp_path):
+    x, _ = labelled(20)
+    save_model(tmp_path / "m", SVR().fit(x, x[:, :2]))
+
+    def none(state):
+        for name in ("weights", "bias", "gap", "cost", "tube"):
+            state[name] = state[name][..., :0].contiguous()
+
+    _rewritten(tmp_path / "m", tmp_path / "n", none)
+    with pytest.raises(ModelError, match="shape"):
+        load_model(tmp_path / "n")
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
+@given(data=st.data())
+def test_damage_never_escapes_as_another_error(gamma_file, tmp_path, data):
+    content = bytearray(gamma_file[0].read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, min(len(content), 3000) - 1))
+        content[place] = data.draw(st.integers(0, 255))
+    del content[data.draw(st.integers(len(content) // 2, len(content))) :]
+    (tmp_path / "m").write_bytes(content)
+    try:
+        model = load_model(tmp_path / "m")
+    except ModelError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+    else:
+        p, u, _ = (torch.tensor(a, dtype=torch.float32) for a in transitions(5, 1))
+        assert model(p, u).shape == (5, 7)
+
+
+def safetensors(dtype, shape, size):
+    """A file of one tensor whose header may say anything."""
+    header = {"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}}
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + bytes(size)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "shape", "size"),
+    [
+        ("F4", [4], 2),
+        ("F8_E8M0", [4], 4),
+        ("F6_E2M3", [2**40, 0], 0),
+        ("F32", [2**63, 0], 0),
+        ("F32", [2**62, 2**62], 0),
+        ("X", [1], 4),
+        ("F32", [2], 4),
+    ],
+)
+def test_types_and_shapes_that_torch_lacks_are_one_line(tmp_path, dtype, shape, size):
+    data = safetensors(dtype, shape, size)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        tensors_of(data)
+    assert len(str(caught.value).splitlines()) == 1
+    (tmp_path / "m").write_bytes(data)
+    with pytest.raises(ModelError, match="is damaged"):
+        load_model(tmp_path / "m")

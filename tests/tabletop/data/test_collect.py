@@ -1,0 +1,187 @@
+"""What Γ and C learn from: transitions the world made, and labels from where they teach most."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from support import FOOTPRINT, graspable, seeded
+from torch import Tensor
+
+from cgtorch.environment import Dataset
+from cgtorch.tabletop.data import collect, domain_of
+from cgtorch.tabletop.data.collect import drive
+from cgtorch.tabletop.data.poses import ARENA, PERIMETER, in_table, poses_around
+from cgtorch.environment import Lanes
+from cgtorch.errors import DataError, SettingsError
+from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
+from cgtorch.tabletop.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
+
+EXACT = Noise(0, 0)
+
+
+class Watched(TabletopWorld):
+    """A tabletop that remembers every step that was asked of it."""
+
+    steps: list[tuple[Lanes, Tensor, Lanes, Tensor]]
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        after, done = super().step(lanes, control)
+        self.steps.append((lanes, control, after, done))
+        return after, done
+
+
+def world_of(noise: Noise = EXACT) -> Callable[[Scenarios], TabletopWorld]:
+    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise)
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[tuple[Tensor, Tensor, Tensor], dict[str, Tensor]]:
+    """500 transitions and, for each, what the world did when it was made."""
+    steps: list[tuple[Lanes, Tensor, Lanes, Tensor]] = []
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        world = Watched(scenarios, graspable, FOOTPRINT, EXACT)
+        world.steps = steps
+        return world
+
+    rows = drive(watched, 500, seeded(1))
+    all_steps = {
+        "percept": torch.cat([before.percept for before, _, _, _ in steps]),
+        "motion": torch.cat([motion for _, motion, _, _ in steps]),
+        "before": torch.cat([before.state for before, _, _, _ in steps]),
+        "after": torch.cat([after.state for _, _, after, _ in steps]),
+        "done": torch.cat([done for _, _, _, done in steps]),
+    }
+    same = (all_steps["motion"] == rows[1][:, None]).all(2)
+    assert (same.sum(1) == 1).all()  # each transition is one that was really made, and made once
+    made = same.long().argmax(1)
+    assert len(set(made.tolist())) == 500
+    return rows, {name: value[made] for name, value in all_steps.items()}
+
+
+def test_transitions_are_rigid_motions(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    (p, u, q), made = driven
+    assert p.shape == q.shape == (500, 7)
+    assert u.shape == (500, 3)
+    assert torch.equal(p, made["percept"])
+    for row in range(500):
+        x, y, theta = made["before"][row, :3].tolist()
+        dx, dy, turn = u[row].tolist()
+        x += math.cos(theta) * dx - math.sin(theta) * dy
+        y += math.sin(theta) * dx + math.cos(theta) * dy
+        theta += turn
+        c, s = math.cos(theta), math.sin(theta)
+        place = made["before"][row, 9:11].tolist()
+        seen = [c * (place[0] - x) + s * (place[1] - y), -s * (place[0] - x) + c * (place[1] - y)]
+        corners = [
+            (c * (cx - x) + s * (cy - y), -s * (cx - x) + c * (cy - y))
+            for cx in (-TABLE_DEPTH / 2, TABLE_DEPTH / 2)
+            for cy in (-TABLE_WIDTH / 2, TABLE_WIDTH / 2)
+        ]
+        xs, ys = zip(*corners, strict=True)
+        box = [min(xs), max(xs), min(ys), max(ys)]
+        assert q[row].tolist() == pytest.approx([*box, *seen, float(p[row, 6])], abs=1e-5)
+
+
+def test_no_blocked_motion_and_none_out_of_the_arena(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    _, made = driven
+    assert made["done"].all()
+    for state in (made["before"], made["after"]):
+        there = Scenarios(state[:, :3], state[:, 3:9], state[:, 9:11], torch.arange(len(state)))
+        assert not in_table(there, torch.tensor(FOOTPRINT)).any()
+    assert made["after"][:, :2].norm(dim=1).max() <= ARENA
+    # Only a first pose may be in a corner of the square around the arena.
+    first = made["before"][:, 11] == 1
+    assert (first | (made["before"][:, :2].norm(dim=1) <= ARENA)).all()
+
+
+def test_the_robot_is_driven_along_all_sides(
+    driven: tuple[tuple[Tensor, ...], dict[str, Tensor]],
+) -> None:
+    _, made = driven
+    x, y = made["after"][:, 0], made["after"][:, 1]
+    sides = (x < -TABLE_DEPTH / 2, x > TABLE_DEPTH / 2, y < -TABLE_WIDTH / 2, y > TABLE_WIDTH / 2)
+    assert all(int(side.sum()) >= 75 for side in sides)
+
+
+def test_start_poses_are_free() -> None:
+    scenarios = poses_around(world_of(), 300, seeded(2))
+    assert len(scenarios) == 300
+    assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
+    assert scenarios.pose[:, :2].abs().max() <= ARENA
+
+
+@pytest.mark.parametrize(
+    ("kind", "percept", "size"), [("general", "yaw", 9), ("general-clutter", "box", 11)]
+)
+def test_data_of_other_domains(kind: str, percept: str, size: int) -> None:
+    asked: list[Scenarios] = []
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        asked.append(scenarios)
+        return TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
+
+    data = collect(watched, 200, 200, seeded(3), domain_of(kind))
+    assert data.percept.shape == data.next_percept.shape == data.grasp_percept.shape == (200, size)
+    assert data.percept[:, 6].min() < 0.65 < 0.85 < data.percept[:, 6].max()
+    for scenarios in asked:
+        assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
+        assert len(scenarios.table.unique(dim=0)) == len(scenarios)
+
+
+def test_edges_of_one_table_share_a_domain() -> None:
+    assert domain_of("near") is domain_of("perimeter") is PERIMETER
+    assert domain_of("general").arena > PERIMETER.arena
+    with pytest.raises(SettingsError, match="unknown placement 'far away'"):
+        domain_of("far away")
+
+
+def test_nobody_starts_in_an_obstacle() -> None:
+    scenes = stage_scenarios("near", 2)
+    box = torch.tensor([[[-1.4, 0.0, 0.3, 0.4, 0.4]], [[0.0] * 5]])
+    blocked = in_table(replace(scenes, obstacles=box), torch.tensor(FOOTPRINT))
+    assert blocked.tolist() == [True, False]
+
+
+def never(at: Tensor, table: Tensor) -> Tensor:
+    return torch.zeros(len(at), dtype=torch.bool)
+
+
+def always(at: Tensor, table: Tensor) -> Tensor:
+    return torch.ones(len(at), dtype=torch.bool)
+
+
+def hardly(at: Tensor, table: Tensor) -> Tensor:
+    return (at[:, :2].norm(dim=1) - 0.5).abs() < 0.002
+
+
+@pytest.mark.parametrize("arms", [never, always, hardly])
+def test_a_robot_that_cannot_learn_to_grasp_is_an_error(arms: Callable[..., Tensor]) -> None:
+    with pytest.raises(DataError, match=r"a grasp succeeds at .*% of random poses") as caught:
+        collect(lambda s: TabletopWorld(s, arms, FOOTPRINT), 50, 300, seeded(7))
+    assert "\n" not in str(caught.value)
+
+
+def equal(one: Dataset, other: Dataset) -> bool:
+    return all(torch.equal(a, vars(other)[name]) for name, a in vars(one).items())
+
+
+def test_the_generator_decides() -> None:
+    first, again, other = (collect(world_of(LAB_NOISE), 80, 60, seeded(s)) for s in (8, 8, 9))
+    assert len(first.percept) == 80
+    assert equal(first, again)
+    assert not equal(first, other)
+
+
+def test_more_data_come_last() -> None:
+    first, more = (collect(world_of(), 60, 60, seeded(s)) for s in (10, 11))
+    both = first.extended(more)
+    for name, value in vars(both).items():
+        assert torch.equal(value[: len(vars(first)[name])], vars(first)[name])
+        assert torch.equal(value[len(vars(first)[name]) :], vars(more)[name])

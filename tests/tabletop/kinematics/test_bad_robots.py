@@ -1,0 +1,222 @@
+"""Whatever is wrong with a robot's files ends in one RobotError of one line."""
+
+import json
+import math
+import re
+
+import pytest
+
+from cgtorch.errors import RobotError
+from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
+
+PR2 = robots_folder() / "pr2"
+TEXT = (PR2 / "pr2.urdf").read_text()
+WORDS = json.loads((PR2 / "robot.json").read_text())
+
+LINKS = '<link name="a"/><link name="b"/>'
+ENDS = '<parent link="a"/><child link="b"/>'
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+BOMB = (
+    '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+    '<robot name="&b;"><link name="a"/></robot>'
+)
+
+
+def fails(call, *arguments, **keywords):
+    with pytest.raises(RobotError) as caught:
+        call(*arguments, **keywords)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def robot(tmp_path, urdf=TEXT, words=WORDS):
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf)
+    (tmp_path / "robot.json").write_text(words if isinstance(words, str) else json.dumps(words))
+    return path
+
+
+def test_the_files_are_sound_before_they_are_broken(tmp_path):
+    assert [arm.name for arm in load_robot(robot(tmp_path)).arms] == ["left", "right"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed XML"),
+        ("<robot", "not well-formed XML"),
+        ("<robot><link name='a'></robot>", "not well-formed XML"),
+        ("<sdf/>", "starts with <sdf>"),
+        (BOMB, "document type"),
+        ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "document type"),
+        ('<robot><link name="a"/><link name="a"/></robot>', "link 'a' is there 2 times"),
+        ("<robot><link/></robot>", "a link has no name"),
+        (f"<robot>{LINKS}</robot>", "2 root links"),
+        ("<robot/>", "0 root links"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed"><parent link="a"/></joint></robot>',
+         "joint 'j' has the child link None"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed"><parent link="a"/><child link="c"/></joint>'
+         "</robot>", "joint 'j' has the child link 'c'"),
+        (f'<robot>{LINKS}<joint name="j" type="hinge">{ENDS}</joint></robot>', "type 'hinge'"),
+        (f'<robot>{LINKS}<joint name="j" type="revolute">{ENDS}</joint></robot>',
+         r"limits (None, None)"),
+        (f'<robot>{LINKS}<joint name="j" type="revolute">{ENDS}'
+         '<limit lower="1" upper="-1" effort="1" velocity="1"/></joint></robot>',
+         "limits (1, -1)"),
+        (f'<robot>{LINKS}<joint name="j" type="revolute">{ENDS}'
+         '<limit lower="-1" upper="inf" effort="1" velocity="1"/></joint></robot>',
+         "limit upper is 'inf'"),
+        (f'<robot>{LINKS}<joint name="j" type="revolute">{ENDS}<axis xyz="0 0 0"/>{LIMIT}</joint>'
+         "</robot>", "axis '0 0 0'"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}<origin xyz="0 nan 0"/></joint>'
+         "</robot>", "origin xyz is '0 nan 0'"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}<origin rpy="0 0"/></joint></robot>',
+         "origin rpy is '0 0'"),
+        (f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}<origin xyz="0 1e300 0"/></joint>'
+         "</robot>", "origin xyz is '0 1e300 0'"),
+        ('<robot><link name="a"><collision><geometry><sphere radius="1e300"/></geometry>'
+         "</collision></link></robot>", "sphere radius is '1e300'"),
+        ("<robot>" + "".join(f'<link name="l{i}"/>' for i in range(501)) + "</robot>",
+         "has 501 links"),
+        ('<robot><link name="root"/><link name="a"/><link name="b"/>'
+         f'<joint name="i" type="fixed">{ENDS}</joint><joint name="j" type="fixed">'
+         '<parent link="b"/><child link="a"/></joint></robot>', "loop"),
+        ('<robot><link name="a"><collision><geometry><cone/></geometry></collision></link></robot>',
+         "refused by yourdfpy"),
+        ('<robot><link name="a"><visual><geometry/></visual></link></robot>',
+         "refused by yourdfpy"),
+    ],
+)  # fmt: skip
+def test_broken_urdf(tmp_path, text, message):
+    assert message in fails(load_urdf, robot(tmp_path, text))
+
+
+def test_an_entity_is_never_read(tmp_path):
+    (tmp_path / "secret").write_text("secret words")
+    text = f'<!DOCTYPE r [<!ENTITY x SYSTEM "file://{tmp_path}/secret">]><robot name="&x;"/>'
+    assert "secret words" not in fails(load_urdf, robot(tmp_path, text))
+
+
+def test_binary_noise_and_too_long_a_file(tmp_path):
+    path = tmp_path / "noise.urdf"
+    path.write_bytes(bytes(range(256)))
+    assert "not well-formed XML" in fails(load_urdf, path)
+    path.write_bytes(b" " * 8_000_001)
+    assert "longer than 8000000 bytes" in fails(load_urdf, path)
+
+
+def test_no_file_and_a_folder(tmp_path):
+    assert "No such file" in fails(load_urdf, tmp_path / "none.urdf")
+    assert "Is a directory" in fails(load_urdf, tmp_path)
+    assert "No such file" in fails(load_description, tmp_path / "none.json")
+    assert "Is a directory" in fails(load_description, tmp_path)
+    (tmp_path / "alone.urdf").write_text(TEXT)
+    assert "robot.json" in fails(load_robot, tmp_path / "alone.urdf")
+
+
+def test_a_joint_or_link_that_the_description_names_is_missing(tmp_path):
+    message = fails(load_robot, robot(tmp_path, TEXT.replace('"torso_lift_joint"', '"lift"')))
+    assert "no joint 'torso_lift_joint'" in message
+    message = fails(load_robot, robot(tmp_path, TEXT.replace("l_gripper_tool_frame", "hand")))
+    assert "no link 'l_gripper_tool_frame'" in message
+
+
+def changed(**changes):
+    return {**WORDS, **changes}
+
+
+def arms(**changes):
+    return changed(arms=[{**WORDS["arms"][0], **changes}])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("{", "not valid JSON"),
+        ('{"name": "a", "name": "b"}', "key 'name' is given twice"),
+        ("[" * 100_000, "not valid JSON"),
+        ("[]", "the file is []"),
+        ({k: v for k, v in WORDS.items() if k != "arms"}, "lacks the key 'arms'"),
+        (changed(colour="red"), "unknown key 'colour'"),
+        (changed(name=3), "name is 3"),
+        (changed(footprint=[0, 1]), "footprint is [0, 1]"),
+        (changed(footprint=[0, math.nan, 0, 1]), "footprint is nan"),
+        (changed(footprint=[1, 0, 0, 1]), "footprint is [1, 0, 0, 1]"),
+        (changed(torso_position=math.nan), "torso_position is nan"),
+        (changed(torso_position="high"), "torso_position is 'high'"),
+        (changed(torso_position=True), "torso_position is True"),
+        (changed(torso_position=10**400), "torso_position is 1"),
+        (changed(torso_position=None), "torso_position is None"),
+        (changed(torso_position=0.5), "within its limits 0.0 to 0.33"),
+        (changed(torso_joint="base_footprint_joint"), "fixed or follows another joint"),
+        (changed(torso_joint="l_elbow_flex_joint", torso_position=-1.0), "moves an arm"),
+        (changed(torso_joint=None, torso_position=None), "'torso_lift_joint' can move"),
+        (changed(base_frame="floor"), "no link 'floor'"),
+        (changed(base_frame="l_forearm_link"), "does not hang from 'l_forearm_link'"),
+        (changed(arms=[]), "arms is []"),
+        (changed(arms=[WORDS["arms"][0]] * 2), "each with its own name"),
+        (changed(arms=["left"]), "arms[0] is 'left'"),
+        (arms(reach=1), "arms[0] has the unknown key 'reach'"),
+        (arms(tool_frame=""), "arms[0].tool_frame is ''"),
+        (arms(tool_frame="head_pan_link", base_link="l_forearm_link"), "does not hang from"),
+        (arms(tool_frame="torso_lift_link"), "has no joint between"),
+        (arms(tool_frame="l_gripper_r_finger_link"), "mimic joint 'l_gripper_r_finger_joint'"),
+        (arms(base_link="l_shoulder_pan_link"), "'l_shoulder_pan_joint' can move"),
+        (changed(body=["wheel"]), "no link 'wheel'"),
+        (changed(body=["l_forearm_link"]), "body: joint 'l_shoulder_pan_joint' can move"),
+        (changed(body="base_link"), "body is 'base_link'"),
+        (changed(gripper_joints={"l_gripper_r_finger_joint": 0.1}), "follows another joint"),
+        (changed(gripper_joints={"finger": 0.1}), "no joint 'finger'"),
+        (changed(gripper_joints=[]), "gripper_joints is []"),
+        (changed(capsules={"wing": [[0, 0, 0, 1, 0, 0, 0.1]]}), "no link 'wing'"),
+        (changed(capsules={"l_forearm_link": [[0, 0, 0, 1, 0, 0, 0]]}), "radius above 0"),
+        (changed(capsules={"l_forearm_link": [[0, 0, 0, 1]]}), "a list of 7 numbers"),
+    ],
+)  # fmt: skip
+def test_bad_description(tmp_path, words, message):
+    assert message in fails(load_robot, robot(tmp_path, words=words))
+
+
+def test_a_mesh_needs_capsules(tmp_path):
+    shape = '<cylinder radius="0.066" length="0.321"/>'
+    text = TEXT.replace(shape, '<mesh filename="forearm.stl"/>')
+    assert text != TEXT
+    assert "collides as a mesh" in fails(load_robot, robot(tmp_path, text))
+    capsules = {f"{s}_forearm_link": [[0.066, 0, 0, 0.255, 0, 0, 0.066]] for s in ("l", "r")}
+    loaded = load_robot(robot(tmp_path, text, changed(capsules=capsules)))
+    count = len(load_robot().arms[0].capsules.radius)
+    assert len(loaded.arms[0].capsules.radius) == count
+
+
+@pytest.mark.parametrize("size", ["0.3 0.2 0", "0.3 0.2 1e-9", "0 0.1 0.1"])
+def test_a_box_that_is_too_flat_for_capsules(tmp_path, size):
+    shape = '<cylinder radius="0.066" length="0.321"/>'
+    text = TEXT.replace(shape, f'<box size="{size}"/>')
+    assert "too flat" in fails(load_robot, robot(tmp_path, text))
+
+
+def test_a_shape_of_negative_size(tmp_path):
+    text = TEXT.replace('length="0.321"', 'length="-0.321"')
+    assert "a shape of size -0.321 m" in fails(load_robot, robot(tmp_path, text))
+
+
+def test_limits_without_end_are_read_at_once(tmp_path):
+    limits = 'lower="-0.8" upper="3.9"'
+    text = re.sub("<safety_controller[^>]*/>", "", TEXT)
+    assert limits in text
+    text = text.replace(limits, 'lower="-1e300" upper="1e300"')
+    assert load_robot(robot(tmp_path, text)).arm("left").closed_form is not None
+
+
+def test_huge_numbers_in_a_description(tmp_path):
+    for words in (changed(footprint=[-1e300, 1, -1, 1]), changed(torso_position=1e300)):
+        assert "of 1e+06 at most" in fails(load_robot, robot(tmp_path, words=words))
+
+
+def test_a_description_that_is_too_long_or_names_a_key_twice_among_many(tmp_path):
+    path = tmp_path / "robot.json"
+    path.write_text("x" * 1_000_001)
+    assert "longer than 1000000 bytes" in fails(load_description, path)
+    path.write_text(json.dumps({str(i): 0 for i in range(70_000)})[:-1] + ', "69999": 1}')
+    assert "key '69999' is given twice" in fails(load_description, path)

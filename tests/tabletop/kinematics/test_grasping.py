@@ -1,0 +1,224 @@
+import math
+
+import pytest
+import torch
+
+from cgtorch.errors import RobotError
+from cgtorch.tabletop.kinematics import grasp_solution, graspable, grasping
+from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, waypoints
+from cgtorch.tabletop.kinematics.touching import touches
+
+HEIGHT = 0.74
+
+
+def scene(gap, sideways, yaw, inset, along):
+    """Objects near the edge of a table 0.8 m deep and 1.2 m wide, seen from a base before it.
+
+    Args:
+        gap: (B,) from the base's centre to the near edge, m.
+        sideways: (B,) where the base stands along the edge, m.
+        yaw: (B,) heading of the base, rad.
+        inset: (B,) how far in from the edge the object is, m.
+        along: (B,) where the object is along the edge, m.
+    """
+
+    def seen(x, y):
+        x, y = x + gap, y - sideways
+        return yaw.cos() * x + yaw.sin() * y, yaw.cos() * y - yaw.sin() * x
+
+    one = torch.ones_like(gap)
+    table = torch.stack(
+        [*seen(0.4 * one, 0 * one), -yaw, 0.8 * one, 1.2 * one, HEIGHT * one], dim=1
+    )
+    return torch.stack([*seen(inset, along), HEIGHT * one], dim=1), table
+
+
+def random_scene(count, seed, dtype=torch.float32):
+    generator = torch.Generator().manual_seed(seed)
+
+    def between(low, high):
+        return (
+            low + (high - low) * torch.rand(count, generator=generator, dtype=torch.float64)
+        ).to(dtype)
+
+    return scene(
+        between(0.36, 0.9), between(-0.6, 0.6), between(-0.7, 0.7), between(0.05, 0.25),
+        between(-0.55, 0.55),
+    )  # fmt: skip
+
+
+def one_scene(gap, inset, sideways=0.0, along=0.0, yaw=0.0):
+    return scene(*(torch.tensor([v]) for v in (gap, sideways, yaw, inset, along)))
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.5, 0.0), (0.55, 0.2), (0.55, -0.2)])
+def test_object_at_the_edge_before_the_robot_is_in_reach(pr2, x, y):
+    position, table = one_scene(gap=x - 0.1, inset=0.1, along=y)
+    torch.testing.assert_close(position, torch.tensor([[x, y, HEIGHT]]))
+    assert graspable(pr2, position, table).tolist() == [True]
+
+
+@pytest.mark.parametrize(("gap", "inset"), [(1.1, 0.1), (0.4, 0.8), (0.9, 0.25)])
+def test_object_too_far_away_is_not(pr2, gap, inset):
+    assert graspable(pr2, *one_scene(gap, inset)).tolist() == [False]
+
+
+def test_object_behind_the_robot_is_not(pr2):
+    assert graspable(pr2, *one_scene(0.4, 0.1, yaw=math.pi)).tolist() == [False]
+
+
+def test_standing_in_the_table_is_not_allowed(pr2):
+    assert graspable(pr2, *one_scene(0.345, 0.15)).tolist() == [True]
+    assert graspable(pr2, *one_scene(0.325, 0.17)).tolist() == [False]
+    assert graspable(pr2, *one_scene(0.36, 0.15, yaw=math.pi / 4)).tolist() == [False]
+
+
+def test_the_table_stands_in_the_way(pr2):
+    """The same object is out of reach once it lies under a higher table's top."""
+    position, table = one_scene(0.4, 0.1)
+    table[:, 5] = HEIGHT + 0.12
+    assert graspable(pr2, position, table).tolist() == [False]
+
+
+def test_too_high_and_too_low_tables(pr2):
+    for height in (0.0, 1.6):
+        position, table = one_scene(0.4, 0.1)
+        position[:, 2] = table[:, 5] = height
+        assert graspable(pr2, position, table).tolist() == [False]
+
+
+def test_left_and_right_are_mirrored(pr2):
+    position, table = random_scene(1500, seed=1)
+    mirrored = table.clone()
+    mirrored[:, 1:3] *= -1
+    label = graspable(pr2, position, table)
+    other = graspable(pr2, position * torch.tensor([1.0, -1.0, 1.0]), mirrored)
+    assert 0.2 < label.float().mean() < 0.8
+    assert (label == other).float().mean() >= 0.99
+
+
+def test_a_row_does_not_depend_on_the_others(pr2):
+    position, table = random_scene(2100, seed=2)
+    label = graspable(pr2, position, table)
+    order = torch.randperm(2100, generator=torch.Generator().manual_seed(0))
+    shuffled = torch.empty_like(label)
+    shuffled[order] = graspable(pr2, position[order], table[order])
+    assert (label == shuffled).float().mean() >= 0.999
+    assert torch.equal(label, graspable(pr2, position, table))
+
+
+def test_a_solution_does_not_depend_on_the_others(pr2):
+    position, table = random_scene(120, seed=7)
+    together = grasp_solution(pr2, position, table)
+    for row in range(120):
+        alone = grasp_solution(pr2, position[row : row + 1], table[row : row + 1])
+        assert alone.found.item() == together.found[row].item()
+        assert alone.arm.item() == together.arm[row].item()
+        assert alone.approach.item() == together.approach[row].item()
+
+
+def test_postures_collide_alike_in_any_number(fetch, random_joints, generator):
+    (arm,) = fetch.arms
+    q = random_joints(arm, 2500, generator)
+    table = torch.tensor([[0.8, 0.1, 0.2, 0.8, 1.2, HEIGHT]], dtype=torch.float64)
+    hit = touches(arm, q, table_slab(table.expand(2500, 6)), fetch.body)
+    for rows in (slice(0, 10), slice(2040, 2060), slice(2490, 2500)):
+        slab = table_slab(table.expand(len(q[rows]), 6))
+        assert torch.equal(touches(arm, q[rows], slab, fetch.body), hit[rows])
+    assert touches(arm, q[:0], table_slab(table[:0]), fetch.body).shape == (0,)
+
+
+def test_float64_agrees_with_float32(pr2):
+    position, table = random_scene(400, seed=3, dtype=torch.float64)
+    double = graspable(pr2, position, table)
+    single = graspable(pr2, position.float(), table.float())
+    assert (double == single).float().mean() >= 0.995
+
+
+def test_the_default_dtype_is_left_alone_and_ignored(pr2):
+    position, table = random_scene(50, seed=3)
+    before = graspable(pr2, position, table)
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert torch.equal(graspable(pr2, position, table), before)
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.parametrize("name", ["pr2", "fetch"])
+def test_solutions_do_what_they_claim(request, name):
+    robot = request.getfixturevalue(name)
+    position, table = random_scene(600, seed=4)
+    solution = grasp_solution(robot, position, table)
+    assert torch.equal(solution.found, graspable(robot, position, table))
+    rows = solution.found.nonzero().squeeze(1)
+    assert len(rows) > 100
+    for row in rows.tolist():
+        arm = robot.arms[int(solution.arm[row])]
+        joints = solution.joints[row]
+        way = waypoints(position[row : row + 1], *APPROACHES[int(solution.approach[row])])[0]
+        pose = robot.forward_kinematics(arm.name, joints)
+        torch.testing.assert_close(pose, way, atol=3e-5, rtol=0)
+        assert bool((joints >= arm.lower - 1e-5).all() and (joints <= arm.upper + 1e-5).all())
+        step = arm.difference(joints[1:], joints[:-1])
+        assert step.abs().max() < MAX_STEP
+        slab = table_slab(table[row : row + 1].expand(5, 6))
+        assert not touches(arm, joints, slab, robot.body.to(joints)).any()
+    assert torch.equal(
+        solution.joints[~solution.found], torch.zeros_like(solution.joints[~solution.found])
+    )
+
+
+def test_there_is_one_approach_from_above_and_two_rings_of_twelve():
+    steep = [round(math.degrees(steepness)) for steepness, _ in APPROACHES]
+    assert [steep.count(angle) for angle in (90, 45, 0)] == [1, 12, 12]
+    for ring in (45, 0):
+        sides = sorted(
+            round(math.degrees(side)) % 360
+            for (_, side), angle in zip(APPROACHES, steep, strict=True)
+            if angle == ring
+        )
+        assert sides == list(range(0, 360, 30))
+
+
+def test_waypoints_go_straight_in_and_straight_up():
+    way = waypoints(torch.tensor([[0.5, 0.2, HEIGHT]]), math.pi / 4, 0.3)[0]
+    torch.testing.assert_close(way[2, :3, 3], torch.tensor([0.5, 0.2, HEIGHT + 0.05]))
+    torch.testing.assert_close(way[0, :3, 3] + 0.10 * way[0, :3, 0], way[2, :3, 3])
+    torch.testing.assert_close(way[4, :3, 3] - way[2, :3, 3], torch.tensor([0.0, 0.0, 0.10]))
+    torch.testing.assert_close(way[:, :3, :3].det(), torch.ones(5))
+    torch.testing.assert_close(way[:, 2, 1], torch.zeros(5))
+
+
+def test_no_rows(pr2):
+    assert graspable(pr2, torch.zeros(0, 3), torch.zeros(0, 6)).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("position", "table", "message"),
+    [
+        (torch.zeros(2, 2), torch.ones(2, 6), r"position has the shape \(2, 2\)"),
+        (torch.zeros(2, 3), torch.ones(3, 6), r"table has the shape \(3, 6\)"),
+        (torch.full((1, 3), math.nan), torch.ones(1, 6), "position has a value that is not finite"),
+        (torch.zeros(1, 3), torch.full((1, 6), math.inf), "table has a value that is not finite"),
+    ],
+)
+def test_bad_input(pr2, position, table, message):
+    with pytest.raises(RobotError, match=message):
+        graspable(pr2, position, table)
+
+
+def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
+    position, table = random_scene(4000, 7)
+    stretch = torch.linspace(1, 1.8, 4000)[:, None]
+    position[:, :2] *= stretch
+    table[:, :2] *= stretch
+    near = grasping._within_reach(pr2, position)
+    assert 500 < int(near.sum()) < 3500
+    found = graspable(pr2, position, table)
+    monkeypatch.setattr(
+        grasping, "_within_reach", lambda robot, at: torch.ones_like(near[: len(at)])
+    )
+    assert torch.equal(graspable(pr2, position, table), found)
+    assert (found & ~near).sum() == 0
+    assert found.any()

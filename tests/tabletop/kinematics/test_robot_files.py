@@ -1,0 +1,72 @@
+"""How a robot is named: by its name, its folder, its description or its URDF."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cgtorch.errors import RobotError
+from cgtorch.tabletop.kinematics import load_robot, robot_files, robots_folder
+
+FETCH = robots_folder() / "fetch"
+BOTH = (FETCH / "fetch.urdf", FETCH / "robot.json")
+
+
+def test_without_a_word_it_is_the_pr2():
+    pr2 = robots_folder() / "pr2"
+    assert robot_files() == (pr2 / "pr2.urdf", pr2 / "robot.json")
+    assert load_robot().description.name == "PR2"
+
+
+@pytest.mark.parametrize("robot", ["fetch", Path("fetch"), FETCH, str(FETCH), BOTH[1]])
+def test_one_word_is_enough(robot):
+    assert robot_files(description=robot) == BOTH
+    assert load_robot(description=robot).description.name == "Fetch"
+
+
+def test_the_description_beside_a_urdf():
+    assert robot_files(BOTH[0]) == BOTH
+
+
+def test_another_urdf_or_description(tmp_path):
+    words = Path(shutil.copy(BOTH[1], tmp_path / "words.json"))
+    assert robot_files(BOTH[0], words) == (BOTH[0], words)
+    assert robot_files(tmp_path / "mine.urdf", "fetch") == (tmp_path / "mine.urdf", BOTH[1])
+
+
+def test_names_come_before_folders(tmp_path, monkeypatch):
+    shutil.copytree(robots_folder() / "pr2", tmp_path / "fetch")
+    monkeypatch.chdir(tmp_path)
+    assert robot_files(description="fetch") == BOTH
+    assert robot_files(description="fetch/robot.json")[0] == Path("fetch/pr2.urdf")
+
+
+@pytest.mark.parametrize("robot", ["fetsch", "fetsch" * 1000, "a\0b"])
+def test_an_unknown_robot(robot):
+    message = r"robot '.*' is no description, no folder.*\(fetch, pr2\): give one"
+    with pytest.raises(RobotError, match=message):
+        robot_files(description=robot)
+
+
+def test_a_folder_with_no_urdf_or_with_two(tmp_path):
+    shutil.copy(BOTH[1], tmp_path)
+    with pytest.raises(RobotError, match="0 URDFs lie beside"):
+        robot_files(description=tmp_path)
+    for name in ("one.urdf", "two.urdf"):
+        shutil.copy(BOTH[0], tmp_path / name)
+    with pytest.raises(RobotError, match="2 URDFs lie beside"):
+        robot_files(description=tmp_path)
+
+
+def test_a_folder_without_a_description(tmp_path):
+    with pytest.raises(RobotError, match="is no description, no folder with one"):
+        robot_files(description=tmp_path)
+
+
+def test_a_missing_file_is_named_when_it_is_read(tmp_path):
+    urdf, words = robot_files(tmp_path / "none.urdf")
+    assert robot_files(urdf, words) == (urdf, words)
+    with pytest.raises(RobotError, match=r"none\.urdf' cannot be read"):
+        load_robot(tmp_path / "none.urdf")
+    with pytest.raises(RobotError, match=r"robot\.json' cannot be read"):
+        load_robot(BOTH[0], words)

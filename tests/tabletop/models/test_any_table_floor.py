@@ -1,0 +1,86 @@
+"""What a percept leaves open where tables are of any size: samples that are what they claim."""
+
+import pytest
+import torch
+from support import FOOTPRINT, graspable, seeded
+
+from cgtorch.tabletop.data import domain_of, label
+from cgtorch.tabletop.data.poses import poses_at_object
+from cgtorch.tabletop.models import fit_transition_model, transition_quality
+from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
+from cgtorch.tabletop.models.table_posterior import tables_behind
+from cgtorch.tabletop.models.bayes_accuracy import chance_of_success, scenes_behind
+from cgtorch.tabletop.models.transition_quality import fresh_transitions
+from cgtorch.tabletop.world import TabletopWorld, percept_of
+from cgtorch.tabletop.world.percepts import side_seen
+
+GENERAL = domain_of("general")
+PERCEPTS = ("box", "yaw")
+
+
+def world_of(percept):
+    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
+
+
+@pytest.mark.parametrize("percept", PERCEPTS)
+def test_what_is_behind_a_percept_looks_like_it(percept):
+    poses = poses_at_object(world_of(percept), 200, seeded(0), GENERAL)
+    seen, _ = label(world_of(percept), poses)
+    scenes = scenes_behind(world_of(percept), seen, 8, seeded(1), GENERAL)
+    again = percept_of(scenes.pose, scenes.table, scenes.object)
+    again = torch.cat([again, side_seen(scenes.pose, scenes.table)], 1)[:, : seen.shape[1]]
+    off = (again - seen.repeat_interleave(8, 0)).abs()
+    assert float(off.quantile(0.99)) < 0.03
+    assert 0.002 < float(off.mean()) < 0.006
+    sides, height = scenes.table[:, 3:5], scenes.table[:, 5]
+    assert ((sides >= 0.6) & (sides <= 1.4)).all()
+    assert ((height >= 0.6) & (height <= 0.9)).all()
+
+
+def test_the_true_table_is_among_those_behind_its_box():
+    """The yaw of the truth lies within the yaws that are likely, whichever they are."""
+    poses = poses_at_object(world_of("box"), 400, seeded(2), GENERAL)
+    seen, _ = label(world_of("box"), poses)
+    table, _, weight = tables_behind(seen, 0.005, 2000, seeded(3))
+    truth = poses.table[:, 3:5].prod(1)
+    area = table[..., 3:5].prod(-1)
+    below = (weight * (area < truth[:, None])).sum(1) / weight.sum(1)
+    assert float(below.mean()) == pytest.approx(0.5, abs=0.05)  # uniform, as ranks of draws are
+    assert float(below.var()) == pytest.approx(1 / 12, rel=0.25)
+
+
+@pytest.mark.parametrize("percept", PERCEPTS)
+def test_the_median_errs_as_the_samples_promise(percept):
+    fresh = fresh_transitions(world_of(percept), 1000, seeded(4), GENERAL)
+    values, weight = possible_next(
+        world_of(percept), fresh.percept, fresh.motion, seeded(5), GENERAL
+    )
+    median = weighted_median(values, weight)
+    promised = (weight[..., None] * (values - median[:, None]).abs()).sum(1)
+    error = (median - fresh.next_percept[:, :7]).abs()
+    for columns in (slice(0, 4), slice(4, 6)):
+        mean = error[:, columns].mean(1)
+        slack = 3 * float(mean.std()) / len(mean) ** 0.5
+        assert float(mean.mean()) == pytest.approx(float(promised[:, columns].mean()), abs=slack)
+
+
+def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
+    grid = {"C": [1.0], "gamma": [1.0], "grid_rows": 200}
+    quality = {}
+    for percept in PERCEPTS:
+        data = fresh_transitions(world_of(percept), 500, seeded(6), GENERAL)
+        model, _ = fit_transition_model(data.percept, data.motion, data.next_percept, **grid)
+        quality[percept] = transition_quality(world_of(percept), model, 1000, seeded(7), GENERAL)
+    assert quality["yaw"].table_error < 1.03 * quality["yaw"].table_floor
+    assert quality["yaw"].object_error < 1.03 * quality["yaw"].object_floor
+    assert quality["box"].table_floor > 2 * quality["yaw"].table_floor
+    assert quality["box"].table_error > quality["box"].table_floor
+
+
+def test_a_grasp_that_the_noise_cannot_change_is_certain():
+    poses = poses_at_object(world_of("yaw"), 300, seeded(8), GENERAL)
+    seen, truth = label(world_of("yaw"), poses)
+    chance = chance_of_success(world_of("yaw"), seen, 8, seeded(9), GENERAL)
+    sure = (chance == 0) | (chance == 1)
+    assert float(sure.float().mean()) > 0.8
+    assert float(((chance > 0.5) == truth)[sure].float().mean()) > 0.98

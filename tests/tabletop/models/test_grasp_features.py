@@ -1,0 +1,94 @@
+"""The features of C: smooth, and blind to what cannot matter."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from tabletop import labelled
+
+from cgtorch.tabletop.models.grasp_features import grasp_features, used_features
+
+
+def test_gradients_equal_finite_differences():
+    percept = torch.tensor(labelled(20, 1)[0], requires_grad=True)
+    assert torch.autograd.gradcheck(grasp_features, (percept,))
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3))
+def test_distance_and_direction_give_the_object_back(x, y):
+    percept = torch.tensor([0.3, 1.1, -0.6, 0.6, x, y, 0.74], dtype=torch.float64)
+    f = grasp_features(percept)
+    distance = f[4] / 4
+    assert torch.allclose(distance * f[5:7] / 2, percept[4:6], atol=1e-5)
+
+
+def test_sides_far_away_hardly_matter_and_obstacles_do_not():
+    near = torch.tensor([0.3, 1.1, -0.6, 0.6, 0.5, 0.1, 0.74], dtype=torch.float64)
+    far = near.clone()
+    far[1] = 3.0
+    assert float((grasp_features(far) - grasp_features(near)).abs().max()) < 0.03
+    beside = torch.cat([near, torch.tensor([1.0, 1.3, -0.9, -0.4])])
+    assert torch.equal(grasp_features(beside), grasp_features(near))
+
+
+def test_the_height_counts_only_where_it_differs():
+    percept = torch.tensor(labelled(50, 1)[0])
+    assert grasp_features(percept).shape == (50, 8)
+    assert used_features(percept) == 7
+    percept[:, 6] = torch.linspace(0.6, 0.9, 50)
+    assert used_features(percept) == 8
+    assert torch.allclose(grasp_features(percept)[:, 7], 3 * percept[:, 6])
+
+
+def seen(x, y, yaw, a, b, placed):
+    """A percept with the table's yaw, from a plain rectangle."""
+    c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
+    w, h = a * c + b * s, a * s + b * c
+    box = [x - w / 2, x + w / 2, y - h / 2, y + h / 2]
+    side = [a * math.cos(2 * yaw), a * math.sin(2 * yaw)]
+    return torch.tensor([*box, *placed, 0.7, *side], dtype=torch.float64)
+
+
+lengths = st.floats(0.6, 1.4)
+
+
+@given(st.floats(0, 1.5), st.floats(-0.5, 0.5), st.floats(-3.14, 3.14), lengths, lengths)
+def test_edges_are_those_in_front_of_the_robot(away, aside, yaw, a, b):
+    """A robot before the edge across the table's own x axis, wherever that points."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    out = away + a / 2 + 0.01
+    x, y = -c * out + s * aside * b / 2, -s * out - c * aside * b / 2
+    placed = (x + c * (a / 2 - 0.1), y + s * (a / 2 - 0.1))
+    f = grasp_features(seen(x, y, yaw, a, b, placed))
+    assert f.shape == (10,)
+    first = 0.5 * math.tanh((away + 0.01) / 0.5)
+    assert float(f[4]) == pytest.approx(first, abs=1e-6)
+    assert float(f[6]) == pytest.approx(0.1, abs=1e-6)
+    assert f[8:].tolist() == pytest.approx([0.5 * c, 0.5 * s], abs=1e-6)
+    assert float(f[5]) < float(f[4])
+
+
+@given(st.floats(-3.14, 3.14), lengths, lengths)
+def test_either_end_of_a_side_and_either_side_give_the_same_features(yaw, a, b):
+    one = grasp_features(seen(1.0, 0.2, yaw, a, b, (0.8, 0.1)))
+    for other in (
+        seen(1.0, 0.2, yaw + math.pi, a, b, (0.8, 0.1)),
+        seen(1.0, 0.2, yaw + math.pi / 2, b, a, (0.8, 0.1)),
+    ):
+        ahead = one[4:6].sort(descending=True).values
+        assert torch.allclose(grasp_features(other)[4:6], ahead, atol=1e-6)
+        if float(one[4] - one[5]) > 1e-6:
+            assert torch.allclose(grasp_features(other), one, atol=1e-6)
+
+
+def test_gradients_with_the_yaw_equal_finite_differences():
+    rows = [seen(1.0, 0.3 * i, 0.4 + 0.1 * i, 0.8, 1.1, (0.7, 0.2)) for i in range(4)]
+    percept = torch.stack(rows).requires_grad_()
+    assert torch.autograd.gradcheck(grasp_features, (percept,))
+
+
+def test_percepts_of_another_size_stay_as_they_are():
+    percept = torch.rand(4, 3, 2)
+    assert grasp_features(percept) is percept

@@ -1,0 +1,86 @@
+"""C: accurate, calibrated, differentiable, and honest about both."""
+
+import numpy as np
+import pytest
+import torch
+from tabletop import labelled, labels, transitions
+
+from cgtorch.errors import DataError
+from cgtorch.svm import compact_success_classifier, update_success_classifier
+from cgtorch.tabletop.models import fit_success_classifier
+from cgtorch.tabletop.models.success import calibration
+
+GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit_success_classifier(*labelled(900, 1), **GRID)
+
+
+def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
+    model, report = fitted
+    x, y = labelled(2000, 2)
+    chance = model(torch.tensor(x)).numpy()
+    right = (chance > 0.5) == (y > 0)
+    balanced = (right[y > 0].mean() + right[y == 0].mean()) / 2
+    assert balanced > 0.95
+    assert report.balanced_accuracy == pytest.approx(balanced, abs=0.03)
+    assert report.brier == pytest.approx(np.mean((chance - y) ** 2), abs=0.02)
+    assert report.calibration_error < 0.04
+    assert sum(rows for _, _, rows in report.reliability) == report.rows == 900
+
+
+def test_gradients_equal_finite_differences():
+    x, y = labelled(150, 3)
+    model, _ = fit_success_classifier(x, y, dtype=torch.float64, **GRID)
+    small, _ = compact_success_classifier(model, 16, torch.tensor(x))
+    x = torch.tensor(labelled(4, 4)[0], requires_grad=True)
+    assert torch.autograd.gradcheck(model, (x,))
+    assert torch.autograd.gradcheck(small, (x,))
+
+
+def test_any_number_of_coordinates(fitted):
+    x, y = labelled(150, 5)
+    model, _ = fit_success_classifier(x[:, 4:6], y, **GRID)
+    assert model(torch.tensor(x[:, 4:6]).reshape(3, 50, 2)).shape == (3, 50)
+    with pytest.raises(DataError, match="coordinates"):
+        model(torch.tensor(x))
+
+
+def test_one_class_and_tiny_data_are_refused():
+    x, y = labelled(60, 6)
+    with pytest.raises(DataError, match="1 classes"):
+        fit_success_classifier(x, np.ones(60))
+    with pytest.raises(DataError, match="fewer than the 5 folds"):
+        fit_success_classifier(x[:22], y[:22] * 0 + (np.arange(22) < 3), **GRID)
+
+
+def test_learning_on_improves(fitted):
+    x, y = labelled(700, 7)
+    order = np.random.default_rng(0).permutation(700)
+    x, y = x[order], y[order]
+    start, _ = fit_success_classifier(x[:120], y[:120], **GRID)
+    grown = update_success_classifier(start, x, y)
+    fresh, _, _ = transitions(6000, 8)
+    truth = torch.tensor(labels(fresh)) > 0
+    wrong = [
+        float(((m(torch.tensor(fresh)) > 0.5) != truth).double().mean()) for m in (start, grown)
+    ]
+    assert wrong[1] < wrong[0]
+
+
+def test_a_compact_classifier_keeps_its_probabilities(fitted):
+    model, _ = fitted
+    x = torch.tensor(labelled(900, 1)[0])
+    small, report = compact_success_classifier(model, 64, x)
+    assert len(small.machine.centres) == report.centres <= 64
+    fresh = torch.tensor(labelled(500, 9)[0])
+    assert float((small(fresh) - model(fresh)).abs().mean()) < 0.03
+
+
+def test_calibration_error_counts_what_it_should():
+    chance = torch.tensor([0.15, 0.15, 0.95, 0.95])
+    error, curve = calibration(chance, torch.tensor([0.0, 0.0, 1.0, 0.0]))
+    assert error == pytest.approx(0.5 * 0.15 + 0.5 * 0.45)
+    assert [rows for _, _, rows in curve] == [2, 2]

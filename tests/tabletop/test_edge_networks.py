@@ -1,0 +1,44 @@
+import pytest
+import torch
+from support import seeded
+
+from cgtorch.actions import BranchingNN, ContinuousNN
+from cgtorch.tabletop.edge_networks import EdgeBranchingNN, EdgeNN, edge_actions
+from cgtorch.environment import start_lanes
+from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.world.edge_frame import SCENE, edge_frame, motion_to, scene
+
+
+def environment(size: int) -> ModelEnvironment:
+    """Some percepts with nothing to do in them."""
+    percepts = torch.randn(6, size, generator=seeded(1))
+    return ModelEnvironment(
+        percepts, lambda p, u: (p, p[:, 0]), lambda p: p[:, 0], lambda p, u: p[:, 0] > 0
+    )
+
+
+@pytest.mark.parametrize("size", [7, 9, 13])
+def test_they_are_the_papers_networks_on_the_scene(size: int) -> None:
+    here = environment(size)
+    lanes = start_lanes(here, torch.arange(6), 3, 0)
+    seen = start_lanes(here, torch.arange(6), 3, 0)
+    seen = type(seen)(**{**vars(seen), "percept": scene(here.percepts)})
+    edge, plain = EdgeNN(size), ContinuousNN(SCENE)
+    parameters = edge.initial_parameters(6, seeded(2))
+    after, outcome = edge(lanes, parameters, here)
+    meant, _ = plain(seen, parameters, here)
+    assert torch.equal(after.message, motion_to(edge_frame(here.percepts), meant.message))
+    assert torch.equal(edge.sees(here.percepts), scene(here.percepts)[:, :SCENE])
+    assert after.has_message.all()
+    assert not outcome.any()
+    assert torch.equal(after.percept, lanes.percept)
+    edge_branch, branch = EdgeBranchingNN(size), BranchingNN(seen.percept.shape[1])
+    parameters = edge_branch.initial_parameters(6, seeded(3))
+    found, wanted = edge_branch(lanes, parameters, here)[1], branch(seen, parameters, here)[1]
+    assert torch.equal(found, wanted)
+
+
+def test_the_set_differs_in_its_networks_only() -> None:
+    actions = edge_actions(13)
+    assert actions.names == ("MoveBase", "Detect", "Grasp", "EdgeNN", "EdgeBranchingNN")
+    assert [getattr(a, "percept_size", None) for a in actions.actions] == [None] * 3 + [13] * 2

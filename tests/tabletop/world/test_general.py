@@ -1,0 +1,140 @@
+"""Scenarios beyond the paper's table, measured with shapely, which knows nothing of ours."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely import Point, Polygon, affinity, box
+from support import seeded
+
+from cgtorch.errors import SettingsError
+from cgtorch.tabletop.world import (
+    DRAWS,
+    PLACEMENTS,
+    cluttered_scenarios,
+    draw_of,
+    general_scenarios,
+)
+from cgtorch.tabletop.world.draws import Draw
+from cgtorch.tabletop.world.general import beside
+
+COUNT = 2000
+
+
+def shape(rectangle: list[float]) -> Polygon:
+    x, y, yaw, sx, sy = rectangle[:5]
+    flat = affinity.rotate(box(-sx / 2, -sy / 2, sx / 2, sy / 2), yaw, use_radians=True)
+    return affinity.translate(flat, x, y)
+
+
+def is_uniform(values: torch.Tensor, low: float, high: float) -> bool:
+    """Within the bounds, and of the mean and variance that a uniform draw of `COUNT` has."""
+    part = (values - low) / (high - low)
+    inside = bool((part > -1e-5).all() and (part < 1 + 1e-5).all())
+    return inside and abs(part.mean() - 0.5) < 0.03 and abs(part.var() * 12 - 1) < 0.08
+
+
+@given(
+    st.floats(-math.pi, math.pi),
+    st.floats(0.3, 0.7),
+    st.floats(0.3, 0.7),
+    st.floats(0, 3),
+)
+def test_points_beside_a_rectangle_are_as_far_away_as_asked(
+    direction: float, hx: float, hy: float, distance: float
+) -> None:
+    one = [torch.tensor([x], dtype=torch.float64) for x in (direction, distance)]
+    half = torch.tensor([[hx, hy]], dtype=torch.float64)
+    ((x, y),) = beside(one[0], half, one[1]).tolist()
+    assert box(-hx, -hy, hx, hy).exterior.distance(Point(x, y)) == pytest.approx(distance, abs=1e-6)
+    assert not box(-hx, -hy, hx, hy).buffer(-1e-6).contains(Point(x, y))
+    assert math.remainder(math.atan2(y, x) - direction, math.tau) == pytest.approx(0, abs=1e-6)
+
+
+def test_tables_are_of_any_size_height_and_yaw() -> None:
+    s = general_scenarios(COUNT, seeded(0))
+    assert len(s) == COUNT
+    assert not s.table[:, :2].any()
+    assert is_uniform(s.table[:, 2], -math.pi, math.pi)
+    assert is_uniform(s.table[:, 3], 0.6, 1.4)
+    assert is_uniform(s.table[:, 4], 0.6, 1.4)
+    assert is_uniform(s.table[:, 5], 0.6, 0.9)
+    assert torch.corrcoef(s.table[:, 2:].T).fill_diagonal_(0).abs().max() < 0.1
+    assert len(s.seed.unique()) == COUNT
+
+
+def test_robots_start_on_any_side_and_see_the_table() -> None:
+    s = general_scenarios(COUNT, seeded(1))
+    away = [
+        shape(table).distance(Point(x, y))
+        for table, (x, y, _) in zip(s.table.tolist(), s.pose.tolist(), strict=True)
+    ]
+    assert is_uniform(torch.tensor(away), 1.0, 2.5)
+    assert is_uniform(torch.atan2(s.pose[:, 1], s.pose[:, 0]), -math.pi, math.pi)
+    bearing = torch.atan2(-s.pose[:, 1], -s.pose[:, 0]) - s.pose[:, 2]
+    assert is_uniform(torch.remainder(bearing + math.pi, math.tau) - math.pi, -0.7854, 0.7854)
+
+
+def test_objects_stand_within_a_quarter_metre_of_an_edge() -> None:
+    s = general_scenarios(COUNT, seeded(2))
+    inset = [
+        shape(table).exterior.distance(Point(at)) * (1 if shape(table).contains(Point(at)) else -1)
+        for table, at in zip(s.table.tolist(), s.object.tolist(), strict=True)
+    ]
+    assert 0.05 - 1e-5 < min(inset) < 0.052
+    assert 0.24 < max(inset) < 0.25 + 1e-5
+    yaw = s.table[:, 2]
+    x = yaw.cos() * s.object[:, 0] + yaw.sin() * s.object[:, 1]
+    y = yaw.cos() * s.object[:, 1] - yaw.sin() * s.object[:, 0]
+    share = torch.stack([x, y], 1) / (s.table[:, 3:5] / 2)
+    assert share.mean(0).abs().max() < 0.05  # no edge is preferred
+    quarters = torch.histc(torch.atan2(share[:, 1], share[:, 0]), 4) / COUNT
+    assert (quarters - 0.25).abs().max() < 0.04
+
+
+def test_half_of_the_cluttered_scenes_have_a_box_that_is_in_nobodys_place() -> None:
+    s = cluttered_scenarios(COUNT, seeded(3))
+    assert s.obstacles.shape == (COUNT, 1, 5)
+    there = s.obstacles[:, 0, 3] > 0
+    assert there.float().mean().item() == pytest.approx(0.5, abs=0.04)
+    assert not s.obstacles[~there].any()
+    sides = s.obstacles[there, 0, 3:]
+    assert sides.min() >= 0.3
+    assert sides.max() <= 0.6
+    gaps = []
+    for i in there.nonzero()[:, 0].tolist():
+        table, obstacle = shape(s.table[i].tolist()), shape(s.obstacles[i, 0].tolist())
+        assert table.intersection(obstacle).area < 1e-6
+        assert obstacle.distance(Point(s.pose[i, :2].tolist())) > 0.55 - 1e-5
+        gaps.append(table.distance(obstacle))
+    assert min(gaps) < 0.05  # some leave no way between
+    assert sum(gap > 0.7 for gap in gaps) > 100  # and some do
+
+
+@pytest.mark.parametrize("draw", [general_scenarios, cluttered_scenarios])
+def test_the_generator_decides_and_counts_are_checked(draw: Draw) -> None:
+    one, again, other = (draw(20, seeded(s)) for s in (0, 0, 1))
+    for name, value in vars(one).items():
+        assert torch.equal(value, getattr(again, name))
+    assert not torch.equal(one.object, other.object)
+    nothing = draw(0, seeded(0))
+    assert len(nothing) == 0
+    assert nothing.obstacles.shape[1] == one.obstacles.shape[1]
+    with pytest.raises(SettingsError, match="count is -1"):
+        draw(-1, seeded(0))
+
+
+def test_clutter_changes_nothing_else() -> None:
+    plain, cluttered = general_scenarios(50, seeded(4)), cluttered_scenarios(50, seeded(4))
+    for name in ("pose", "table", "object", "seed"):
+        assert torch.equal(getattr(plain, name), getattr(cluttered, name))
+
+
+def test_every_kind_has_a_name() -> None:
+    assert set(DRAWS) == {*PLACEMENTS, "general", "general-clutter"}
+    assert all(len(draw_of(name)(3, seeded(0))) == 3 for name in DRAWS)
+    assert torch.equal(draw_of("general")(9, seeded(5)).pose, general_scenarios(9, seeded(5)).pose)
+    with pytest.raises(SettingsError, match=r"'General'; use one of near, .*general-clutter$"):
+        draw_of("General")

@@ -1,0 +1,99 @@
+"""Obstacles as they are perceived, beside a plain look at their corners."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cgtorch.errors import DataError
+from cgtorch.tabletop.world.percepts import (
+    obstacles_seen,
+    parted,
+    percept_of,
+    side_seen,
+    table_seen,
+    things_seen,
+)
+
+metres = st.floats(-3, 3)
+angles = st.floats(-7, 7)
+boxes = st.tuples(metres, metres, angles, st.floats(0.1, 1), st.floats(0.1, 1))
+
+
+def plain_box(pose: tuple[float, ...], rectangle: tuple[float, ...]) -> list[float]:
+    """The least and largest x and y of its corners, seen from the robot."""
+    x, y, yaw, sx, sy = rectangle
+    seen = []
+    for a in (-sx / 2, sx / 2):
+        for b in (-sy / 2, sy / 2):
+            dx = x + math.cos(yaw) * a - math.sin(yaw) * b - pose[0]
+            dy = y + math.sin(yaw) * a + math.cos(yaw) * b - pose[1]
+            c, s = math.cos(pose[2]), math.sin(pose[2])
+            seen.append((c * dx + s * dy, c * dy - s * dx))
+    xs, ys = zip(*seen, strict=True)
+    return [min(xs), max(xs), min(ys), max(ys)]
+
+
+@given(st.tuples(metres, metres, angles), st.lists(st.one_of(st.none(), boxes), max_size=3))
+def test_obstacles_are_boxes_and_nothing_is_four_zeros(
+    pose: tuple[float, ...], things: list[tuple[float, ...] | None]
+) -> None:
+    rows = torch.tensor([t or (0.0,) * 5 for t in things], dtype=torch.float64).view(-1, 5)
+    seen = obstacles_seen(torch.tensor(pose, dtype=torch.float64), rows)
+    wanted = [plain_box(pose, t) if t else [0.0] * 4 for t in things]
+    assert seen.tolist() == pytest.approx([v for row in wanted for v in row], abs=1e-9)
+    assert all((v == 0) == (t is None) for v, t in zip(seen[::4].tolist(), things, strict=True))
+
+
+@given(st.tuples(metres, metres, angles), boxes, boxes)
+def test_what_is_seen_can_be_read_back_as_rectangles(
+    pose: tuple[float, ...], table: tuple[float, ...], obstacle: tuple[float, ...]
+) -> None:
+    at = torch.tensor(pose, dtype=torch.float64)
+    top = torch.tensor([*table, 0.7], dtype=torch.float64)
+    others = torch.tensor([obstacle, (0.0,) * 5], dtype=torch.float64)
+    percept = torch.cat([percept_of(at, top, at[:2]), obstacles_seen(at, others)])
+    things = things_seen(percept)
+    assert things.shape == (3, 5)
+    for found, shape in zip(things[:2].tolist(), (table, obstacle), strict=True):
+        x0, x1, y0, y1 = plain_box(pose, shape)
+        middle = [(x0 + x1) / 2, (y0 + y1) / 2, 0, x1 - x0, y1 - y0]
+        assert found == pytest.approx(middle, abs=1e-9)
+    assert not things[2].any()
+
+
+@given(st.tuples(metres, metres, angles), boxes)
+def test_the_side_and_the_box_give_the_table_back(
+    pose: tuple[float, ...], table: tuple[float, ...]
+) -> None:
+    at = torch.tensor(pose, dtype=torch.float64)
+    top = torch.tensor([*table, 0.7], dtype=torch.float64)
+    seven, side = percept_of(at, top, at[:2]), side_seen(at, top)
+    found = table_seen(seven, side)
+    dx, dy = table[0] - pose[0], table[1] - pose[1]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    assert found[:2].tolist() == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=1e-9)
+    half_turns = (float(found[2]) - (table[2] - pose[2])) / math.pi
+    assert half_turns == pytest.approx(round(half_turns), abs=1e-6)
+    assert found[3:].tolist() == pytest.approx(table[3:], abs=1e-9)
+    assert torch.equal(things_seen(torch.cat([seven, side]))[0], found)
+
+
+@pytest.mark.parametrize(
+    ("size", "parts"), [(7, (0, 0)), (9, (2, 0)), (11, (0, 1)), (13, (2, 1)), (15, (0, 2))]
+)
+def test_a_percepts_length_tells_what_it_holds(size: int, parts: tuple[int, int]) -> None:
+    percept = torch.arange(2.0 * size).view(2, size)
+    seven, side, obstacles = parted(percept)
+    assert seven.shape == (2, 7)
+    assert side.shape == (2, parts[0])
+    assert obstacles.shape == (2, parts[1], 4)
+    assert torch.equal(torch.cat([seven, side, obstacles.flatten(1)], 1), percept)
+
+
+@pytest.mark.parametrize("size", [0, 3, 6, 8, 10, 12, 14])
+def test_other_lengths_are_no_percepts(size: int) -> None:
+    with pytest.raises(DataError, match=f"a percept has {size} numbers; give 7, or 9"):
+        parted(torch.zeros(2, size))

@@ -1,0 +1,249 @@
+"""The autonomous loop: what it keeps, how it goes on, and when it says that it is done."""
+
+import json
+import shutil
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support import seeded
+from trained import SMALL, Trained, copied
+
+from cgtorch.errors import RunError, SettingsError
+from cgtorch.training.auto import act, reached, train_until
+from cgtorch.training.evaluate import check_percepts
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.run import Run, create_run, last_skill, open_run
+from cgtorch.runs.storage import load_result
+from cgtorch.training.train import NotImprovedError, train
+from cgtorch.improvement.events import Event, FreshTested, StageStarted
+from cgtorch.improvement.trial import try_skill
+
+GOAL = Goal(target=0.95, rounds=2)
+"""More than two small rounds can reach."""
+
+
+def quietly(message: str) -> nullcontext[None]:
+    return nullcontext()
+
+
+def ignore(event: Event) -> None:
+    """Nobody watches."""
+
+
+def prepared(trained: Trained, folder: Path, stages: tuple[str, ...] = (), **settings: Any) -> Run:
+    """A copy of the small run under settings of its own."""
+    copied(trained, folder, stages)
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"].update(settings)
+    (folder / "run.json").write_text(json.dumps(about))
+    return open_run(folder)
+
+
+Made = tuple[Run, list[Event], list[dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def made(trained: Trained, tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """A run of two rounds, from the start on."""
+    run = prepared(trained, tmp_path_factory.mktemp("auto") / "run", attempts=2)
+    events: list[Event] = []
+    return run, events, train_until(run, GOAL, events.append, quietly)
+
+
+def test_rounds_are_stages_of_the_run(made: Made) -> None:
+    run, events, results = made
+    assert run.stages == run.rounds == ("auto-1", "auto-2")
+    assert [r["stage"] for r in results] == ["auto-1", "auto-2"]
+    assert [load_result(run.folder / r["stage"] / "result.json") for r in results] == results
+    assert last_skill(run.folder)[1].name == results[-1]["skill"]
+    assert [e.stage for e in events if isinstance(e, StageStarted)] == ["auto-1", "auto-2"]
+    summary = json.loads((run.folder / "summary.json").read_text())
+    assert summary["stages"] == results
+    assert summary["reached"] == reached(GOAL, results)
+    assert summary["target"] == 0.95
+
+
+def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
+    """Eq. 1 over the rounds; whatever was met is in W or in M."""
+    run, _, results = made
+    before, missed, met = 0, 200, 200
+    for result in results:
+        progress = load_progress(run, run.folder / result["stage"])
+        assert progress.skill is not None
+        assert try_skill(progress.skill, run.world_of(progress.solved)).succeeded.all()
+        assert not try_skill(progress.skill, run.world_of(progress.missed)).succeeded.any()
+        assert (result["w_size"], result["w_lost"], result["targets"]) == (before, 0, missed)
+        assert result["targets_succeeded"] > 0
+        met += result["fresh"]["tried"] + (result["decisive"] or {"tried": 0})["tried"]
+        before, missed = len(progress.solved), len(progress.missed)
+        assert before + missed == met
+    assert torch.unique(progress.solved.object, dim=0).shape[0] == before
+
+
+def test_fresh_placements_are_told(made: Made) -> None:
+    _, events, results = made
+    told = [e for e in events if isinstance(e, FreshTested) and not e.decisive]
+    assert [(e.succeeded, e.tried) for e in told] == [
+        (r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
+    ]
+
+
+def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
+    """A run that lost its second round makes the same again."""
+    folder = tmp_path / "run"
+    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
+    results = train_until(open_run(folder), GOAL, ignore, quietly)
+    timed = {"seconds": 0, "search_seconds": 0}
+    assert [r | timed for r in results] == [r | timed for r in made[2]]
+    for name in ("skill.json", "scenarios.json", "data.safetensors"):
+        was = (made[0].folder / "auto-2" / name).read_bytes()
+        assert (folder / "auto-2" / name).read_bytes() == was
+
+
+def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
+    run, _, results = made
+    events: list[Event] = []
+    for goal in (Goal(target=0.95, minutes=0), GOAL, Goal(target=0.95, rounds=1)):
+        assert train_until(run, goal, events.append, quietly) == results
+    assert events == []
+
+
+def test_a_run_with_rounds_has_no_further_stages(made: Made) -> None:
+    with pytest.raises(RunError, match="can have no further stage; go on with --stage auto"):
+        train(made[0], "S0", ignore, quietly)
+
+
+def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_path: Path) -> None:
+    """The loop ends with the first test that decides; a run that is done makes no more rounds."""
+    run = prepared(trained, tmp_path / "run", ("S0", "S1"), attempts=2)
+    goal = Goal(target=0.5, rounds=6)
+    events: list[Event] = []
+    results = train_until(run, goal, events.append, quietly)
+    assert [r["stage"] for r in results[:2]] == ["S0", "S1"]
+    assert reached(goal, results[2:])
+    last = results[-1]
+    assert last["decisive"]["tried"] == goal.decisive == 80
+    assert last["decisive"]["succeeded"] >= 40
+    assert last["perimeter"] == last["decisive"]
+    assert [e.decisive for e in events if isinstance(e, FreshTested)][-2:] == [False, True]
+    assert train_until(run, goal, events.append, quietly) == results
+    kept = load_progress(run, run.folder / "S1")
+    final = last_skill(run.folder)[1]
+    assert try_skill(final, run.world_of(kept.solved)).succeeded.all()
+
+
+def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> None:
+    """One generation of two individuals can be lucky, but not under every seed."""
+    hasty = {"population": 2, "generations": 1, "attempts": 1}
+
+    def error(seed: int) -> str:
+        run = prepared(trained, tmp_path / str(seed), seed=seed, **hasty)
+        try:
+            train_until(run, Goal(target=0.5, rounds=1), ignore, quietly)
+        except NotImprovedError as e:
+            return "" if run.stages else str(e)
+        return ""
+
+    message = next(filter(None, map(error, range(20))))
+    assert "stage auto-1 found no skill" in message
+
+
+def decided(succeeded: int, tried: int) -> dict[str, Any]:
+    return {"decisive": {"placement": "perimeter", "tried": tried, "succeeded": succeeded}}
+
+
+def test_only_the_last_round_can_reach_the_goal() -> None:
+    goal, none = Goal(target=0.99), {"decisive": None}
+    assert not reached(goal, [])
+    assert not reached(goal, [none])
+    assert reached(goal, [none, decided(3970, 4000)])
+    assert not reached(goal, [decided(3990, 4000), none])
+    assert not reached(goal, [decided(3900, 4000)])
+    many = [decided(3900, 4000)] * 20
+    assert not reached(goal, [*many, decided(3970, 4000)])  # luck has had many chances
+    assert reached(goal, [*many, decided(3985, 4000)])
+
+
+@pytest.mark.parametrize(
+    ("most", "enough", "tried"), [(50, 12, 50), (850, 10**6, 850), (850, 1, 400), (850, 401, 800)]
+)
+def test_acting_ends_where_enough_was_missed(
+    made: Made, most: int, enough: int, tried: int
+) -> None:
+    score = act(made[0], None, most, seeded(3), enough=enough)
+    assert score.tried == len(score.scenarios) == tried
+    assert score.successes == 0
+    assert len(score.scenarios.seed.unique()) == tried
+
+
+def test_acting_is_trying_in_the_world(made: Made) -> None:
+    run, _, _ = made
+    skill = last_skill(run.folder)[1]
+    score = act(run, skill, 20, seeded(3))
+    again = try_skill(skill, run.world_of(score.scenarios))
+    assert torch.equal(again.succeeded, score.succeeded)
+    assert torch.equal(again.transitions, score.transitions)
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """A round on tables of any kind with things in the way, seen from their edges."""
+    settings = replace(
+        SMALL,
+        scenarios="general-clutter",
+        transitions=100,
+        labels=300,
+        attempts=1,
+    )
+    run = create_run(tmp_path_factory.mktemp("wide") / "run", settings)
+    events: list[Event] = []
+    return run, events, train_until(run, Goal(target=0.5, rounds=1), events.append, quietly)
+
+
+def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
+    """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept."""
+    run, _, results = wide
+    assert {results[0][name]["placement"] for name in ("fresh", "perimeter")} == {"general-clutter"}
+    again, skill = last_skill(run.folder)
+    check_percepts(skill, 13, "the run's scenarios")
+    progress = load_progress(again, again.folder / "auto-1")
+    assert (
+        len(progress.solved) == results[0]["targets_succeeded"] + results[0]["fresh"]["succeeded"]
+    )
+    assert progress.knowledge.dataset.percept.shape[1] == 13
+    both = torch.cat([progress.solved.obstacles, progress.missed.obstacles])
+    assert 0.3 < float((both[:, 0, 3] > 0).float().mean()) < 0.7
+    for scenarios, solved in ((progress.solved, True), (progress.missed, False)):
+        assert len(scenarios.table[:, 2:].unique(dim=0)) == len(scenarios) > 0
+        succeeded = try_skill(skill, again.world_of(scenarios)).succeeded
+        assert succeeded.eq(solved).all()
+
+
+def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
+    with pytest.raises(SettingsError, match="use --stage auto"):
+        train(wide[0], "S0", ignore, quietly)
+
+
+VALUES: list[Callable[[Any], Any]] = [
+    lambda d: 3,
+    lambda d: {},
+    lambda d: {**d, "tried": -1},
+    lambda d: {**d, "succeeded": d["tried"] + 1},
+]
+
+
+@pytest.mark.parametrize("change", VALUES)
+def test_a_damaged_decision(tmp_path: Path, made: Made, change: Callable[[Any], Any]) -> None:
+    path = tmp_path / "result.json"
+    score = decided(3, 4)["decisive"]
+    path.write_text(json.dumps({**made[2][0], "decisive": score}))
+    assert load_result(path)["decisive"] == score
+    path.write_text(json.dumps({**made[2][0], "decisive": change(score)}))
+    with pytest.raises(RunError, match="decisive of "):
+        load_result(path)

@@ -1,0 +1,144 @@
+"""Scores: how often a skill succeeds, and how sure that number is."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support import graspable, random_skill, seeded
+
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
+from cgtorch.errors import SettingsError
+from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
+from cgtorch.graphs import SubSkill
+from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios
+
+FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
+
+
+def score(successes: int, tried: int) -> Score:
+    return Score(
+        random_scenarios("near", tried, seeded(0)),
+        torch.arange(tried) < successes,
+        torch.ones(tried, dtype=torch.long),
+    )
+
+
+# From statsmodels.stats.proportion.proportion_confint(k, n, method="wilson").
+@pytest.mark.parametrize(
+    ("successes", "tried", "low", "high"),
+    [
+        (0, 10, 0.0, 0.277533),
+        (1, 10, 0.017876, 0.404150),
+        (5, 10, 0.236593, 0.763407),
+        (10, 10, 0.722467, 1.0),
+        (34, 40, 0.709250, 0.929433),
+        (81, 263, 0.255297, 0.366210),  # Newcombe 1998, table I, method 3: 0.2553 to 0.3662
+        (15, 148, 0.062386, 0.160508),  # … 0.0624 to 0.1605
+        (0, 20, 0.0, 0.161125),  # … 0.0000 to 0.1611
+        (1, 29, 0.006113, 0.171755),  # … 0.0061 to 0.1718
+    ],
+)
+def test_the_interval_is_wilsons(successes: int, tried: int, low: float, high: float) -> None:
+    one = score(successes, tried)
+    assert (one.successes, one.tried) == (successes, tried)
+    assert one.rate == pytest.approx(successes / tried)
+    assert one.interval == pytest.approx((low, high), abs=1e-4)
+    assert one.interval[0] - 1e-9 <= one.rate <= one.interval[1] + 1e-9
+
+
+def test_nothing_tried() -> None:
+    nothing = score(0, 0)
+    assert (nothing.tried, nothing.successes, nothing.rate) == (0, 0, 0)
+    assert nothing.interval[0] == 0
+
+
+def world_of(scenarios: Scenarios) -> TabletopWorld:
+    return TabletopWorld(scenarios, graspable, FOOTPRINT)
+
+
+def test_scenarios_come_from_the_seed() -> None:
+    skill = random_skill(4, "some", paper_actions())
+    first, again, other = (evaluate_skill(skill, world_of, "left", 30, s) for s in (1, 1, 2))
+    assert torch.equal(first.scenarios.object, again.scenarios.object)
+    assert torch.equal(first.succeeded, again.succeeded)
+    assert not torch.equal(first.scenarios.object, other.scenarios.object)
+    alone = try_skill(skill, world_of(first.scenarios))
+    assert torch.equal(alone.succeeded, first.succeeded)
+    assert torch.equal(alone.transitions, first.transitions)
+
+
+def test_parts_change_nothing_and_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    skill, told = random_skill(1, "any", paper_actions()), list[int]()
+    whole = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    assert told == [20]
+    monkeypatch.setattr("cgtorch.training.evaluate.PART", 7)
+    parts = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    assert told == [20, 7, 7, 6]
+    assert torch.equal(whole.succeeded, parts.succeeded)
+    assert torch.equal(whole.transitions, parts.transitions)
+    assert torch.equal(whole.scenarios.seed, parts.scenarios.seed)
+
+
+def test_the_score_on_some() -> None:
+    mask = torch.tensor([True, False, True, True])
+    some = score(2, 4).of(mask)
+    assert (some.tried, some.successes) == (3, 1)
+    assert torch.equal(some.scenarios.object, score(2, 4).scenarios.object[mask])
+    assert score(2, 4).of(~mask).interval == score(1, 1).interval
+
+
+@given(successes=st.integers(0, 30), tried=st.integers(30, 60), seed=st.integers(0, 9))
+def test_what_is_met_again_is_what_was_solved(successes: int, tried: int, seed: int) -> None:
+    solved = score(successes, tried).scenarios
+    skill = random_skill(4, "some", paper_actions())
+    again = under_other_noise(skill, world_of, solved, seed, most=40)
+    assert again.tried == min(40, tried)
+    places = {tuple(row) for row in solved.object.tolist()}
+    assert {tuple(row) for row in again.scenarios.object.tolist()} <= places
+    assert not set(again.scenarios.seed.tolist()) & set(solved.seed.tolist())
+
+
+@pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])
+def test_bad_requests(placement: str, count: int) -> None:
+    with pytest.raises(SettingsError):
+        evaluate_skill(random_skill(4, "some", paper_actions()), world_of, placement, count, 0)
+
+
+def wider_actions() -> ActionSet:
+    """The paper's actions with networks that read eleven numbers."""
+    paper = paper_actions()
+    return ActionSet(
+        paper.names, (*paper.actions[:3], ContinuousNN(inputs=11), BranchingNN(inputs=11))
+    )
+
+
+def test_a_skill_of_the_papers_table_can_be_tried_on_any_table() -> None:
+    skill = random_skill(4, "some", paper_actions())
+    score = evaluate_skill(skill, world_of, "general", 30, 1)
+    assert score.tried == 30
+    assert torch.equal(try_skill(skill, world_of(score.scenarios)).succeeded, score.succeeded)
+
+
+def test_a_skill_must_read_what_there_is_to_see() -> None:
+    narrow, wide = (random_skill(4, "some", a) for a in (paper_actions(), wider_actions()))
+    assert evaluate_skill(wide, world_of, "general-clutter", 10, 1).tried == 10
+    for skill, kind, says in (
+        (
+            narrow,
+            "general-clutter",
+            "'some' reads percepts of 7 numbers, .* general-clutter have 11",
+        ),
+        (wide, "general", "'some' reads percepts of 11 numbers, .* general have 7"),
+        (wide, "near", "of near have 7; use"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            evaluate_skill(skill, world_of, kind, 10, 1)
+
+
+def test_a_skill_within_a_skill_must_fit_too() -> None:
+    inner = random_skill(4, "inner", paper_actions())
+    actions = wider_actions().extended(["inner"], [SubSkill(inner)])
+    outer = random_skill(5, "outer", actions)
+    with pytest.raises(SettingsError, match="'inner' reads percepts of 7 numbers"):
+        evaluate_skill(outer, world_of, "general-clutter", 10, 1)
