@@ -16,12 +16,12 @@ import click
 import torch
 from support import model, seeded, stochastic_actions
 
-from cgtorch.parallel import distributed as ranks
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.runs.journal import FileJournal
 from cgtorch.improvement.events import Event, GenerationDone
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
+from cgtorch.parallel import distributed as ranks
+from cgtorch.runs.journal import FileJournal
 from cgtorch.svm.storage import notes_of
 
 COUNTS = range(1, 5)

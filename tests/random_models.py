@@ -6,9 +6,10 @@ import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.tabletop.models import SuccessClassifier, TransitionModel
-from cgtorch.tabletop.models.grasp_features import grasp_features
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
+from cgtorch.tabletop.models.engine import compiled_models
+from cgtorch.tabletop.models.grasp_features import grasp_features
 from cgtorch.tabletop.world import (
     ClearWay,
     TabletopWorld,
@@ -35,8 +36,8 @@ def first_percepts(seed: int, count: int, percept: str, obstacles: int) -> Tenso
     return found[:, : PERCEPTS[percept] + 4 * obstacles]
 
 
-def random_gamma(seed: int) -> TransitionModel:
-    generator, gamma = seeded(seed), TransitionModel()
+def random_gamma(seed: int) -> TableTransitionModel:
+    generator, gamma = seeded(seed), TableTransitionModel()
     gamma.sides = torch.tensor([0.7, 1.4], dtype=torch.float64)
     gamma.most = torch.tensor([3.0, 2.5, 3.2, 0.2], dtype=torch.float64)
     gamma.mean = torch.rand(4, generator=generator).double()
@@ -47,9 +48,9 @@ def random_gamma(seed: int) -> TransitionModel:
     return gamma
 
 
-def random_classifier(seed: int, percepts: Tensor) -> SuccessClassifier:
+def random_classifier(seed: int, percepts: Tensor) -> GraspClassifier:
     """One whose features are those of the percepts, without the height for an odd seed."""
-    generator, model = seeded(seed), SuccessClassifier()
+    generator, model = seeded(seed), GraspClassifier()
     features = grasp_features(percepts)
     if features.shape[1] == 8:
         features = features[:, : 8 - seed % 2]
@@ -84,6 +85,7 @@ def random_models(
         ClearWay(torch.tensor(FOOTPRINT, dtype=torch.float64)),
         errors=noise if errors else None,
         most_novel=0.9,
+        compiled=compiled_models,
     )
 
 
@@ -105,4 +107,5 @@ def models_as(
         ClearWay(environment.possible.footprint.to(device, dtype)),  # type: ignore[attr-defined]
         errors=None if errors is None else errors.to(device, dtype),
         most_novel=environment.most_novel,
+        compiled=environment.compiled,
     )

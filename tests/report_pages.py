@@ -61,9 +61,9 @@ def hostile_run(target: Path) -> Path:
     ]
     changed(folder / "run.json", cgtorch=one, torch={one: [one]}, history=history)
     changed(folder / "robot" / "robot.json", name=one)
-    score = {"placement": one, "tried": 4, "succeeded": 3}
+    score = {"scenarios": one, "tried": 4, "succeeded": 3}
     changed(
-        folder / "S0" / "result.json", stage=one, edge=one, fresh=score, perimeter=score,
+        folder / "S0" / "result.json", stage=one, scenarios=one, fresh=score, overall=score,
         search_seconds=one,
     )  # fmt: skip
     rewrite(folder / "summary.json", {"target": one, "minutes": one, one: one})

@@ -157,7 +157,9 @@ def model(seed: int, count: int, dtype: torch.dtype = torch.float32) -> ModelEnv
 def judged_by(environment: ModelEnvironment, classifier: Classifier) -> ModelEnvironment:
     """The same models with another C."""
     e = environment
-    return ModelEnvironment(e.percepts, e.gamma, classifier, e.possible, errors=e.errors)
+    return ModelEnvironment(
+        e.percepts, e.gamma, classifier, e.possible, errors=e.errors, compiled=e.compiled
+    )
 
 
 def as_double(graphs: Graphs) -> Graphs:

@@ -19,7 +19,7 @@ from torch import Tensor
 import cgtorch
 
 PACKAGES = [m.name for m in pkgutil.iter_modules(cgtorch.__path__) if m.ispkg]
-MODULES = ["chance", "environment", "errors"]  # modules of their own that users import from
+MODULES = ["errors", "numerics.counter_rng"]  # modules of their own that users import from
 SHAPE = re.compile(r"\([A-Z0-9a-z_.,:·+*/ ×-]*(,|\))")  # such as (n, D), (B,) or (...)
 
 

@@ -13,11 +13,12 @@ from typing import Any
 from safetensors.torch import load
 from torch import Tensor
 
+from cgtorch.improvement.events import Event, WorldTested
 from cgtorch.runs.run import Run, create_run, open_run
 from cgtorch.runs.settings import RunSettings
-from cgtorch.training.train import train
-from cgtorch.improvement.events import Event, WorldTested
 from cgtorch.svm.storage import notes_of
+from cgtorch.training.context import Training
+from cgtorch.training.train import train
 
 SMALL = RunSettings(
     seed=6,
@@ -45,7 +46,7 @@ def trained_run(base: Path) -> Trained:
     """The run, in a folder within `base`."""
     events: list[Event] = []
     run = create_run(base / "trained", SMALL)
-    results = train(run, STAGE, events.append, lambda message: nullcontext())
+    results = train(Training(run, events.append, lambda message: nullcontext()), STAGE)
     return Trained(run.folder, tuple(events), results)
 
 
@@ -74,7 +75,7 @@ def begin_last(run: Run) -> dict[str, Tensor]:
             raise KeyboardInterrupt
 
     with suppress(KeyboardInterrupt):
-        train(run, STAGE, stop, lambda message: nullcontext())
+        train(Training(run, stop, lambda message: nullcontext()), STAGE)
     return first_evolution(run.folder / "journal")
 
 

@@ -23,19 +23,21 @@ import torch
 from comparison.table import summary, table
 
 from cgtorch.evolution import EvolutionSettings, tournament
-from cgtorch.training.auto import ENOUGH, act, train_until
-from cgtorch.training.initial_models import beginning
-from cgtorch.training.evaluate import evaluate_skill
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run, open_run
-from cgtorch.runs.settings import RunSettings
-from cgtorch.training.stages import PERIMETER, STAGES, exercise, round_name, stage_generator
-from cgtorch.training.train import NotImprovedError, make_setup, train
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.stopping import Budget
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.run import Run, create_run, open_run, round_name
+from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training.auto import ENOUGH, act, train_until
+from cgtorch.training.context import Training
+from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.training.initial_models import initial_progress
+from cgtorch.training.stages import exercise, stage_generator
+from cgtorch.training.train import NotImprovedError, train
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
 
@@ -66,7 +68,8 @@ class Meter:
             self.search += now - self.last
         elif isinstance(event, SkillAccepted):
             spent, seed = self.cost, FRESH_SEED + self.run.settings.seed
-            score = evaluate_skill(event.skill, self.run.world_of, PERIMETER, self.placements, seed)
+            domain = self.run.domain
+            score = evaluate_skill(event.skill, domain, "perimeter", self.placements, seed)
             point = {"stage": event.stage, **spent, "succeeded": score.successes}
             size = {"nodes": event.skill.num_nodes, "depth": event.skill.depth}
             self.points.append({**point, **size})
@@ -86,15 +89,15 @@ class Meter:
 
 def by_stages(run: Run, meter: Meter, budget: float) -> None:
     """The default: S0 to S3."""
-    train(run, list(STAGES)[-1], meter, quietly)
+    train(Training(run, meter, quietly), list(run.domain.stages)[-1])
 
 
 def by_rounds(run: Run, meter: Meter, budget: float) -> None:
     """The default with `--stage auto`; it ends by its goal, not by the clock."""
-    train_until(run, Goal(minutes=1e6), meter, quietly)
+    train_until(Training(run, meter, quietly), Goal(minutes=1e6))
 
 
-def published(setup: Setup) -> Setup:
+def published(setup: Setup[Any]) -> Setup[Any]:
     """The settings that the paper and the code it names publish.
 
     The paper: tournament selection, elitism, τ = 0.05, 20 transitions, half of the first population
@@ -114,12 +117,14 @@ def published(setup: Setup) -> Setup:
 
 def paper(run: Run, meter: Meter, budget: float) -> None:
     """The paper's method with its own settings."""
-    grow_all(run, published(make_setup(run)), meter, budget)
+    training = Training(run, meter, quietly)
+    grow_all(training, published(training.setup()), meter, budget)
 
 
 def paper_here(run: Run, meter: Meter, budget: float) -> None:
     """The paper's method with the run's population, tournament and end of evolutions."""
-    grow_all(run, make_setup(run), meter, budget)
+    training = Training(run, meter, quietly)
+    grow_all(training, training.setup(), meter, budget)
 
 
 METHODS: dict[str, Callable[[Run, Meter, float], None]] = {
@@ -132,29 +137,30 @@ DEFAULTS = ("stages", "auto")  # their cost is the others' budget
 USUAL = ("stages", "auto", "paper")
 
 
-def grow_all(run: Run, setup: Setup, meter: Meter, budget: float) -> None:
+def grow_all(training: Training, setup: Setup[Any], meter: Meter, budget: float) -> None:
     """Algorithm 1 as published: S0 to S3 and then fresh failures, until the budget is spent.
 
     A stage goes on until all of its scenarios are solved or its share of what is left is spent;
     what it has missed joins the next one. Only one evolution is made at a time, so that each skill
     it accepts is measured.
     """
-    progress = beginning(run, meter, quietly)
-    names = [*STAGES, *(round_name(i + 1) for i in range(1000))]
+    run, progress = training.run, initial_progress(training)
+    stages = list(run.domain.stages)
+    names = [*stages, *(round_name(i + 1) for i in range(1000))]
     for i, name in enumerate(names):
         if meter.transitions >= budget:
             return
-        generator = stage_generator(run.settings.seed, name)
-        if name in STAGES:
-            todo = exercise(name, progress.missed, 0, generator).scenarios
+        generator = stage_generator(run.domain, run.settings.seed, name)
+        if name in stages:
+            todo = exercise(run, name, progress.missed, 0, generator).scenarios
         elif progress.skill is None:
-            raise NotImprovedError(f"nothing was accepted in {', '.join(STAGES)}")
+            raise NotImprovedError(f"nothing was accepted in {', '.join(stages)}")
         else:
             score = act(run, progress.skill, Goal().screening, generator)
             todo = score.scenarios[(~score.succeeded).nonzero()[:ENOUGH, 0]]
             if not len(todo):
                 return
-        end = meter.transitions + (budget - meter.transitions) / max(1, len(STAGES) - i)
+        end = meter.transitions + (budget - meter.transitions) / max(1, len(stages) - i)
         progress = replace(progress, missed=todo)
         for _ in range(setup.attempts):
             if not len(progress.missed) or meter.transitions >= end:
@@ -163,13 +169,13 @@ def grow_all(run: Run, setup: Setup, meter: Meter, budget: float) -> None:
 
 
 def grow_once(
-    setup: Setup,
-    progress: Progress,
+    setup: Setup[Any],
+    progress: Progress[Any],
     name: str,
     end: float,
     meter: Meter,
     generator: torch.Generator,
-) -> Progress:
+) -> Progress[Any]:
     """One evolution on all that is missed, which ends at `end` transitions at the latest."""
     left = replace(setup.budget, transitions=end - meter.transitions)
     once = replace(setup, attempts=1, budget=left)
@@ -200,7 +206,7 @@ def compare(
     if all(made[name].is_file() for name in methods):
         return
     common = begun(folder / f"seed-{seed}" / "begin", settings)
-    beginning(common, lambda event: None, quietly)
+    initial_progress(Training(common, lambda event: None, quietly))
     for name in methods:
         if made[name].is_file():
             continue
@@ -269,7 +275,8 @@ def main(
     numbers = seeds_in(seeds)
     folder.mkdir(parents=True, exist_ok=True)
     for seed in numbers:
-        compare(folder, RunSettings(seed=seed), methods, budget, placements)
+        settings = RunSettings(**{**defaults_of(TabletopSettings), "seed": seed})
+        compare(folder, settings, methods, budget, placements)
     results = [read_json(path) for path in sorted(folder.glob("seed-*.json"))]
     text = table(results)
     write_bytes(folder / "table.md", text.encode())

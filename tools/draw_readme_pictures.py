@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
-from cgtorch.training.evaluate import evaluate_skill
+import torch
+
+from cgtorch.report import draw_skill
 from cgtorch.runs.run import last_skill
-from cgtorch.report import draw_skill, draw_table_top
+from cgtorch.training.evaluate import evaluate_skill
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -15,9 +17,10 @@ def main() -> None:
     images = ROOT / "docs" / "images"
     images.mkdir(parents=True, exist_ok=True)
     draw_skill(skill).savefig(images / "skill.png", dpi=80)
-    score = evaluate_skill(skill, run.world_of, "perimeter", 200, 5)
-    footprint = run.robot.description.footprint
-    picture = draw_table_top(score.scenarios, score.succeeded, footprint=footprint)
+    score = evaluate_skill(skill, run.domain, "perimeter", 200, 5)
+    nothing = torch.zeros_like(score.succeeded)
+    picture = run.domain.draw_scenarios(score.scenarios, score.succeeded, nothing)
+    assert picture is not None  # noqa: S101  of a tabletop there is one
     picture.savefig(images / "table.png", dpi=80)
 
 

@@ -20,14 +20,12 @@ from typing import Any
 import click
 import torch
 
-from cgtorch.parallel import distributed as ranks
 from cgtorch.evolution import EvolutionSettings, evaluate
 from cgtorch.evolution.population import random_population
+from cgtorch.improvement.trial import first_percepts
+from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
-from cgtorch.domains.knowledge import imagine
-from cgtorch.improvement.trial import first_percepts
-from cgtorch.tabletop.world import random_scenarios
 
 REFERENCE = Path(__file__).resolve().parent.parent / "runs" / "reference"
 SCENARIOS = 20
@@ -83,9 +81,10 @@ def evaluate_as_rank(population: int, repeats: int) -> None:
     """Evaluate the population with the other ranks; the first one prints what it took."""
     torch.set_num_threads(1)
     generator, run = torch.Generator().manual_seed(0), open_run(REFERENCE)
-    world = run.world_of(random_scenarios("perimeter", SCENARIOS, generator))
-    knowledge = load_knowledge(REFERENCE / "S3")
-    environment = imagine(knowledge, first_percepts(world), world.footprint, 1, generator)
+    domain = run.domain
+    percepts = first_percepts(domain.world(domain.draw("perimeter", SCENARIOS, generator)))
+    knowledge = load_knowledge(REFERENCE / "S3", domain.unfitted())
+    environment = domain.imagine(knowledge, percepts, 1, generator)
     settings = EvolutionSettings(population)
     sizes = settings.capacity, settings.initial_nodes
     graphs = random_population(population, run.actions, *sizes, generator).graphs

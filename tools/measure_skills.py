@@ -19,11 +19,11 @@ from typing import Any
 import click
 import torch
 
-from cgtorch.training.evaluate import evaluate_skill
-from cgtorch.runs.ledger import read_index
-from cgtorch.runs.run import last_skill
 from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill
+from cgtorch.runs.ledger import read_index
+from cgtorch.runs.run import last_skill
+from cgtorch.training.evaluate import evaluate_skill
 
 KINDS: dict[str, tuple[list[str], list[str]]] = {
     "stages": (["--stage", "S3"], ["perimeter", "near", "left", "right", "far"]),
@@ -83,7 +83,7 @@ def measured(
     seconds = time.perf_counter() - began
     run, skill = last_skill(run_folder)
     scores = [
-        evaluate_skill(skill, run.world_of, name, count, FRESH_SEED + seed) for name in placements
+        evaluate_skill(skill, run.domain, name, count, FRESH_SEED + seed) for name in placements
     ]
     stages: list[dict[str, Any]] = read_json(run_folder / "summary.json")["stages"]
     result = {

@@ -6,13 +6,19 @@ Nothing here imports torch, as nobody waits a second for a word.
 from collections.abc import Callable, Iterable
 from importlib.metadata import distribution, entry_points
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from click import Command, Context, Parameter
 from click.shell_completion import CompletionItem, get_completion_class
 
+from cgtorch.errors import CgtorchError
+
+if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain
+
 SHELLS = ("bash", "zsh", "fish")
-SCENARIOS = ("near", "left", "right", "far", "perimeter", "general", "general-clutter")
+TRAINED = ("perimeter", "general", "general-clutter")
+SCENARIOS = ("near", "left", "right", "far", *TRAINED)
 STAGES = ("S0", "S1", "S2", "S3", "auto")
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -51,20 +57,31 @@ def domains(context: Context, parameter: Parameter, incomplete: str) -> list[Com
 def kinds_of_domain(
     context: Context, parameter: Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The kinds of scenarios of the domain that a command line is about."""
-    from cgtorch.commands.domain_command import domain_kinds
-
-    return one_of(domain_kinds(context))(context, parameter, incomplete)
+    """The kinds of scenarios that a run about the domain of a command line can be about."""
+    words = _of_domain(context, TRAINED, lambda domain: domain.trained_kinds or domain.kinds)
+    return one_of(words)(context, parameter, incomplete)
 
 
 def stages(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """The stages of the domain that a command line is about, and auto."""
+    words = _of_domain(context, STAGES, lambda domain: (*domain.stages, "auto"))
+    return one_of(words)(context, parameter, incomplete)
+
+
+def _of_domain(
+    context: Context, of_tabletop: Iterable[str], of: Callable[["type[Domain[Any]]"], Iterable[str]]
+) -> Iterable[str]:
+    """Words of the domain that a command line is about, none if there is no such domain."""
     from cgtorch.commands.domain_command import KEY
     from cgtorch.domains.registry import TABLETOP, domain_class
 
     spec = context.meta.get(KEY, TABLETOP)
-    words = STAGES if spec == TABLETOP else (*domain_class(spec).stages, "auto")
-    return one_of(words)(context, parameter, incomplete)
+    if spec == TABLETOP:
+        return of_tabletop
+    try:
+        return of(domain_class(spec))
+    except CgtorchError:
+        return ()
 
 
 def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:

@@ -1,6 +1,5 @@
 """A command whose options are those of the domain that it is about."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,9 @@ from typing import Any
 import click
 
 from cgtorch.commands.command import import_from_here
-from cgtorch.commands.completion import SCENARIOS
 from cgtorch.domains.registry import is_code
 from cgtorch.errors import CgtorchError
+from cgtorch.files import read_json
 from cgtorch.runs.settings import RunSettings
 
 KEY = "cgtorch.domain"
@@ -54,8 +53,8 @@ def domain_named(args: list[str]) -> str:
     run = _value(args, "--resume")
     if spec is None and run is not None:
         try:
-            spec = json.loads((Path(run) / "run.json").read_text())["settings"]["domain"]
-        except (OSError, ValueError, TypeError, KeyError):
+            spec = read_json(Path(run) / "run.json")["settings"]["domain"]
+        except (CgtorchError, TypeError, KeyError):
             spec = None  # what is wrong with it is told once the run is opened
         if not isinstance(spec, str) or is_code(spec):
             spec = None
@@ -69,13 +68,3 @@ def _value(args: list[str], option: str) -> str | None:
         if word.startswith(f"{option}="):
             return word.partition("=")[2]
     return None
-
-
-def domain_kinds(context: click.Context) -> tuple[str, ...]:
-    """The kinds of scenarios of the domain that a command is about, for shells to complete."""
-    spec = context.meta.get(KEY, RunSettings.domain)
-    if spec == RunSettings.domain:
-        return SCENARIOS
-    from cgtorch.domains.registry import domain_class
-
-    return domain_class(spec).kinds

@@ -11,7 +11,7 @@ from cgtorch.commands.command import import_from_here, importing, options_of, ru
 from cgtorch.commands.completion import DEVICES, domains, kinds_of_domain, one_of, runs, stages
 from cgtorch.commands.domain_command import KEY, DomainCommand
 from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
-from cgtorch.domains.registry import settings_class
+from cgtorch.domains.registry import check_options, settings_class
 from cgtorch.errors import SettingsError
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import NAMES, RunSettings, defaults_of
@@ -36,6 +36,8 @@ Examples:
 
 def _options(spec: str) -> list[click.Option]:
     """The options of all settings of a run about a domain, and of its goal."""
+    goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
+    check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
     skip, complete = ("actions", "domain"), {"scenarios": kinds_of_domain}
     return [
@@ -123,7 +125,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     wish = Wish(
         stage=options["stage"],
         goal=goal,
-        goal_given=bool(given & goal_names),
+        goal_given=frozenset(given & goal_names),
         device=options["device"],
         quiet=options["quiet"],
         checkpoint_seconds=options["checkpoint_seconds"],

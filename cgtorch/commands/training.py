@@ -11,6 +11,7 @@ import torch
 from rich.console import Console
 
 from cgtorch import native
+from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.errors import SettingsError
 from cgtorch.improvement.events import Event, Watch
@@ -26,11 +27,11 @@ from cgtorch.runs.resume_settings import (
     remember_goal,
     take_over,
 )
-from cgtorch.runs.run import AUTO, Run, create_run, open_run
+from cgtorch.runs.run import AUTO, Run, open_run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.training.auto import reached, train_until
 from cgtorch.training.context import Training
-from cgtorch.training.stages import check_stages, stages_up_to
+from cgtorch.training.stages import stages_to_make, stages_up_to
 from cgtorch.training.train import finished_generations, train
 
 
@@ -42,7 +43,7 @@ class Wish:
         stage: the last stage to make, "auto" to go on until the goal is met, or None for what the
             run was begun for, or its domain's usual one.
         goal: of "auto".
-        goal_given: whether any of the goal was given.
+        goal_given: what of the goal was given, by name.
         device: where populations are evaluated.
         quiet: print the final table only.
         checkpoint_seconds: between two notes of where an evolution stands.
@@ -50,7 +51,7 @@ class Wish:
 
     stage: str | None
     goal: Goal
-    goal_given: bool
+    goal_given: frozenset[str]
     device: str
     quiet: bool
     checkpoint_seconds: float
@@ -65,11 +66,18 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
         domain_settings: of its domain.
         wish: what else is asked for.
     """
-    where, run = device_of(wish.device), None
-    if not (folder / "run.json").is_file() and ranks.first():
-        run = create_run(folder, settings, domain_settings)
-    ranks.wait()
-    run = run or open_run(folder, settings.actions, settings.domain)
+    where = device_of(wish.device)
+    domain_settings = with_name(settings.domain, domain_settings)
+    if ranks.agreed(not (folder / "run.json").is_file()):
+        # On every rank, as they share what the world has to compute.
+        run = planned_run(folder, settings, domain_settings)
+        _stage(run, wish, {})
+        ranks.wait()  # all have seen the folder before anyone writes
+        if ranks.first():
+            write_run(run)
+        ranks.wait()
+    else:
+        run = open_run(folder, settings.actions, settings.domain)
     given = {**to_plain(settings), **to_plain(domain_settings)}
     refuse_others(run, given, "choose another --run-dir")
     _train(run, settings, wish, where)
@@ -123,25 +131,33 @@ def _asked(run: Run, wish: Wish) -> Wish:
 
     Raises:
         SettingsError: there is no such stage, or a goal is given for one.
+        RunError: the run can have no further stage.
     """
     before = goes_on_to(run)
-    stage = wish.stage or str(before.get("stage") or type(run.domain.settings).usual_stage)
+    stage, goal = _stage(run, wish, before), wish.goal
+    if wish.stage is None and isinstance(before.get("goal"), dict):
+        given = {name: getattr(goal, name) for name in wish.goal_given}
+        try:
+            goal = Goal(**{**before["goal"], **given})
+        except TypeError as e:
+            raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
+    remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
+    return replace(wish, stage=stage, goal=goal)
+
+
+def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
+    """The stage to make, given what the run was begun for; errors as of `_asked`."""
+    stage = wish.stage
+    if stage is None:
+        stage = str(before.get("stage") or type(run.domain.settings).usual_stage)
     if stage != AUTO:
         if wish.goal_given:
             raise SettingsError(
                 f"--target, --minutes and --rounds are for --stage {AUTO}; add that or leave them "
                 "out"
             )
-        stages_up_to(run.domain, stage)
-        check_stages(run)
-    goal = wish.goal
-    if wish.stage is None and not wish.goal_given and isinstance(before.get("goal"), dict):
-        try:
-            goal = Goal(**before["goal"])
-        except TypeError as e:
-            raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
-    remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
-    return replace(wish, stage=stage, goal=goal)
+        stages_to_make(run, stage)
+    return stage
 
 
 def _train(run: Run, settings: RunSettings, wish: Wish, device: torch.device) -> None:

@@ -117,8 +117,9 @@ class Offer(NamedTuple):
 
 def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None) -> Offer:
     """The skills of a run, or the skill of a file."""
+    from cgtorch.domains.registry import TABLETOP
     from cgtorch.runs.ledger import read_entry, read_index
-    from cgtorch.runs.run import last_skill, lone_skill, open_run
+    from cgtorch.runs.run import last_skill, lone_skill, open_run, stored_domain
     from cgtorch.tabletop.domain import Tabletop
     from cgtorch.tabletop.viewer.choice import Candidate
 
@@ -127,17 +128,18 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
         assert isinstance(domain, Tabletop)  # noqa: S101  nothing else was asked for
         lone = Candidate(skill, domain.robot, domain.world)
         return Offer(path.resolve(), skill.name, kind, {skill.name: lone})
+    if (spec := stored_domain(path)) not in (None, TABLETOP):
+        raise SettingsError(
+            f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched; see "
+            "cgtorch-report"
+        )
     if name is None:
         run, skill = last_skill(path, actions)
     else:
         run = open_run(path, actions)
         skill = read_entry(path, name, run.actions, run.like()).skill
     domain = run.domain
-    if not isinstance(domain, Tabletop):
-        raise SettingsError(
-            f"run {str(path)!r} is about domain {run.settings.domain!r}, and only the tabletop can "
-            "be watched; see cgtorch-report"
-        )
+    assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
     names = [line["name"] for line in read_index(run.folder)]
     entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
     skills = entries | {skill.name: skill}

@@ -90,7 +90,8 @@ def _check_rewards(world: Any, who: str) -> None:
     over = returned(DomainError, f"{who}'s world.over", world.over, lanes)
     expect(DomainError, f"{who}'s world.over", "", over, (ROWS,), torch.bool)
     gained = returned(DomainError, f"{who}'s world.returns", world.returns, lanes)
-    if not isinstance(gained, torch.Tensor) or gained.shape != (ROWS,):
+    floats = isinstance(gained, torch.Tensor) and gained.is_floating_point()
+    if not floats or gained.shape != (ROWS,):
         raise DomainError(
             f"{who}'s world.returns returned {kind(gained)}; return a tensor ({ROWS},) of floats"
         )

@@ -267,6 +267,8 @@ class Domain(ABC, Generic[S]):
     ) -> "Figure | None":
         """A picture of what a skill has solved; None if the domain has none.
 
+        A label of the figure (`Figure.set_label`) is told below it in a report.
+
         Args:
             scenarios: B of them.
             succeeded: (B,) bool.

@@ -28,9 +28,11 @@ def random_controls(control: Sequence[Field], count: int, generator: Generator) 
                 f"control {field.name!r} has no bounds, between which it could be tried at random; "
                 "give its Field low and high, or implement explore"
             )
-    drawn = low + (high - low) * torch.rand(count, len(control), generator=generator)
-    for i in columns_of(control, "discrete"):
-        drawn[:, i] = drawn[:, i].round()
+    share = torch.rand(count, len(control), generator=generator)
+    drawn = low + (high - low) * share
+    for i in columns_of(control, "discrete"):  # each whole number as often as any other
+        whole = low[i] + (high[i] - low[i] + 1) * share[:, i]
+        drawn[:, i] = whole.floor().clamp(max=high[i])
     return drawn
 
 
@@ -61,7 +63,7 @@ def explore(
     moved: list[tuple[Tensor, Tensor, Tensor]] = []
     tested: list[tuple[Tensor, Tensor]] = []
     for _ in range(MOST_TRIES):
-        count = 16 + transitions // MOVES
+        count = 16 + max(transitions, tests) // MOVES
         world = world_of(draw(count, generator))
         lanes = start_lanes(world, torch.arange(count), 0, 0)
         for _ in range(MOVES):

@@ -196,8 +196,8 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
         believed = knowledge.classifier(experience.tested) > 0.5
     surprise = believed != experience.succeeded
     new, aside = parted(sampled(experience, surprise, MOST_NEW, generator))
-    gamma, moves, first = _learn_transitions(knowledge, new, generator)
-    classifier, tests, second = _learn_labels(knowledge, new, generator)
+    gamma, moves, first = _learn_transitions(knowledge, new)
+    classifier, tests, second = _learn_labels(knowledge, new)
     data = taken(knowledge.dataset, moves, tests)
     yes = torch.tensor([first.accepted]), torch.tensor([second.accepted])
     data, aside = (
@@ -219,7 +219,7 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
 
 
 def _learn_transitions(
-    knowledge: Knowledge, new: Dataset, generator: Generator
+    knowledge: Knowledge, new: Dataset
 ) -> tuple[TransitionModel, Tensor, Acceptance]:
     """The Γ to go on with, the old transitions (m,) that stay, and the acceptance."""
     old, aside = knowledge.dataset, knowledge.aside
@@ -227,7 +227,7 @@ def _learn_transitions(
     moves, start = transition_coreset(knowledge.gamma, *rows, MOST_TRANSITIONS)
     more = new.percept, new.control, new.next_percept
     both = (torch.cat([a[moves], b]) for a, b in zip(rows, more, strict=True))
-    gamma = update_transition_model(start, *both, seed=generator)
+    gamma = update_transition_model(start, *both)
     with torch.no_grad():
         before, after = (
             model.errors(model(aside.percept, aside.control), aside.next_percept)
@@ -240,7 +240,7 @@ def _learn_transitions(
 
 
 def _learn_labels(
-    knowledge: Knowledge, new: Dataset, generator: Generator
+    knowledge: Knowledge, new: Dataset
 ) -> tuple[SuccessClassifier, Tensor, Acceptance]:
     """The C to go on with, the old labels (m,) that stay, and the acceptance, by Brier's score."""
     old, aside = knowledge.dataset, knowledge.aside
@@ -249,7 +249,6 @@ def _learn_labels(
         start,
         torch.cat([old.tested[tests], new.tested]),
         torch.cat([old.succeeded[tests], new.succeeded]),
-        seed=generator,
     )
     with torch.no_grad():
         before, after = (

@@ -28,7 +28,6 @@ def update_transition_model(
     control: Any,
     next_percept: Any,
     *,
-    seed: int | torch.Generator = 0,
     max_memory: int = inputs.MAX_MEMORY,
 ) -> G:
     """A new Γ fitted on more transitions; the old one stays as it is.
@@ -38,7 +37,6 @@ def update_transition_model(
         percept: All percepts (n, D), those of the last fit first and in the same order.
         control: Their controls (n, U).
         next_percept: Their next percepts (n, D).
-        seed: Seed or generator of the solver.
         max_memory: Bytes that kernel matrices may take.
 
     Raises:
@@ -59,7 +57,6 @@ def update_transition_model(
         old.cost.tolist(),
         gamma=float(old.gamma_value),
         epsilon=old.tube.tolist(),
-        seed=seed,
         max_memory=max_memory,
     )
     machine.load_state_dict(old.state_dict())
@@ -74,7 +71,6 @@ def update_success_classifier(
     label: Any,
     *,
     class_weight: ClassWeight = None,
-    seed: int | torch.Generator = 0,
     max_memory: int = inputs.MAX_MEMORY,
 ) -> C:
     """A new C fitted on more labels; the old one stays as it is.
@@ -87,7 +83,6 @@ def update_success_classifier(
         percept: All percepts (n, D), those of the last fit first and in the same order.
         label: Their labels (n,).
         class_weight: As in the first fit.
-        seed: Seed or generator of the solver.
         max_memory: Bytes that kernel matrices may take.
 
     Raises:
@@ -104,7 +99,6 @@ def update_success_classifier(
         float(old.cost),
         gamma=float(old.gamma_value),
         class_weight=class_weight,
-        seed=seed,
         max_memory=max_memory,
     )
     machine.load_state_dict(old.state_dict())

@@ -27,7 +27,6 @@ class TransitionReport:
         grid_gamma: Kernel widths tried.
         grid_epsilon: Tube widths tried.
         grid_scores: Mean negative absolute error by gamma, epsilon, C and output.
-        finished_by_smo: Cells of the grid that plain SMO had to finish.
         learning_curve: The same score by the number of transitions learned from.
     """
 
@@ -44,7 +43,6 @@ class TransitionReport:
     grid_gamma: tuple[float, ...]
     grid_epsilon: tuple[float, ...]
     grid_scores: list[Any]
-    finished_by_smo: int
     learning_curve: LearningCurve | None = None
 
 
@@ -66,7 +64,6 @@ class SuccessReport:
         grid_cost: Costs tried.
         grid_gamma: Kernel widths tried.
         grid_scores: Mean balanced accuracy by gamma and C.
-        finished_by_smo: Cells of the grid that plain SMO had to finish.
         learning_curve: Balanced accuracy of the chosen cell by rows learnt from.
     """
 
@@ -82,5 +79,4 @@ class SuccessReport:
     grid_cost: tuple[float, ...]
     grid_gamma: tuple[float, ...]
     grid_scores: list[Any]
-    finished_by_smo: int
     learning_curve: LearningCurve

@@ -12,6 +12,7 @@ from cgtorch.errors import SettingsError
 
 T = TypeVar("T")
 MOST = 2**31 - 1
+_ENDLESS = ("inf", "-inf")
 
 
 def option(
@@ -48,8 +49,8 @@ def check_options(settings: Any) -> None:
                     f"{f.name} is {value!r:.40}; give a whole number of at least {least}"
                 )
         elif isinstance(f.default, float):
-            number = type(value) in (int, float) and not math.isnan(value)
-            if not number or not least <= value <= most:
+            # No comparison holds for nan.
+            if type(value) not in (int, float) or not least <= value <= most:
                 raise SettingsError(f"{f.name} is {value!r:.40}; give a number {_range(f)}")
         elif isinstance(f.default, str):
             choices = about.get("choices", ())
@@ -85,8 +86,14 @@ class DomainSettings:
 
 
 def to_plain(settings: Any) -> dict[str, Any]:
-    """Settings as plain data for a file."""
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
+    """Settings as plain data for a file, where numbers that are not finite are texts."""
+    return {name: _plain(value) for name, value in asdict(settings).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def from_plain(kind: type[T], data: Any) -> T:
@@ -99,6 +106,12 @@ def from_plain(kind: type[T], data: Any) -> T:
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")
+    data = {
+        name: float(value)
+        if isinstance(names[name].default, float) and value in _ENDLESS
+        else value
+        for name, value in data.items()
+    }
     values = {
         name: tuple(value) if isinstance(names[name].default, tuple) and isinstance(value, list)
         else value

@@ -1,7 +1,7 @@
 """C, the success classifier: the probability that a skill succeeds from a percept.
 
-`SuccessClassifier` is that of any domain: a support vector classifier on the standardised numbers of
-a percept, angles by sine and cosine. A domain that knows more overrides its features.
+`SuccessClassifier` is that of any domain: a support vector classifier on the standardised numbers
+of a percept, angles by sine and cosine. A domain that knows more overrides its features.
 """
 
 from collections.abc import Callable, Sequence
@@ -87,7 +87,7 @@ class SuccessClassifier(nn.Module):
         return (raw - self.mean) / self.scale
 
     def standardise(self, percept: Tensor) -> Tensor:
-        """Learn the features' mean and scale from percepts (n, D), whose features (n, F) it gives."""
+        """Learn the scale of the features from percepts (n, D), and standardise these (n, F)."""
         raw = self.raw_features(percept)
         spread = raw.std(0, correction=0)
         self.mean = raw.mean(0)
@@ -192,7 +192,6 @@ def fit_success_classifier(
         grid_cost=tuple(grid.C.tolist()),
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_scores=grid.mean[:, 0, :, 0].tolist(),
-        finished_by_smo=int((~grid.direct).sum()),
         learning_curve=curve.scored("balanced_accuracy"),
     )
     return model.to(dtype), report

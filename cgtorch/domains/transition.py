@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor, nn
 
-from cgtorch.environment.fields import Field, as_features, bounds_of, columns_of, wrapped
+from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.errors import DataError
 from cgtorch.svm import SVR
 from cgtorch.svm.machine import KernelMachine
@@ -93,12 +93,13 @@ class TransitionModel(nn.Module, ABC):
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """What `predict_with_novelty` says, on any device and with gradients."""
+        self.machine._check_fitted()
         value, distance = self.machine.values_and_distance(self.features(percept, control))
         after = self.next_percept(percept, control, value.to(percept))
         return after, self.novelty_of(self.extremes(percept, control), distance).to(percept)
 
     def novelty_of(self, extremes: Tensor, distance: Tensor) -> Tensor:
-        """Novelty (...) given extremes (..., E) and squared distances (...) to the nearest centre."""
+        """Novelty (...) of extremes (..., E) and squared distances (...) to the nearest centre."""
         # By how much it exceeds the data, 1 where that is half novel.
         beyond = (extremes / self.most.to(extremes) - 1).clamp_min(0).sum(-1)
         exponent = distance / self.reach + beyond.to(distance) / _NOVEL_SHARE
@@ -161,8 +162,7 @@ class KernelTransitionModel(TransitionModel):
                 f"percept and control have shapes {tuple(percept.shape)} and "
                 f"{tuple(control.shape)}; pass (..., {sizes[0]}) and (..., {sizes[1]})"
             )
-        low, high = (b.to(control) for b in bounds_of(self.control_fields))
-        control = control.clamp(low, high)
+        control = within_bounds(control, self.control_fields)
         seen = [
             as_features(percept, self.percept_fields),
             as_features(control, self.control_fields),
@@ -173,16 +173,19 @@ class KernelTransitionModel(TransitionModel):
 
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `TransitionModel.features`."""
-        return (self.raw_features(percept, control).to(self.mean) - self.mean) / self.scale
+        raw = self.raw_features(percept, control).to(self.mean)
+        if raw.shape[-1] != len(self.mean):
+            raise DataError(
+                f"percept and control make {raw.shape[-1]} features; the transition model was "
+                f"fitted on {len(self.mean)}"
+            )
+        return (raw - self.mean) / self.scale
 
     def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
         """See `TransitionModel.next_percept`."""
         learnt, shift, spread = (x.to(percept) for x in (self.learnt, self.shift, self.spread))
         after = percept + shift + spread * learnt * value
-        low, high = (b.to(percept) for b in bounds_of(self.percept_fields))
-        columns = list(after.clamp(low, high).unbind(-1))
-        for i in self._angles:
-            columns[i] = wrapped(columns[i])
+        columns = list(within_bounds(after, self.percept_fields).unbind(-1))
         for i in self._whole:
             columns[i] = columns[i].round()
         return torch.stack(columns, -1)

@@ -95,7 +95,7 @@ def fit_transition_model(
     error, baseline = (held_out - target[some]).abs(), target[some].abs()
     gain = baseline - error
     model.learnt = (gain.mean(0) > gain.std(0) / len(gain) ** 0.5).to(p)
-    machine = SVR(costs, gamma=width, epsilon=tube, seed=generator)
+    machine = SVR(costs, gamma=width, epsilon=tube)
     few = some[:_CURVE_ROWS]
     curve = learning_curve(
         machine, features[few], target[few], sizes=doubling_sizes(len(few), folds), folds=folds,
@@ -122,7 +122,6 @@ def fit_transition_model(
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_epsilon=tuple(grid.epsilon.tolist()),
         grid_scores=grid.mean.tolist(),
-        finished_by_smo=int((~grid.direct).sum()),
         learning_curve=curve,
     )
     return model.to(dtype), report

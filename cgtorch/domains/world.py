@@ -1,5 +1,6 @@
 """A base class for worlds of one's own, which says once what most worlds share."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
@@ -33,7 +34,10 @@ class World(ABC):
 
     @abstractmethod
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
-        """States (n, S) after controls (n, U), which are finite but within no bounds."""
+        """States (n, S) after controls (n, U), which are finite.
+
+        Where a control is beyond the bounds of its field, take the bound, as Γ does.
+        """
 
     @abstractmethod
     def succeeded(self, state: Tensor) -> Tensor:
@@ -51,7 +55,7 @@ class World(ABC):
     @property
     def percept_size(self) -> int:
         """D."""
-        return self.start(torch.zeros(1, dtype=torch.long))[1].shape[1]
+        return math.prod(self.start(torch.zeros(0, dtype=torch.long))[1].shape[1:])
 
     @property
     @abstractmethod

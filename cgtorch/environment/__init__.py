@@ -1,4 +1,4 @@
-"""What a running skill starts from, sees and acts in: scenarios, lanes, environments, experience."""
+"""What a running skill starts from, sees, acts in and experiences."""
 
 from cgtorch.environment.dataset import Dataset as Dataset
 from cgtorch.environment.environment import Environment as Environment

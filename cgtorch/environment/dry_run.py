@@ -117,13 +117,12 @@ def check_environment(environment: Environment, device: torch.device | str = "cp
         WorldError: naming the method and what is wrong with what it returned.
     """
     name = type(environment).__name__
-    for attribute in ("num_scenarios", "percept_size", "control_size"):
-        value = getattr(environment, attribute, None)
-        if not isinstance(value, int) or value < 1:
-            raise WorldError(f"{name}: {attribute} is {value!r:.40}; give a whole number from 1 on")
+    _check_size(environment, "num_scenarios")
     scenario = two_rows(environment.num_scenarios, device)
     first = returned(WorldError, f"{name}.start", environment.start, scenario)
     state, percept = expect_pair(WorldError, f"{name}.start", "states, percepts", first)
+    for attribute in ("percept_size", "control_size"):  # which may be found out by a start
+        _check_size(environment, attribute)
     floats = percept.dtype if _is_float(percept) else torch.float32
     shape = (ROWS, environment.percept_size)
     expect(WorldError, f"{name}.start", "percepts", percept, shape, floats)
@@ -144,6 +143,13 @@ def check_environment(environment: Environment, device: torch.device | str = "cp
     expect(WorldError, f"{name}.success", "probabilities", chance, (ROWS,), floats)
     if ((chance < 0) | (chance > 1)).any():
         raise WorldError(f"{name}.success returned {chance.tolist()}; return probabilities")
+
+
+def _check_size(environment: Environment, attribute: str) -> None:
+    name = type(environment).__name__
+    value = returned(WorldError, f"{name}.{attribute}", getattr, environment, attribute, None)
+    if not isinstance(value, int) or value < 1:
+        raise WorldError(f"{name}: {attribute} is {value!r:.40}; give a whole number from 1 on")
 
 
 def _is_float(value: object) -> bool:

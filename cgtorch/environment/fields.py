@@ -68,6 +68,19 @@ def wrapped(angle: Tensor) -> Tensor:
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
+def within_bounds(values: Tensor, fields: Sequence[Field]) -> Tensor:
+    """Values (..., D) that lie within the bounds of their fields.
+
+    Angles are brought there by whole turns as far as these do.
+    """
+    low, high = (bound.to(values) for bound in bounds_of(fields))
+    columns = list(values.unbind(-1))
+    for i in columns_of(fields, "angle"):
+        middle = ((low[i] + high[i]) / 2).nan_to_num(0, 0, 0)
+        columns[i] = wrapped(columns[i] - middle) + middle
+    return torch.stack(columns, -1).clamp(low, high)
+
+
 def as_features(values: Tensor, fields: Sequence[Field]) -> Tensor:
     """Values (..., D) with sine and cosine in place of each angle, which come last."""
     angles = columns_of(fields, "angle")

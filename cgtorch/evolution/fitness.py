@@ -1,14 +1,14 @@
 """The fitness of eq. 3, or one of one's own in its place."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Rewarded, start_lanes
+from cgtorch.environment import Environment, Lanes, Rewarded
 from cgtorch.errors import SettingsError
 from cgtorch.graphs import Graphs
 from cgtorch.numerics import row_means
@@ -19,12 +19,15 @@ from cgtorch.simulation.engine_inputs import interpreter
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
-each. More is better. What is less than 0 counts as 0, which is what an individual gets that has lost
-W; but where the environment gives rewards the worth may be any number, and who has lost W gets
+each. More is better. What is less than 0 counts as 0, which is what an individual gets that has
+lost W; but where the environment gives rewards the worth may be any number, and who has lost W gets
 `WORST`. Rows must not influence one another, and equal arguments must give equal results."""
 
 WORST = -1e30
 """The worth of an episode that was not finished: finite, so that differences can be taken."""
+
+WORTHLESS = WORST / 1e9
+"""The mean of a billion worths is less than this only if one of them is `WORST`."""
 
 
 def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
@@ -33,7 +36,18 @@ def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
 
 
 def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
-    """The return of each episode, where the environment gives rewards."""
+    """The return of each episode, where the environment gives rewards.
+
+    Args:
+        runs: how P graphs did on B scenarios.
+        probability: (P, B) C(p_t), which does not count here.
+
+    Returns:
+        (P, B) returns, -inf where an episode was not finished.
+
+    Raises:
+        SettingsError: the environment gives no rewards.
+    """
     if runs.returns is None:
         raise SettingsError(
             "fitness is episode_return, but the environment gives no rewards; implement over and "
@@ -48,8 +62,8 @@ class Evaluation:
 
     Attributes:
         fitness: (P,); of eq. 3 in [0, 1].
-        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0, or `WORST`,
-            where W is lost.
+        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0, or
+            `WORST`, where W is lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
         transitions: actions executed in all.
         not_finite: individuals whose parameters, last percepts, C(p_t) or scores were not all
@@ -124,8 +138,8 @@ def evaluator(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
-        crew: the ranks (`cgtorch.parallel.distributed`) that have this population, all if not given. Individuals
-            are shared out among them, and each of them gets all results.
+        crew: the ranks that have this population (`cgtorch.parallel.distributed`), all if not
+            given. Individuals are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """
     at_once = _all_at_once(actions, environment, keep, max_transitions, fitness)
@@ -221,8 +235,12 @@ def last_success(
         percept are finite.
     """
     p, b = runs.succeeded.shape
-    lanes = start_lanes(environment, scenarios.repeat(p), 0, 0)
-    lanes = replace(lanes, percept=runs.percept.flatten(0, 1), state=runs.state.flatten(0, 1))
+    percept, state = runs.percept.flatten(0, 1), runs.state.flatten(0, 1)
+    nothing, steps = percept[:, :0], runs.transitions.flatten()
+    # Not started again, which can take long in a world.
+    lanes = Lanes(
+        percept, state, nothing, steps.bool(), nothing, scenarios.repeat(p), torch.zeros_like(steps)
+    )
     probability = environment.success(lanes)[1].view(p, b)
     finite = probability.isfinite() & runs.percept.isfinite().all(-1)
     # What is not finite is worth nothing, and no other lane is the worse for it.

@@ -70,8 +70,8 @@ def evolve(
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
 
-    Islands are shared out among all ranks (`cgtorch.parallel.distributed`), each of which is told the same but
-    for the islands that it holds itself.
+    Islands are shared out among all ranks (`cgtorch.parallel.distributed`), each of which is told
+    the same but for the islands that it holds itself.
 
     Args:
         environment: the models, on B scenarios.

@@ -7,7 +7,7 @@ from typing import NoReturn
 import torch
 from torch import Tensor, nn
 
-from cgtorch.actions import Action
+from cgtorch.actions import Action, MoveBase
 from cgtorch.environment import Lanes
 from cgtorch.errors import ActionError
 from cgtorch.graphs import NO_NODE, Skill, SubSkill
@@ -27,6 +27,15 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
             yield from named_primitives(action.skill, seen)
         else:
             yield name, action
+
+
+def control_size_of(skill: Skill) -> int:
+    """U, the numbers that MoveBase sends, also where a skill could send them and does not.
+
+    Without a MoveBase among its actions it is 3, as of the robot of the paper.
+    """
+    sent = (a.message_size for a in skill.actions.actions if isinstance(a, MoveBase))
+    return max(sent, default=3)
 
 
 @dataclass(frozen=True)

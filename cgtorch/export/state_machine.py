@@ -17,9 +17,9 @@ from cgtorch.actions import Action, Detect, Grasp, MoveBase
 from cgtorch.actions.memory import memory_parts
 from cgtorch.errors import ActionError
 from cgtorch.export.clusters import numbered
-from cgtorch.export.computed import named_primitives
+from cgtorch.export.computed import control_size_of, named_primitives
 from cgtorch.graphs import Skill, SubSkill, to_networkx
-from cgtorch.simulation import MAX_STEPS
+from cgtorch.simulation import most_steps
 
 PLAIN = Path(__file__).with_name("plain")
 ROUTINES = (MoveBase, Detect, Grasp)
@@ -75,7 +75,7 @@ def to_state_machine(skill: Skill) -> bytes:
         HEADER,
         _body("machine.py"),
         _title("To fill in"),
-        _body("routines.py"),
+        _routines(control_size_of(skill)),
         *own.values(),
         _title("Networks"),
         *(_text_after_imports(_source(module)) for module in modules),
@@ -93,15 +93,23 @@ def _plain(action: Action) -> str:
 
 def _source(module: str) -> str:
     """The text of a module, which is not run."""
-    spec = find_spec(module)
-    if spec is None or spec.origin is None:
-        raise ActionError(f"plain_module {module!r} is no module; name one, or none")
+    try:
+        spec = find_spec(module)
+    except (ImportError, ValueError):  # of a folder that is none, or of no name at all
+        spec = None
+    if spec is None or not spec.has_location or spec.origin is None:
+        raise ActionError(f"plain_module {module!r} is no module of a file; name one, or none")
     return Path(spec.origin).read_text()
 
 
 def _body(file: str) -> str:
     """What a file of this folder has after its docstring and imports."""
     return _text_after_imports((PLAIN / file).read_text())
+
+
+def _routines(control_size: int) -> str:
+    """The classes of routines, for controls of so many numbers."""
+    return _body("routines.py").replace("control_size = 3", f"control_size = {control_size}")
 
 
 def _text_after_imports(text: str) -> str:
@@ -169,7 +177,8 @@ def _machine(variable: str, name: str, skill: Skill) -> str:
     """The line that makes one machine."""
     view = to_networkx(skill.graph, skill.actions)
     start = view.nodes[view.graph["start"]]["label"]
-    limits = f"max_transitions={skill.max_transitions}, max_steps={MAX_STEPS}"
+    steps = most_steps(skill.actions, skill.max_transitions)
+    limits = f"max_transitions={skill.max_transitions}, max_steps={steps}"
     return f"    {variable} = StateMachine({name!a}, start={start!a}, {limits})"
 
 

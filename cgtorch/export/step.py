@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from cgtorch.actions import Action, Detect, Grasp, MoveBase
 from cgtorch.errors import SettingsError
-from cgtorch.export.computed import Computed, Sizes, named_primitives
+from cgtorch.export.computed import Computed, Sizes, control_size_of, named_primitives
 from cgtorch.graphs import Skill
-from cgtorch.simulation import MAX_STEPS
+from cgtorch.simulation import most_steps
 from cgtorch.simulation.action_table import SUCCESS
 from cgtorch.simulation.call_stack import TIMEOUT
 from cgtorch.simulation.program import compile_graphs
@@ -55,16 +55,17 @@ class SkillStep(nn.Module):
         self,
         skill: Skill,
         percept_size: int | None = None,
-        control_size: int = 3,
-        max_steps: int = MAX_STEPS,
+        control_size: int | None = None,
+        max_steps: int | None = None,
     ):
         """Lay the skill out.
 
         Args:
             skill: the skill.
             percept_size: D; what its networks read if not given.
-            control_size: U.
-            max_steps: actions on all levels together after which it has timed out.
+            control_size: U; what its MoveBase sends if not given.
+            max_steps: actions on all levels together after which it has timed out; `most_steps`
+                (`cgtorch.simulation`) if not given.
 
         Raises:
             ActionError: a node's action is neither a built-in routine nor one that only computes.
@@ -73,7 +74,9 @@ class SkillStep(nn.Module):
         super().__init__()
         self.name = skill.name
         self.percept_size = _percept_size(skill) if percept_size is None else percept_size
-        self.control_size, self.max_steps = control_size, max_steps
+        self.control_size = control_size_of(skill) if control_size is None else control_size
+        most = most_steps(skill.actions, skill.max_transitions)
+        self.max_steps = most if max_steps is None else max_steps
         program = compile_graphs(skill.graph, skill.actions)
         self.depth, self.start = program.depth, int(program.start[0])
         self.max_transitions = skill.max_transitions
@@ -91,7 +94,8 @@ class SkillStep(nn.Module):
             else:
                 self.kinds.append(i)
                 part = program.memory[i]
-                lengths = self.percept_size, control_size, self.message_size, part.stop - part.start
+                memory = part.stop - part.start
+                lengths = self.percept_size, self.control_size, self.message_size, memory
                 self.computed.append(Computed(name, action, Sizes(*lengths)))
         self.widths = [program.primitives[i].num_parameters for i in self.kinds]
         self.parts = [program.memory[i] for i in self.kinds]
@@ -152,7 +156,8 @@ class SkillStep(nn.Module):
     def _follow(self, place: Tensor, outcome: Tensor) -> Tensor:
         """Along the edge of an outcome, out of skills that end with it and into those it leads to.
 
-        The same as `cgtorch.simulation.call_stack.follow` without shortcuts; who does not run stays.
+        The same as `cgtorch.simulation.call_stack.follow` without shortcuts; who does not run
+        stays.
         """
         caller, left = place[:, STACK:].split(self.depth, 1)
         level = place[:, LEVEL]

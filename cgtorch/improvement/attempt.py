@@ -24,16 +24,21 @@ def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
     if known is not None:
         return trial_from(known, len(scenarios), world.percept_size)
     trial = run_skill(skill, world) if setup.learn is None else try_skill(skill, world)
-    own = {"succeeded": trial.succeeded, "transitions": trial.transitions}
-    setup.journal.record(step, {**own, **vars(trial.experience)})
+    setup.journal.record(step, trial_tensors(trial))
     return trial
+
+
+def trial_tensors(trial: Trial) -> dict[str, Tensor]:
+    """What a journal keeps of a trial; its experience says `succeeded` of tests, not scenarios."""
+    own = {"solved": trial.succeeded, "transitions": trial.transitions}
+    return {**own, **vars(trial.experience)}
 
 
 def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
     """A trial from a journal's tensors, which may be anything.
 
     Args:
-        tensors: what `attempt` has recorded.
+        tensors: what `trial_tensors` gave.
         scenarios: B, that the trial is about.
         percept_size: D of its world.
 
@@ -42,7 +47,7 @@ def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) ->
     """
     try:
         trial = Trial(
-            tensors["succeeded"],
+            tensors["solved"],
             tensors["transitions"],
             Dataset(*(tensors[f.name] for f in fields(Dataset))),
         )

@@ -25,6 +25,8 @@ class Budget:
         patience: generations without a better fitness, once all is solved in the models.
         stall: generations without a better fitness after which the search gives up.
         enough: fitness with which a candidate that solves all is good enough.
+        satisfied: fitness from which on the scenarios that it does not solve are left to others,
+            after `patience` generations without a better one.
         transitions: actions executed in the models after which no generation is begun.
     """
 
@@ -32,6 +34,7 @@ class Budget:
     patience: int = 10
     stall: int = 40
     enough: float = 0.97
+    satisfied: float = float("inf")
     transitions: float = float("inf")
 
 
@@ -75,8 +78,10 @@ class Found:
     def ends(self, budget: Budget) -> bool:
         """Whether the evolution is over."""
         good = self.best >= budget.enough or self.since >= budget.patience
+        settled = self.best >= budget.satisfied and self.since >= budget.patience
         return (
             (bool(self.solved.all()) and good)
+            or settled
             or self.since >= budget.stall
             or self.generations >= budget.generations
             or self.transitions >= budget.transitions

@@ -1,4 +1,4 @@
-/* RBF kernel matrices in single precision, from distances in double (cgtorch.svm.compiled_smo). */
+/* RBF kernel matrices in single precision, from distances in double (cgtorch.svm.gram). */
 #include "parallel.h"
 #include "real.h"
 

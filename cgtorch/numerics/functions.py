@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def sigmoid(x: Tensor) -> Tensor:
-    """The logistic function of x, any shape, bit for bit the same in whatever company.
+    """The logistic function of x (...), any shape, bit for bit the same in whatever company.
 
     The bound, past which the result is 0 in all but name, keeps gradients finite.
     """

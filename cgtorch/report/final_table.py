@@ -89,7 +89,7 @@ def _rows(results: Sequence[Result], domain: "Domain[Any]") -> list[tuple[str, .
         (
             _text(r, "stage"),
             _text(r, "scenarios"),
-            _share(r, "targets_succeeded", "targets"),
+            _share(r, "targets_succeeded", "targets") if r.get("targets") else MISSING,
             published[name].text if (name := str(r.get("stage"))) in published else MISSING,
             _kept(r),
             _share(r.get("fresh") or {}, "succeeded", "tried"),

@@ -13,6 +13,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -159,7 +160,9 @@ class ProgressDisplay:
 
 def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
     generation = event.generation
-    best, mean = generation.best, float(generation.fitness.mean())
+    counts = generation.fitness[generation.fitness > WORTHLESS]
+    best = f"{generation.best:.3f}" if generation.best > WORTHLESS else "–"
+    mean = f"{float(counts.mean()):.3f}" if len(counts) else "–"
     speed = "" if estimate.speed is None else f"  {_short(estimate.speed)} transitions/s"
     solved = f"  M {event.solved_m}/{event.size_m}"
     if event.size_w:
@@ -167,7 +170,7 @@ def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
     if generation.not_finite:
         solved += f"  not finite {generation.not_finite}"
     return Text(
-        f"  fitness best {best:.3f} mean {mean:.3f}{solved}{speed}",
+        f"  fitness best {best} mean {mean}{solved}{speed}",
         no_wrap=True,
         overflow="ellipsis",
     )

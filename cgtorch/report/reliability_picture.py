@@ -71,7 +71,7 @@ def _draw_dots(axes: "Axes", curve: Reliability) -> None:
     )  # fmt: skip
     axes.set_xlim(-0.02, 1.02)
     axes.set_ylim(-0.02, 1.02)
-    axes.set_ylabel("share of grasps that succeed")
+    axes.set_ylabel("share of tests that succeed")
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 

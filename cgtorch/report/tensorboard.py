@@ -7,10 +7,10 @@ can hide what an unfinished stage left behind and nothing else.
 ==================================  ==========  ===================================================
 tag                                 kind        what it is
 ==================================  ==========  ===================================================
-fitness/best, fitness/mean          scalar      of a generation, in the models
+fitness/best, fitness/mean          scalar      of a generation, where it is evolved
 solved/W, solved/M                  scalar      scenarios of the evolution that its best solves
 graph/nodes_best, graph/nodes_mean  scalar      nodes of the best individual, and of all
-population/unsolved                 scalar      share of individuals with fitness 0
+population/unsolved                 scalar      share of individuals that are worth nothing
 population/not_finite               scalar      individuals with a number that is not finite
 speed/transitions_per_second        scalar      actions executed by all, per second
 strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
@@ -32,14 +32,16 @@ world/solved_W, world/solved_M      scalar      what a candidate solves in the w
 world/fresh_rate                    scalar      share of fresh scenarios that a round solves
 world/mean_return                   scalar      of fresh episodes, where there are rewards
 world/promised, world/kept          scalar      scenarios its group solves in models, and in world
-stage/targets                       scalar      test placements that an accepted skill reaches
+stage/targets                       scalar      tests of its stage that an accepted skill solves
 graph/best                          image       the best graph after an evolution, or as accepted
 scenarios/solved                    image       what an accepted skill solves, if it can be drawn
 settings                            text        hyper-parameters; also in the HPARAMS tab
 ==================================  ==========  ===================================================
 
-Of several islands, the best is the best of all, and so are speeds and what is not finite counted;
-means, shares and histograms are of the first island, which the first rank always holds.
+Where the fitness is a return, individuals that have not finished an episode are worth nothing and
+not part of the mean. Of several islands, the best is the best of all, and so are speeds and what is
+not finite counted; means, shares and histograms are of the first island, which the first rank
+always holds.
 
 What is told of the first Γ and C only is written once. Learning curves have the number of rows as
 their step, so they are in a folder of their own, `by_rows`: `gamma/learning_curve/train`,
@@ -55,6 +57,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import NO_NODE, Graphs, Skill
 from cgtorch.improvement.events import (
@@ -175,15 +178,16 @@ class TensorBoardWatch:
         population, size = generation.population, len(generation.fitness)
         # NumPy says so of arrays this small in half the time that torch takes.
         fitness = generation.fitness.numpy()
+        counts = fitness[fitness > WORTHLESS]
         self._scalars(
             {
-                "fitness/best": generation.best,
-                "fitness/mean": float(fitness.mean(dtype=np.float64)),
+                "fitness/best": generation.best if generation.best > WORTHLESS else np.nan,
+                "fitness/mean": float(counts.mean(dtype=np.float64)) if len(counts) else np.nan,
                 "solved/W": event.solved_w,
                 "solved/M": event.solved_m,
                 "graph/nodes_best": _nodes(generation.champion.graphs),
                 "graph/nodes_mean": _nodes(population.graphs) / size,
-                "population/unsolved": np.count_nonzero(fitness <= 0) / size,
+                "population/unsolved": (size - len(counts) + np.count_nonzero(counts == 0)) / size,
                 "population/not_finite": generation.not_finite,
                 "speed/transitions_per_second": generation.transitions / max(event.seconds, 1e-9),
             }
@@ -208,7 +212,7 @@ class TensorBoardWatch:
         summary = event.summary
         self._scalars(summary.scalars)
         if summary.reliability:
-            picture = draw_reliability(summary.reliability)
+            picture = draw_reliability(summary.reliability, of="labels not learnt from")
             self._picture("classifier/reliability", picture)
         if summary.curves:
             self._curves(summary.curves)

@@ -58,8 +58,7 @@ def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
     """
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in given.items():
-        was = known[name]
-        if value == was or (isinstance(value, tuple) and list(value) == was):
+        if not _differs(value, was := known[name]):
             continue
         about = f"run {str(run.folder)!r} has {option_of(name)} {was}, not {value}"
         if name in fixed:
@@ -68,6 +67,11 @@ def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
             f"{about}; {how}, or take it over with --resume {run.folder} --override "
             f"{name.replace('_', '-')}={value}"
         )
+
+
+def _differs(value: Any, plain: Any) -> bool:
+    """Whether a setting is another than it is as plain data."""
+    return (list(value) if isinstance(value, tuple) else value) != plain
 
 
 def fixed_settings(run: Run) -> dict[str, str]:
@@ -89,7 +93,7 @@ def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
     """
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in overrides.items():
-        if name in fixed and value != known[name]:
+        if name in fixed and _differs(value, known[name]):
             raise SettingsError(
                 f"{option_of(name)} {known[name]} of run {str(run.folder)!r} cannot become "
                 f"{value}, as {fixed[name]}; begin another run for it"

@@ -112,8 +112,8 @@ def versions() -> dict[str, str]:
     return {"cgtorch": cgtorch.__version__, "torch": str(torch.__version__), "engine": engine}
 
 
-def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
-    """Begin a run in an empty or new folder; nothing is written unless all is in order.
+def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+    """A run as `create_run` would begin it in an empty or new folder; nothing is written.
 
     Args:
         folder: where it is to be.
@@ -132,6 +132,22 @@ def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None)
         raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
     if folder.resolve() == Path.cwd():
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
+    return run
+
+
+def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+    """Begin a run in an empty or new folder; nothing is written unless all is in order.
+
+    Arguments and errors are those of `planned_run`.
+    """
+    run = planned_run(folder, settings, domain_settings)
+    write_run(run)
+    return run
+
+
+def write_run(run: Run) -> None:
+    """Write the folder of a planned run; RunError if it cannot be written."""
+    folder = run.folder
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:
@@ -139,7 +155,6 @@ def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None)
     with whole_folder(folder) as new:
         run.domain.write(new)
         write_json(new / "run.json", about_run(run))
-    return run
 
 
 def about_run(run: Run) -> dict[str, Any]:
@@ -209,6 +224,18 @@ def read_about(folder: Path) -> dict[str, Any]:
             f"{VERSION}; use the version that wrote it"
         )
     return about
+
+
+def stored_domain(path: Path) -> str | None:
+    """The name of the domain of a run's folder or a stage's in it; None if there is no run.
+
+    Raises:
+        RunError: the run is of another version, or damaged.
+    """
+    for folder in (path, path.absolute().parent):
+        if (folder / "run.json").is_file():
+            return from_plain(RunSettings, read_about(folder).get("settings")).domain
+    return None
 
 
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:

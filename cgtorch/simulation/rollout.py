@@ -24,6 +24,9 @@ MAX_STEPS = MAX_TRANSITIONS**2
 own; with longer limits more, see `most_steps`."""
 
 LARGEST_BATCH = 2**40  # lanes
+MOST_IDLE = 64
+"""Actions in a row that may leave the state of an environment with rewards as it is. Its episodes
+can be thousands of actions long, and a lane that only thinks would be run as long in vain."""
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
 
@@ -101,13 +104,14 @@ def rollout_in_torch(
     returns = None if rewards is None else lanes.percept.new_full((p * b,), -torch.inf)
     percept, state = lanes.percept.clone(), lanes.state.clone()
     active = torch.arange(p * b, device=status.device)
-    over = torch.zeros_like(active, dtype=torch.bool)
+    over, idle = torch.zeros_like(active, dtype=torch.bool), torch.zeros_like(active)
     while len(active):
         order, groups = _grouped(program, frames.node, active, over)
         if not len(order):
             break
         active, lanes, frames = active[order], lanes.rows(order), frames.rows(order)
         node = frames.node
+        before = None if rewards is None else lanes.state.clone()
         outcome, changed = _act(program, lanes, node, groups, environment)
         if trace:
             trace(active, node, outcome, lanes)
@@ -116,7 +120,9 @@ def rollout_in_torch(
         lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
         end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
-        if rewards is not None:
+        if rewards is not None and before is not None:
+            idle = torch.where((lanes.state != before).any(1), 0, idle[order] + 1)
+            end = torch.where((end == 0) & (idle > MOST_IDLE), TIMEOUT, end)
             end = _at_the_end(environment, rewards, lanes, end)
         over = (end != 0) | out_of_steps
         gone = rows_where(over)  # of others that are among them more will be known later

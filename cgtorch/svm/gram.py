@@ -1,96 +1,82 @@
-"""A kernel matrix, its blocks, and products with it."""
+"""Kernel values among training rows, for torch in double precision and for compiled code."""
 
 import math
-from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from cgtorch.native import function, threads
-from cgtorch.native.structures import POINTER, WHOLE, suits
+from cgtorch.native import function
+from cgtorch.native.structures import POINTER, WHOLE, WIDTH
 from cgtorch.svm.kernels import Kernel, kernel_matrix, make_kernel
 
-_FEW_FEATURES = 32
-_FAINT = 2.0**-40
-_SPARSE = 2  # where fewer than one coefficient in so many is not zero, the others are left out
-_TYPES = (POINTER, WHOLE, POINTER, WHOLE, WHOLE, POINTER, WHOLE)
+_LARGEST = 1e18  # scaled features up to which distances are finite
 
 
-@dataclass(frozen=True)
 class Gram:
-    """Kernel values between all pairs of n training rows.
+    """Kernel values between all pairs of n training rows, computed when they are first asked for.
 
-    Attributes:
-        matrix: Kernel matrix (n, n), float64.
-        exponents: Two factors (n, e) in float32 whose product is the kernel's logarithm to base 2,
-            where computing a block from them is faster than gathering it; else None.
+    Rows of the matrices are filled up with finite numbers to whole vectors of compiled code.
     """
 
-    matrix: Tensor
-    exponents: tuple[Tensor, Tensor] | None = None
+    def __init__(
+        self,
+        kernel: str | Kernel,
+        rows: Tensor,
+        gamma: float,
+        degree: int = 3,
+        coef0: float = 0.0,
+        threads: int = 1,
+    ) -> None:
+        """Values of a kernel as `SVC` and `SVR` take it.
+
+        Args:
+            kernel: Name of a kernel, or a function.
+            rows: Training rows (n, d), float64.
+            gamma: Width parameter.
+            degree: Degree of "poly".
+            coef0: Constant of "poly".
+            threads: How many compiled code may use, which changes no value.
+
+        Raises:
+            SettingsError: The kernel is unknown.
+        """
+        self.kernel, self.rows, self.gamma, self.threads = kernel, rows, gamma, threads
+        self.function = make_kernel(kernel, gamma, degree, coef0)
 
     def __len__(self) -> int:
-        return len(self.matrix)
+        return len(self.rows)
 
-    def block(self, index: Tensor, *, precise: bool) -> Tensor:
-        """Kernel values among the rows of `index` (f,), float64 if `precise`, else float32.
+    @property
+    def matrix(self) -> Tensor:
+        """The kernel matrix (n, n), float64, on the CPU.
 
-        Values too small for float32's normalised numbers after a product or two are raised or set
-        to zero, because processors work ten times more slowly with others.
+        Raises:
+            DataError: The kernel gave another shape or values that are not finite.
         """
-        if self.exponents is not None and not precise:
-            left, right = (factor.index_select(0, index) for factor in self.exponents)
-            return (left @ right.T).clamp_min_(math.log2(_FAINT)).exp2_()
-        block = self.matrix.index_select(0, index).index_select(1, index)
-        if precise:
-            return block
-        faint = _FAINT * float(block.diagonal().max().clamp_min(0))
-        return torch.nn.functional.hardshrink(block, faint).float()
+        return self.double[:, : len(self)]
 
-    def times(self, d: Tensor) -> Tensor:
-        """D K (P, n) of coefficients d (P, n) of which often few columns are not zero."""
-        filled = int(d.count_nonzero())
-        if _SPARSE * filled < d.numel() and (found := self._times_compiled(d, filled)) is not None:
-            return found
-        columns = d.any(0).nonzero().flatten()
-        if 4 * len(columns) > len(self):
-            return d @ self.matrix
-        return d[:, columns] @ self.matrix[columns]
+    @cached_property
+    def double(self) -> Tensor:
+        """The kernel matrix (n, n and more), float64, on the CPU."""
+        return self._filled(kernel_matrix(self.function, self.rows).cpu().double())
 
-    def _times_compiled(self, d: Tensor, filled: int) -> Tensor | None:
-        """The same, where it can be compiled, in a time that grows as the coefficients but zero."""
-        call = function("gram_times", torch.float32, *_TYPES)  # in double precision in each library
-        if call is None or not self.matrix.is_contiguous() or not suits(d, self.matrix):
-            return None
-        d, out = d.contiguous(), torch.empty_like(d)
-        if call(
-            self.matrix.data_ptr(), len(self), d.data_ptr(), len(d), filled, out.data_ptr(),
-            threads(),
-        ):  # fmt: skip
-            raise MemoryError(f"no memory for {filled} coefficients")
-        return out
+    @cached_property
+    def single(self) -> Tensor:
+        """The kernel matrix (n, n and more), float32, on the CPU, compiled for "rbf"."""
+        call = function("rbf_gram", torch.float32, POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE)
+        x = self.rows.cpu()
+        scaled = (x - x.mean(0)) * (self.gamma * math.log2(math.e)) ** 0.5
+        if call is None or self.kernel != "rbf" or not bool((scaled.abs() < _LARGEST).all()):
+            return self._filled(self.matrix.float())
+        columns = self._filled(scaled.T.contiguous(), torch.float32)
+        found = torch.empty(len(x), columns.shape[1])
+        call(
+            columns.data_ptr(), *x.shape, found.shape[1], found.data_ptr(), self.threads
+        )  # fmt: skip
+        return found
 
-    def part(self, index: Tensor) -> "Gram":
-        """The same for the rows of `index` only."""
-        factors = self.exponents
-        if factors is not None:
-            factors = factors[0][index], factors[1][index]
-        return Gram(self.block(index, precise=True), factors)
-
-
-def gram(
-    kernel: str | Kernel, x: Tensor, gamma: float, degree: int = 3, coef0: float = 0.0
-) -> Gram:
-    """The Gram matrix of rows x (n, d), float64, for a kernel as `SVC` and `SVR` take it.
-
-    Raises:
-        SettingsError: The kernel is unknown.
-        DataError: It gave another shape or values that are not finite.
-    """
-    matrix = kernel_matrix(make_kernel(kernel, gamma, degree, coef0), x)
-    if kernel != "rbf" or x.shape[1] > _FEW_FEATURES:
-        return Gram(matrix)
-    scaled = (x - x.mean(0)) * (2 * gamma * math.log2(math.e)) ** 0.5
-    half, one = -0.5 * (scaled * scaled).sum(1, keepdim=True), torch.ones_like(x[:, :1])
-    left, right = torch.cat([scaled, half, one], 1), torch.cat([scaled, one, half], 1)
-    return Gram(matrix, (left.float(), right.float()))
+    def _filled(self, matrix: Tensor, kind: torch.dtype | None = None) -> Tensor:
+        """A matrix (m, n) with columns of zeros up to whole vectors of numbers of a type."""
+        more = -matrix.shape[1] % WIDTH[kind or matrix.dtype]
+        return torch.nn.functional.pad(matrix, (0, more))

@@ -2,10 +2,6 @@
 
 One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
 only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
-Compiled code solves the problems of a gamma from cost to cost (`cgtorch.svm.warm_started_path`). Without a
-compiler they are split on one inverse and ended by exact steps, and what any of this leaves is
-solved by Newton's method with a line search, folds from the solution on all rows
-(`cgtorch.svm.grid_problems`).
 """
 
 import itertools
@@ -56,7 +52,6 @@ class GridResult:
         scores: Score on the held-out rows of each fold (G, E, N, K, F), more is better.
         held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
         gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
-        direct: False where a fold of the cell had to be finished by plain SMO (G, E, N, K).
         folds: Fold number of each row (n,).
         best: Best cell of each output.
         common: Best cells of the outputs at the one gamma with the best mean over the outputs.
@@ -69,7 +64,6 @@ class GridResult:
     scores: Tensor
     held_out: Tensor
     gap: Tensor
-    direct: Tensor
     folds: Tensor
     best: tuple[Choice, ...]
     common: tuple[Choice, ...]
@@ -103,7 +97,7 @@ def grid_search(
         gamma: Kernel widths to try.
         epsilon: Tube widths to try, for `SVR`; the model's own if None.
         folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
-        seed: Seed or generator of the folds and of the solver.
+        seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
         progress: Called as the cells of a gamma are done with (done, all).
 
@@ -129,46 +123,42 @@ def grid_search(
         targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
         tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon").to(rows)
     numbers = _folds(folds, targets, classifier, generator)
+    # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
+    torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
-    every = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
-    weight = torch.cat([every, masks]).to(rows)
+    weight = masks.to(rows)
     if isinstance(model, SVC):
-        weight = row_weights(targets[0], classes, model.class_weight, weight > 0)
+        weight = row_weights(targets[0], classes, model.class_weight, masks)
     kernel = model.kernel, model.degree, model.coef0
     mean, unit = (0 * targets[:, 0], 0 * targets[:, 0] + 1) if classifier else units(targets)
     scaled = (targets - mean[:, None]) / unit[:, None]
     place = numbers.to(rows.device)
     task = Task(*kernel, rows, scaled, unit, weight, place, costs, tubes, classifier)
-    found = _all_widths(task, widths, generator, model.max_memory, progress)
-    held_out, gap, direct = (torch.stack(part) for part in zip(*found, strict=True))
+    found = _all_widths(task, widths, model.max_memory, progress)
+    held_out, gap = (torch.stack(part) for part in zip(*found, strict=True))
     held_out = held_out * unit[:, None] + mean[:, None]
     scores = torch.stack(
         [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks], dim=-1
     )
     best, common = _choices(scores.mean(-1), widths, tubes, costs)
-    return GridResult(
-        costs, widths, tubes, scoring, scores, held_out, gap, direct, numbers, best, common
-    )
+    return GridResult(costs, widths, tubes, scoring, scores, held_out, gap, numbers, best, common)
 
 
 def _all_widths(
-    task: Task, widths: Tensor, generator: Generator, memory: int, progress: Progress | None
-) -> list[list[Tensor]]:
-    """Values (E, N, K, n), gaps and directness (E, N, K) at every gamma.
+    task: Task, widths: Tensor, memory: int, progress: Progress | None
+) -> list[tuple[Tensor, ...]]:
+    """Values (E, N, K, n) and gaps (E, N, K) at every gamma.
 
     The largest gammas, which have most support vectors, go first, so that no process ends late.
     How many processes there are does not change the result.
     """
     order = widths.argsort(descending=True)
-    seeds = torch.randint(2**62, (len(widths),), generator=generator).tolist()
     each = len(task.tubes) * len(task.costs)
     finished = itertools.count(each, each)
 
-    def work(number: int) -> tuple[Array, Array, Array]:
-        place = int(order[number])
-        drawn = Generator().manual_seed(seeds[place])
-        cells = solve_width(task, float(widths[place]), drawn, threads // processes)
-        return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy(), cells.direct.cpu().numpy()
+    def work(number: int) -> tuple[Array, Array]:
+        cells = solve_width(task, float(widths[order[number]]), threads // processes)
+        return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy()
 
     def done(_: object) -> None:
         if progress is not None:

@@ -91,8 +91,8 @@ def as_given(result: Tensor, example: Any) -> Any:
 def memory(rows: int) -> int:
     """Bytes that a fit on so many rows takes for kernel matrices, at most.
 
-    The solver keeps the kernel in float64 and, for the free rows, their rows of it, a block and its
-    factor, in float32 and, where that is not enough, in float64: at most 36 bytes for each pair.
+    The solver keeps the kernel in float32 and float64 and, for the free rows, their rows of it, a
+    block and its factor in float64: at most 36 bytes for each pair.
     """
     return 36 * rows * rows
 

@@ -13,13 +13,14 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.errors import SettingsError
+from cgtorch.native import threads
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks
-from cgtorch.svm.gram import gram
+from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import resolve_gamma
 from cgtorch.svm.problems import Problems, classification, regression
 from cgtorch.svm.scores import SCORES
-from cgtorch.svm.solver import FINAL_RIDGE, solve
+from cgtorch.svm.solver import solve
 from cgtorch.svm.svc import SVC, row_weights
 from cgtorch.svm.svr import SVR, per_output, units
 
@@ -110,7 +111,7 @@ def learning_curve(
         y: Labels (n,), or targets (n,) or (n, k).
         sizes: Numbers of rows to train on (S,).
         folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
-        seed: Seed or generator of the folds and of the solver.
+        seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
 
     Returns:
@@ -163,8 +164,8 @@ def learning_values(
         mean, unit = units(targets)
         problems = _regressions(model, (targets - mean[:, None]) / unit[:, None], unit, flat)
     gamma = resolve_gamma(model.gamma, rows)
-    kernel = gram(model.kernel, rows, gamma, model.degree, model.coef0)
-    found = solve(kernel, problems, generator, last=FINAL_RIDGE, tolerance=1e-6)
+    kernel = Gram(model.kernel, rows, gamma, model.degree, model.coef0, threads())
+    found = solve(kernel, problems)
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
     values = values * unit[:, None] + mean[:, None]
     return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))

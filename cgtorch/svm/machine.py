@@ -8,14 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.native import threads
 from cgtorch.native.structures import suits
 from cgtorch.svm import inputs
 from cgtorch.svm.compiled import machine_values
-from cgtorch.svm.gram import Gram, gram
+from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel, make_kernel, resolve_gamma
-from cgtorch.svm.problems import Problems
+from cgtorch.svm.problems import Problems, State
 from cgtorch.svm.rbf_predict import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
-from cgtorch.svm.smoothed_loss import classify
+from cgtorch.svm.solver import start_at
 
 
 class KernelMachine(nn.Module):
@@ -182,39 +183,35 @@ class KernelMachine(nn.Module):
         self._check_fitted()
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
-    def _gram(self, rows: Tensor) -> tuple[Gram, float]:
-        """The kernel values among training rows (n, d), and the gamma that they have.
+    def _gram(self, rows: Tensor) -> Gram:
+        """The kernel values among training rows (n, d).
 
         Raises:
-            DataError: It takes more than `max_memory`, or the kernel returned what is no matrix.
+            DataError: They take more than `max_memory`.
             SettingsError: The kernel or one of its parameters cannot be used.
         """
         inputs.check_memory(len(rows), self.max_memory)
         gamma = resolve_gamma(self.gamma, rows)
-        return gram(self.kernel, rows, gamma, self.degree, self.coef0), gamma
+        return Gram(self.kernel, rows, gamma, self.degree, self.coef0, threads())
 
-    def _start(
-        self, rows: int, problems: Problems, mean: Tensor, unit: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Coefficients (k, n), biases (k,) and statuses of this machine as a start for a new fit.
+    def _start(self, gram: Gram, problems: Problems, unit: Tensor) -> State:
+        """This machine as a start for a new fit.
 
-        The rows that it was fitted on have to come first among the n rows of the new fit, whose
-        targets had `mean` (k,) subtracted and were divided by `unit` (k,).
+        The rows that it was fitted on have to come first among the rows of the new fit, whose
+        targets were divided by `unit` (k,).
 
         Raises:
             DataError: There are fewer rows than it was fitted on.
         """
         self._check_fitted()
-        if len(self.bias) != len(problems.z) or int(self.support.max()) >= rows:
+        if len(self.bias) != len(problems.z) or int(self.support.max()) >= len(gram):
             raise DataError(
-                f"{rows} rows with {len(problems.z)} outputs do not begin with those of the last "
-                "fit; pass all known rows first, in the same order, and the new ones after them"
+                f"{len(gram)} rows with {len(problems.z)} outputs do not begin with those of the "
+                "last fit; pass all known rows first, in their order, and the new ones after them"
             )
         beta = torch.zeros_like(problems.z)
         beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
-        beta = torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
-        bias = (self.bias.to(beta) - mean) / unit
-        return beta, bias, classify(beta, problems.lower, problems.upper)
+        return start_at(gram, problems, beta)
 
     def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
         """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""

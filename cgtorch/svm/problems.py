@@ -5,13 +5,32 @@ Both are min 1/2 beta' K beta - z' beta + epsilon |beta|_1 with lower <= beta <=
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Problems:
+class Batch:
+    """Tensors whose first axis is that of P problems."""
+
+    def take(self, index: Tensor | int) -> Self:
+        """The problems of `index` (Q,), or a single one without that axis."""
+        return type(self)(*(value[index] for value in vars(self).values()))
+
+    def put(self, index: Tensor | int, other: Self) -> None:
+        """Write the problems of another batch to `index` (Q,)."""
+        for name, value in vars(self).items():
+            value[index] = getattr(other, name)
+
+    def to(self, device: torch.device) -> Self:
+        """The same on a device."""
+        return type(self)(*(value.to(device) for value in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Problems(Batch):
     """A batch of P dual problems over the same n rows.
 
     Attributes:
@@ -19,7 +38,7 @@ class Problems:
         lower: Lower ends of the boxes (P, n), at most 0.
         upper: Upper ends of the boxes (P, n), at least 0.
         epsilon: Half widths of the insensitive tube (P,).
-        cap: The C of each problem (P,), the scale of its ridge.
+        cap: The C of each problem (P,).
     """
 
     z: Tensor
@@ -28,19 +47,22 @@ class Problems:
     epsilon: Tensor
     cap: Tensor
 
-    def take(self, index: Tensor) -> "Problems":
-        """The problems of `index` (Q,)."""
-        return Problems(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
-    def rows(self, index: Tensor, scale: float) -> "Problems":
-        """The same problems on the rows of `index` with boxes `scale` times as wide."""
-        return Problems(
-            self.z[:, index],
-            self.lower[:, index] * scale,
-            self.upper[:, index] * scale,
-            self.epsilon,
-            self.cap * scale,
-        )
+@dataclass(frozen=True)
+class State(Batch):
+    """Where each of P problems over n rows stands; also the answer.
+
+    Attributes:
+        beta: Coefficients (P, n) in their boxes, with the sum 0.
+        product: K beta without the bias (P, n), held-out rows included.
+        bias: Biases (P,).
+        violation: Largest violation of the optimality conditions (P,), as libsvm counts it.
+    """
+
+    beta: Tensor
+    product: Tensor
+    bias: Tensor
+    violation: Tensor
 
 
 def classification(signs: Tensor, cap: Tensor, weight: Tensor) -> Problems:
@@ -75,13 +97,25 @@ def regression(targets: Tensor, cap: Tensor, epsilon: Tensor, weight: Tensor) ->
 
 
 def inside(problems: Problems, beta: Tensor) -> Tensor:
-    """Coefficients (P, n) clipped to their boxes."""
+    """Coefficients (..., n) clipped to their boxes."""
     return torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
 
 
-def violation(problems: Problems, beta: Tensor, residual: Tensor) -> Tensor:
-    """The largest distance (P,) of residuals z - K beta - bias (P, n) from what beta allows."""
-    width = problems.epsilon[:, None]
-    most = torch.where(beta >= 0, width, -width).masked_fill(beta >= problems.upper, torch.inf)
-    least = torch.where(beta <= 0, -width, width).masked_fill(beta <= problems.lower, -torch.inf)
-    return torch.maximum(residual - most, least - residual).amax(1).clamp_min(0)
+def feasible(problems: Problems, beta: Tensor) -> Tensor:
+    """The feasible point (P, n) nearest to `beta` (P, n): clip(beta - shift) whose sum is 0."""
+    low = (beta - problems.upper).amin(-1, keepdim=True)
+    high = (beta - problems.lower).amax(-1, keepdim=True)
+    for _ in range(100):
+        middle = (low + high) / 2
+        above = inside(problems, beta - middle).sum(-1, keepdim=True) > 0
+        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
+    result = inside(problems, beta - high)
+    room = (result > problems.lower) & (result < problems.upper)
+    lack = result.sum(-1, keepdim=True) / room.sum(-1, keepdim=True).clamp_min(1)
+    return inside(problems, torch.where(room, result - lack, result))
+
+
+def at_zero(problems: Problems) -> State:
+    """The beginning, of which nothing is known."""
+    zero, unknown = torch.zeros_like(problems.z), torch.full_like(problems.cap, torch.inf)
+    return State(zero, zero.clone(), torch.zeros_like(unknown), unknown)

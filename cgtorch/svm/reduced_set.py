@@ -13,12 +13,12 @@ from torch import Tensor
 from cgtorch.errors import SettingsError
 from cgtorch.svm.inputs import as_rows
 from cgtorch.svm.kernels import Kernel, make_kernel
-from cgtorch.svm.pivoted_cholesky import pivoted_cholesky
 from cgtorch.svm.svc import SVC
 from cgtorch.svm.svr import SVR
 
 Machine = TypeVar("Machine", SVC, SVR)
 
+_FLOOR = 1e-12  # of the largest diagonal element, below which the rest is rounding
 _RIDGES = tuple(10.0**-power for power in range(1, 11))
 
 
@@ -40,9 +40,23 @@ class CompactReport:
 
 
 def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
-    """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first."""
-    diagonal = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
-    chosen = pivoted_cholesky(diagonal, lambda row: kernel(x[row : row + 1], x)[0], count)[1]
+    """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first.
+
+    Each is the row with the largest rest on the diagonal.
+    """
+    rest = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
+    factor, floor, chosen = rest.new_zeros(count, len(x)), _FLOOR * float(rest.max()), []
+    for step in range(min(count, len(x))):
+        pivot = int(rest.argmax())
+        largest = float(rest[pivot])
+        if largest <= floor:
+            break
+        column = kernel(x[pivot : pivot + 1], x)[0]
+        row = torch.addmv(column, factor[:step].T, factor[:step, pivot], alpha=-1)
+        factor[step] = row / largest**0.5
+        rest = (rest - factor[step] ** 2).clamp_min_(0)
+        rest[pivot] = 0
+        chosen.append(pivot)
     return torch.tensor(chosen, dtype=torch.long, device=x.device)
 
 

@@ -1,202 +1,112 @@
-"""Solving batches of the dual problems of C-SVC and epsilon-SVR, whatever they are like.
+"""Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
-Both are one convex problem per column of targets (Chang & Lin 2011, eq. 2 and 10):
-
-    min  1/2 beta' K beta - z' beta + epsilon |beta|_1   with  lower <= beta <= upper, 1' beta = 0
-
-(C-SVC: z the signs, epsilon 0, box [0, C] or [-C, 0]; epsilon-SVR: z the targets, box [-C, C];
-a row held out: box [0, 0]). The active set (`cgtorch.svm.active_set`) starts from a related
-solution or from a quarter of the rows. Every answer carries its duality gap, and problems that do
-not converge are handed to `cgtorch.svm.smo`, which always does.
+Sequential minimal optimisation (compiled, or plain where there is no compiler) solves most of them.
+Where costs are large and many coefficients free, or where a solution has to be exact, it would take
+millions of steps; so exact steps are tried on the statuses that it has come to
+(`cgtorch.svm.polish`), in turns with longer and longer runs of it, the last of which has no end.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from cgtorch.svm import smo
-from cgtorch.svm.active_set import Active, active_set
+from cgtorch.errors import ModelError
+from cgtorch.svm.compiled_smo import compiled_smo_steps
 from cgtorch.svm.gram import Gram
-from cgtorch.svm.problems import Problems, inside
-from cgtorch.svm.smoothed_loss import classify
+from cgtorch.svm.optimality import middle_bias, relative_gap
+from cgtorch.svm.polish import polish
+from cgtorch.svm.problems import Problems, State, at_zero, feasible
+from cgtorch.svm.smo import smo_steps
 
-Start = tuple[Tensor, Tensor, Tensor]
-"""Coefficients (P, n), which may lie outside the boxes, biases (P,) and statuses (P, n)."""
+EXACT = 1.25e-8
+"""Violation of a final fit: a relative duality gap of about 1e-7."""
 
-FINAL_RIDGE = 1e-8
-"""Last ridge of a final fit, in units of 1 / C: a relative duality gap of about 1e-7."""
+ROUGH = 1e-3
+"""Violation where scores are compared, as libsvm's default."""
 
-START_RIDGE = 0.03
-"""Last ridge of a solution that only starts others."""
-
-_SMALLEST_SUBSET = 400
-
-
-@dataclass(frozen=True)
-class Solutions:
-    """Answers to a batch of P problems over n rows.
-
-    Attributes:
-        beta: Coefficients (P, n).
-        bias: Bias of the decision function (P,).
-        product: Values K beta without the bias (P, n), held-out rows included.
-        status: Active-set status of each coefficient (P, n), to start a related problem.
-        gap: Duality gap (P,).
-        objective: Dual objective, the minimum above with its sign (P,).
-        direct: True where the active set converged, False where SMO had to finish (P,).
-    """
-
-    beta: Tensor
-    bias: Tensor
-    product: Tensor
-    status: Tensor
-    gap: Tensor
-    objective: Tensor
-    direct: Tensor
-
-    def take(self, index: Tensor) -> "Solutions":
-        """The solutions of `index` (Q,)."""
-        return Solutions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+_WORTH = 1 / 80, 5e6
+"""Kernel values of the first turn: a share of n^3, as the cost of a factor, and some more."""
+_TURNS = 4  # each twice as long as the one before, to a tenth of its violation
+_ENDLESS = 2e7  # steps of the last one
+_ROUNDING = 1e-12  # of C, below which no violation can be told
+_OFF = 0.01  # relative duality gap of what has not been solved
 
 
-def duality_gap(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
-    """Primal minus dual objective (P,) at feasible `beta` (P, n).
-
-    It is a sum of one non-negative term per row, u max(0, r - e) - l max(0, -r - e) - r b + e |b|
-    with residual r = z - K beta - bias, so it shows where a solution is not optimal.
-    """
-    residual = problems.z - product - bias[:, None]
-    width = problems.epsilon[:, None]
-    loss = problems.upper * (residual - width).clamp_min(0)
-    loss = loss - problems.lower * (-residual - width).clamp_min(0)
-    return (loss - residual * beta + width * beta.abs()).sum(1)
-
-
-def dual_objective(problems: Problems, beta: Tensor, product: Tensor) -> Tensor:
-    """The minimised function (P,) at `beta` (P, n) with `product` = K beta."""
-    linear = (0.5 * product - problems.z) * beta + problems.epsilon[:, None] * beta.abs()
-    return linear.sum(1)
-
-
-def first_rung(status: Tensor) -> Tensor:
-    """First ridge (P,), in units of 1 / C, for a start with statuses (P, n).
-
-    Where few coefficients are free, the bound ones carry the solution and a small ridge keeps
-    the linear systems small; where most are free the path has to be followed from a larger one,
-    and from the largest where nothing is known.
-    """
-    used = (status != 0).sum(1)
-    share = (status.abs() == 1).sum(1) / used.clamp_min(1)
-    rung = 0.03 + 0.07 * (share > 0.5) + 0.2 * (share > 0.9)
-    return torch.where(used > 0, rung, 1.0).double()
-
-
-def quarter_start(gram: Gram, problems: Problems, generator: torch.Generator) -> Start:
-    """A start from nothing: the solution on a random quarter of the rows, each counting four times.
-
-    The quarter starts from its own quarter, and so on; a few rows start from zero.
-    """
-    beta, bias = torch.zeros_like(problems.z), problems.z.median(1).values
-    live = ((problems.upper > 0) | (problems.lower < 0)).any(0).nonzero().flatten()
-    if len(live) <= _SMALLEST_SUBSET:
-        return beta, bias, torch.zeros_like(beta)
-    order = torch.randperm(len(live), generator=generator)[: len(live) // 4]
-    rows = live[order.to(live.device)]
-    part, fewer = gram.part(rows), problems.rows(rows, 4.0)
-    quarter = descend(part, fewer, quarter_start(part, fewer, generator))
-    beta[:, rows] = quarter.beta
-    status = torch.zeros_like(beta)
-    status[:, rows] = quarter.status
-    return beta, quarter.bias, status
-
-
-def descend(
-    gram: Gram, problems: Problems, start: Start, last: float | Tensor = START_RIDGE
-) -> Active:
-    """The active set from a start down to ridges `last`, one or one per problem.
-
-    Down to the default they are near enough to start related problems.
-    """
-    beta, bias, status = start
-    lasts = torch.as_tensor(last).to(bias).expand(len(bias))
-    return active_set(gram, problems, beta, bias, first_rung(status), last=lasts)
+def start_at(gram: Gram, problems: Problems, beta: Tensor) -> State:
+    """A start at the feasible point nearest to coefficients (P, n)."""
+    start = at_zero(problems)
+    beta = feasible(problems, beta)
+    product = (beta.cpu() @ gram.matrix).to(beta)
+    return State(beta, product, start.bias, start.violation)
 
 
 def solve(
-    kernel: Gram | Tensor,
-    problems: Problems,
-    generator: torch.Generator,
-    start: Start | None = None,
-    *,
-    last: float | Tensor = 1e-3,
-    tolerance: float = 1e-3,
-) -> Solutions:
-    """Solve every problem, by the active set where it converges and by SMO elsewhere.
+    gram: Gram, problems: Problems, start: State | None = None, tolerance: float = EXACT
+) -> State:
+    """Solve every problem, on the CPU, wherever its tensors are.
 
     Args:
-        kernel: Kernel values among n rows, or their matrix (n, n), positive semidefinite.
+        gram: Kernel values among n rows, positive semidefinite.
         problems: P problems over its rows.
-        generator: Source of the random quarter.
-        start: Related solutions, or None.
-        last: Last ridge of the ladder, in units of 1 / C, one or one per problem.
-        tolerance: Optimality violation at which SMO stops (Fan, Chen & Lin 2005).
+        start: Feasible coefficients to start from.
+        tolerance: Largest violation of the optimality conditions, as libsvm counts it.
 
     Returns:
-        Feasible solutions with their duality gaps.
+        Feasible solutions.
+
+    Raises:
+        ModelError: One could not be solved.
     """
-    gram = Gram(kernel) if isinstance(kernel, Tensor) else kernel
-    found = descend(gram, problems, start or quarter_start(gram, problems, generator), last)
-    beta, bias = inside(problems, found.beta), found.bias.clone()
-    direct = found.done & _small_gap(problems, found, last)
-    failed = (~direct).nonzero().flatten()
-    for problem in failed.tolist():
-        beta[problem], bias[problem] = smo.solve(
-            gram.matrix,
-            problems.z[problem],
-            problems.lower[problem],
-            problems.upper[problem],
-            float(problems.epsilon[problem]),
-            beta[problem],
-            tolerance,
+    device, cpu = problems.z.device, torch.device("cpu")
+    problems, left = problems.to(cpu), torch.arange(len(problems.z))
+    found = at_zero(problems) if start is None else start.to(cpu).take(left)  # a copy
+    tolerance = max(tolerance, _ROUNDING * float(problems.cap.max()))
+    for turn in range(_TURNS + 1):
+        part = problems.take(left)
+        here = _smo(gram, part, found.take(left), tolerance, turn)
+        rest = (here.violation > tolerance).nonzero().flatten()
+        if turn < _TURNS and len(rest):
+            _polish(gram, part, here, rest, tolerance)
+        found.put(left, here)
+        left = left[here.violation > tolerance]
+        if len(left) == 0:
+            break
+    _check(problems, found, left)
+    return replace(found, bias=middle_bias(problems, found)).to(device)
+
+
+def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: int) -> State:
+    """The problems after a turn of minimal optimisation."""
+    last, n = turn == _TURNS, len(gram)
+    aim = tolerance if last else max(tolerance, ROUGH * 0.1**turn)
+    worth = _ENDLESS * n if last else (_WORTH[0] * n**3 + _WORTH[1]) * 2**turn
+    matrix = gram.double if last or tolerance < ROUGH else gram.single
+    found = compiled_smo_steps(matrix, problems, start, aim, worth, gram.threads)
+    return found or smo_steps(gram.matrix, problems, start, aim, int(worth / n))
+
+
+def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, tolerance: float) -> None:
+    """Write what exact steps make of the problems `rows` (R,), and exact products, in place."""
+    found.product[rows] = found.beta[rows] @ gram.matrix
+    for row in rows.tolist():
+        exact = polish(gram.matrix, problems.take(row), found.take(row), tolerance)
+        if exact is not None:
+            found.put(row, exact)
+
+
+def _check(problems: Problems, found: State, left: Tensor) -> None:
+    """Refuse the problems `left` (R,) if they are far from solved.
+
+    Raises:
+        ModelError: They are.
+    """
+    if len(left) == 0:
+        return
+    gap = relative_gap(problems.take(left), found.take(left))
+    if bool((gap > _OFF).any()):
+        raise ModelError(
+            f"{len(left)} dual problems were not solved, with a relative duality gap of "
+            f"{float(gap.max()):.2g}; scale the features, lower C, or check that the kernel is "
+            "positive semidefinite"
         )
-    product = gram.times(beta)
-    bias = middle_bias(problems, beta, bias, product)
-    status = found.status.clone()
-    if len(failed):
-        status[failed] = classify(beta[failed], problems.lower[failed], problems.upper[failed])
-    return Solutions(
-        beta,
-        bias,
-        product,
-        status,
-        duality_gap(problems, beta, bias, product),
-        dual_objective(problems, beta, product),
-        direct,
-    )
-
-
-def _small_gap(problems: Problems, found: Active, last: float | Tensor) -> Tensor:
-    """Whether the gap (P,) is what the last ridge and rounding explain, as a final check."""
-    box = torch.maximum(problems.upper, -problems.lower)
-    allowed = 0.5 * last / problems.cap * box.square().sum(1)
-    allowed = allowed + 1e-6 * dual_objective(problems, found.beta, found.product).abs()
-    gap = duality_gap(problems, found.beta, found.bias, found.product)
-    return gap <= allowed + 1e-9 * box.sum(1)
-
-
-def middle_bias(problems: Problems, beta: Tensor, bias: Tensor, product: Tensor) -> Tensor:
-    """Biases (P,), in the middle of what is optimal where no free coefficient fixes them.
-
-    That is libsvm's rule (Chang & Lin 2011, section 4.1.5).
-    """
-    box = torch.maximum(problems.upper, -problems.lower) * 1e-9
-    inside = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
-    width = problems.epsilon[:, None]
-    gradient = problems.z - product
-    rise = gradient - torch.where(beta >= -box, width, -width)
-    fall = gradient - torch.where(beta > box, width, -width)
-    low = rise.masked_fill(beta >= problems.upper - box, -torch.inf).amax(1)
-    high = fall.masked_fill(beta <= problems.lower + box, torch.inf).amin(1)
-    middle = (low + high) / 2
-    return torch.where(inside.any(1) | ~torch.isfinite(middle), bias, middle)

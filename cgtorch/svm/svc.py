@@ -11,9 +11,10 @@ from cgtorch.svm.folds import given_folds, stratified_folds, training_masks
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.optimality import duality_gap
 from cgtorch.svm.platt import fit_platt, probability
-from cgtorch.svm.problems import Problems, classification
-from cgtorch.svm.solver import FINAL_RIDGE, Solutions, solve
+from cgtorch.svm.problems import Problems, State, classification
+from cgtorch.svm.solver import solve, start_at
 
 ClassWeight = str | dict[float, float] | None
 
@@ -61,7 +62,7 @@ class SVC(KernelMachine):
         class_weight: None, "balanced", or a factor on C per class.
         probability: Fit Platt probabilities by cross-validation.
         folds: Number of stratified folds for them, or fold numbers (n,), or (train, test) pairs.
-        seed: Seed or generator of the folds and of the solver's random quarter.
+        seed: Seed or generator of the folds.
         max_memory: Bytes that kernel matrices may take.
     """
 
@@ -111,29 +112,28 @@ class SVC(KernelMachine):
         classes, signs = inputs.as_binary(y, len(rows))
         signs = signs.to(rows)
         generator = inputs.generator_of(self.seed)
-        matrix, gamma = self._gram(rows)
+        gram = self._gram(rows)
         everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
         caps = torch.tensor([cap], dtype=torch.float64).to(rows)
         problem = classification(
             signs, caps, row_weights(signs, classes, self.class_weight, everything)
         )
-        start = self._start(len(rows), problem, 0 * caps, caps / cap) if warm else None
-        found = solve(matrix, problem, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
+        found = solve(gram, problem, self._start(gram, problem, caps / cap) if warm else None)
         platt = torch.full((2,), torch.nan, dtype=torch.float64, device=rows.device)
         if self.probability:
-            platt = self._platt(matrix, signs, classes, problem, found, generator)
-        self._keep(rows, found.beta, found.bias, found.gap, gamma)
+            platt = self._platt(gram, signs, classes, problem, found, generator)
+        self._keep(rows, found.beta, found.bias, duality_gap(problem, found), gram.gamma)
         self.cost = caps
         self.classes, self.platt = classes.to(rows), platt
         return self
 
     def _platt(
         self,
-        matrix: Gram,
+        gram: Gram,
         signs: Tensor,
         classes: Tensor,
         problem: Problems,
-        found: Solutions,
+        found: State,
         generator: torch.Generator,
     ) -> Tensor:
         """Platt slope and offset (2,) from the decision values of held-out folds."""
@@ -145,9 +145,7 @@ class SVC(KernelMachine):
         count = len(masks)
         weight = row_weights(signs, classes, self.class_weight, masks)
         held = classification(signs, problem.cap.expand(count).contiguous(), weight)
-        near = found.take(torch.zeros(count, dtype=torch.long, device=signs.device))
-        start = near.beta, near.bias, near.status
-        parts = solve(matrix, held, generator, start, last=FINAL_RIDGE, tolerance=1e-6)
+        parts = solve(gram, held, start_at(gram, held, found.beta.expand(count, -1)))
         values = parts.product + parts.bias[:, None]
         decision = values[folds.to(signs.device), torch.arange(len(signs), device=signs.device)]
         return torch.stack(fit_platt(decision, signs))

@@ -11,8 +11,9 @@ from cgtorch.errors import SettingsError
 from cgtorch.svm import inputs
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.optimality import duality_gap
 from cgtorch.svm.problems import regression
-from cgtorch.svm.solver import FINAL_RIDGE, solve
+from cgtorch.svm.solver import solve
 
 
 def per_output(
@@ -59,7 +60,6 @@ class SVR(KernelMachine):
         degree: Degree of "poly".
         coef0: Constant of "poly".
         epsilon: Half width of the tube without loss, one or one per output.
-        seed: Seed or generator of the solver's random quarter.
         max_memory: Bytes that kernel matrices may take.
     """
 
@@ -75,13 +75,12 @@ class SVR(KernelMachine):
         degree: int = 3,
         coef0: float = 0.0,
         epsilon: float | Sequence[float] = 0.1,
-        seed: int | torch.Generator = 0,
         max_memory: int = inputs.MAX_MEMORY,
     ) -> None:
         super().__init__()
         self.C, self.epsilon = C, epsilon
         self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
-        self.seed, self.max_memory = seed, max_memory
+        self.max_memory = max_memory
         self.register_buffer("squeeze", torch.tensor(True))
         self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
 
@@ -99,20 +98,14 @@ class SVR(KernelMachine):
         targets = given.reshape(len(rows), -1).T.contiguous()
         cap = per_output(self.C, "C", len(targets), rows)
         tube = per_output(self.epsilon, "epsilon", len(targets), rows, inputs.not_negative)
-        matrix, gamma = self._gram(rows)
+        gram = self._gram(rows)
         mean, unit = units(targets)
         scaled = (targets - mean[:, None]) / unit[:, None]
         problems = regression(scaled, cap / unit, tube / unit, torch.ones_like(targets))
-        found = solve(
-            matrix,
-            problems,
-            inputs.generator_of(self.seed),
-            self._start(len(rows), problems, mean, unit) if warm else None,
-            last=FINAL_RIDGE,
-            tolerance=1e-6,
-        )
+        found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
         beta, bias = found.beta * unit[:, None], found.bias * unit + mean
-        self._keep(rows, beta, bias, found.gap * unit.square(), gamma)
+        gap = duality_gap(problems, found) * unit.square()
+        self._keep(rows, beta, bias, gap, gram.gamma)
         self.cost, self.tube = cap, tube
         self.squeeze = torch.tensor(given.ndim == 1, device=rows.device)
         return self

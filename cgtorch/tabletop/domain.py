@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
+WORTH_SHARING = 16  # grasps
 URDF, DESCRIPTION = "robot.urdf", "robot.json"
 ACTIONS: Mapping[str, Callable[[int], ActionSet]] = {
     "percept": paper_actions,
@@ -264,6 +265,11 @@ def usual_percept(kind: str) -> str:
 
 
 def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """`graspable`, its rows shared out among all ranks."""
+    """`graspable`, its rows shared out among all ranks.
+
+    A few rows are not, so that the first rank alone can try a domain.
+    """
+    if len(position) < WORTH_SHARING:
+        return graspable(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)
     return distributed.gathered(graspable(robot, position[mine], table[mine]), rows)

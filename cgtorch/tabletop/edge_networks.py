@@ -1,7 +1,8 @@
-"""The networks in the frame of the edge nearest to the object (`cgtorch.tabletop.world.edge_frame`).
+"""Networks that see and act from the edge nearest to the object.
 
-They need not learn that a table that is turned, or seen from another side, is still the same
-table: what a node says of one edge holds for all.
+Its frame is that of `cgtorch.tabletop.world.edge_frame`. They need not learn that a table that is
+turned, or seen from another side, is still the same table: what a node says of one edge holds for
+all.
 """
 
 from dataclasses import replace

@@ -87,14 +87,19 @@ def draw_placements(
 ) -> "Figure":
     """`draw_table_top` of scenarios at one table, `draw_scenes` of others; of many, some.
 
-    Test placements and what was missed are drawn first, the others evenly spread.
+    Test placements and what was missed are drawn first, the others evenly spread; the figure's
+    label says how many are drawn.
     """
     one_table = len(torch.unique(scenarios.table, dim=0)) < 2
     some = _some(succeeded, targets, MOST_MARKS if one_table else SCENES)
+    more = f", {len(some)} of them drawn" if len(some) < len(scenarios) else ""
     scenarios, good = scenarios[some], succeeded[some]
     if one_table:
-        return draw_table_top(scenarios, good, targets[some], footprint=footprint, title=title)
-    return draw_scenes(scenarios, good, footprint=footprint, title=title)
+        figure = draw_table_top(scenarios, good, targets[some], footprint=footprint, title=title)
+    else:
+        figure = draw_scenes(scenarios, good, footprint=footprint, title=title)
+    figure.set_label(f"seen from above{more}")
+    return figure
 
 
 def _some(good: Tensor, targets: Tensor, most: int) -> Tensor:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import torch
@@ -53,7 +53,11 @@ class Training:
         domain, specialists = run.domain, run.domain.specialists
         learns, noisy = run.learns, run.learns or run.domain.noisy_world
         replicas = 2 if noisy else 1
-        enough = float("inf") if domain.rewarded else Budget.enough
+        budget = Budget(generations=s.generations, stall=specialists.stall)
+        if domain.rewarded:
+            # A return has no best value, so what solves all is improved for a little while.
+            aim = domain.target_return
+            budget = replace(budget, enough=float("inf"), satisfied=aim, patience=2)
         return Setup(
             actions=run.actions,
             world_of=domain.world,
@@ -61,7 +65,7 @@ class Training:
             learn=learn if learns else None,
             describe=summary_of,
             evolution=evolution_settings(run),
-            budget=Budget(generations=s.generations, stall=specialists.stall, enough=enough),
+            budget=budget,
             group_of=specialists.group_of,
             group=specialists.group,
             lanes=replicas * specialists.group,

@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
-from cgtorch.errors import SettingsError
+from cgtorch.errors import RunError, SettingsError
 from cgtorch.runs.run import AUTO, Run
 
 _SEED_STRIDE = 1_000_003
@@ -45,6 +45,23 @@ def check_stages(run: Run) -> None:
             f"stages {first} to {last} are about {run.domain.usual_kind} scenarios, not "
             f"{run.kind}; use --stage {AUTO}"
         )
+
+
+def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
+    """All stages up to one, of a run that has them or can still make them.
+
+    Raises:
+        SettingsError: no such stage, or the run is about scenarios that have none.
+        RunError: the run has gone on in rounds.
+    """
+    names = stages_up_to(run.domain, stage)
+    check_stages(run)
+    if run.rounds and not set(names) <= set(run.stages):
+        raise RunError(
+            f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "
+            f"stage; go on with --stage {AUTO} or choose another --run-dir"
+        )
+    return names
 
 
 def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:

@@ -5,7 +5,7 @@ from typing import Any
 
 from torch import Generator
 
-from cgtorch.errors import CgtorchError, RunError
+from cgtorch.errors import CgtorchError
 from cgtorch.files import write_json
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import (
@@ -21,13 +21,13 @@ from cgtorch.improvement.setup import Progress
 from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import Entry, enter, entry_of
-from cgtorch.runs.run import AUTO, Run, whole_folder
+from cgtorch.runs.run import Run, whole_folder
 from cgtorch.runs.stage_files import load_progress, save_progress
 from cgtorch.runs.storage import load_result
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.training.initial_models import initial_progress
-from cgtorch.training.stages import check_stages, exercise, stage_generator, stages_up_to
+from cgtorch.training.stages import exercise, stage_generator, stages_to_make
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 
@@ -73,13 +73,7 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
         SettingsError: no such stage, or the run is about scenarios that have none.
     """
     run = training.run
-    names = stages_up_to(run.domain, stage)
-    check_stages(run)
-    if run.rounds and not set(names) <= set(run.stages):
-        raise RunError(
-            f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "
-            f"stage; go on with --stage {AUTO} or choose another --run-dir"
-        )
+    names = stages_to_make(run, stage)
     progress = initial_progress(training)
     for name in names:
         if name in run.stages:

@@ -60,7 +60,7 @@ def test_links_and_tables_work_with_the_keyboard(chromium: Browser, reference: s
         at.page.keyboard.press("Tab")
         assert at.page.evaluate("document.activeElement.textContent") == "Skip to the results"
         at.page.get_by_role("link", name="S2", exact=True).click()
-        expect(at.page.get_by_role("heading", name="S2: right edge")).to_be_in_viewport()
+        expect(at.page.get_by_role("heading", name="S2: right")).to_be_in_viewport()
         details = at.page.get_by_text("The graph of S2 as tables")
         details.focus()
         at.page.keyboard.press("Enter")

@@ -14,6 +14,8 @@ from cgtorch.commands import export as export_command
 from cgtorch.commands import report as report_command
 from cgtorch.commands import train as train_command
 from cgtorch.commands import view as view_command
+from cgtorch.domains.settings import to_plain
+from cgtorch.runs.settings import RunSettings
 
 MAIN: dict[str, Callable[[], None]] = {
     "cgtorch-train": train_command.main,
@@ -22,6 +24,12 @@ MAIN: dict[str, Callable[[], None]] = {
     "cgtorch-report": report_command.main,
     "cgtorch-view": view_command.main,
 }
+
+
+def as_options(settings: RunSettings) -> list[str]:
+    """Settings as words for `cgtorch-train`, without actions of one's own."""
+    values = to_plain(settings)
+    return [f"--{n.replace('_', '-')}={v}" for n, v in values.items() if n != "actions"]
 
 
 class Ended(NamedTuple):

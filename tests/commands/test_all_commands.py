@@ -6,11 +6,13 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
+from own_domains import EXAMPLE
 
 ROOT = Path(__file__).parents[2]
 COMMANDS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
@@ -22,6 +24,12 @@ def command_of(name: str) -> click.Command:
     command = import_module(COMMANDS[name].partition(":")[0]).command
     assert isinstance(command, click.Command)
     return command
+
+
+def parameters_of(name: str) -> list[click.Parameter]:
+    """All parameters, those of the usual domain too."""
+    command = command_of(name)
+    return command.get_params(click.Context(command))
 
 
 def run(name: str, *words: str) -> tuple[subprocess.CompletedProcess[str], float]:
@@ -47,14 +55,23 @@ def test_help_is_there_in_less_than_a_second(name: str) -> None:
     assert "\n  Exit codes: 0 " in ended.stdout
 
 
+@pytest.fixture
+def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package that examples speak of."""
+    (tmp_path / "my_package").mkdir()
+    (tmp_path / "my_package" / "cart.py").write_text(EXAMPLE)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
 @pytest.mark.parametrize("name", COMMANDS)
-def test_examples_are_understood(name: str) -> None:
+def test_examples_are_understood(name: str, my_package: None) -> None:
     """Every option of an example is one that the command has, with a value that it takes."""
     lines = (command_of(name).epilog or "").splitlines()
     for line in lines:
         words = shlex.split(line.partition("|")[0].partition("&&")[0].replace("'", ""))
         if words[:1] == [name]:
-            command_of(name).make_context(name, words[1:], resilient_parsing=False)
+            with suppress(click.exceptions.Exit):  # after --help
+                command_of(name).make_context(name, words[1:], resilient_parsing=False)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -74,7 +91,7 @@ def test_an_unknown_option_is_bad_input(name: str) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_says_what_it_is_for(name: str) -> None:
-    options = [p for p in command_of(name).params if isinstance(p, click.Option)]
+    options = [p for p in parameters_of(name) if isinstance(p, click.Option)]
     assert [option.name for option in options if not option.help] == []
     assert {"--quiet", "--version", "--completion"} <= {o for p in options for o in p.opts}
 
@@ -82,7 +99,7 @@ def test_every_option_says_what_it_is_for(name: str) -> None:
 def test_an_option_is_of_one_kind_in_all_commands() -> None:
     kinds: dict[str, tuple[object, ...]] = {}
     for name in COMMANDS:
-        for option in command_of(name).params:
+        for option in parameters_of(name):
             kind = option.type.name.removesuffix(" range"), option.nargs, option.multiple
             for word in option.opts if isinstance(option, click.Option) else []:
                 assert kinds.setdefault(word, kind) == kind, f"{word} of {name}"

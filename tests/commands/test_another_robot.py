@@ -3,16 +3,12 @@
 import json
 from pathlib import Path
 
-from command_line import Shell
+from command_line import Shell, as_options
 from trained import SMALL
 
 from cgtorch.tabletop.kinematics import robots_folder
 
-OPTIONS = [
-    f"--{name.replace('_', '-')}={value}"
-    for name, value in SMALL.to_dict().items()
-    if name != "actions"
-]
+OPTIONS = as_options(SMALL)
 
 
 def test_a_small_run_of_the_fetch_reaches_the_near_edge(shell: Shell, tmp_path: Path) -> None:
@@ -27,6 +23,7 @@ def test_a_small_run_of_the_fetch_reaches_the_near_edge(shell: Shell, tmp_path: 
     ended = shell("cgtorch-evaluate", run, "--scenarios", "near", "--count", 200, "--json")
     assert ended.code == 0, ended
     assert json.loads(ended.out)["rate"] > 0.8
-    assert "has its robot already" in shell.refuses(
-        "cgtorch-train", "--run-dir", run, "--robot", "fetch"
-    )
+    words = ["cgtorch-train", "--stage", "S0", "--run-dir", run, "--quiet", *OPTIONS]
+    message = shell.refuses(*words)
+    assert "has --robot fetch, not pr2, and cannot change it, as the run has its robot" in message
+    assert shell(*words, "--robot", "fetch").code == 0

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Shell, in_a_shell, listing
+from command_line import Shell, as_options, in_a_shell, listing
 from trained import SMALL, Trained, copied
 
 from cgtorch.tabletop.kinematics import robots_folder
@@ -42,9 +42,13 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["--stage", "auto", "--target", "1"], "target is 1.0; give a number from 0.5 to 0.999"),
         (["--stage", "auto", "--target", "nan"], "target is nan"),
         (["--stage", "auto", "--minutes", "-1"], "minutes is -1.0; give a number from 0 to"),
-        (["--stage", "auto", "--rounds", "0"], "rounds is 0; give a whole number from 1 to"),
-        (["--stage", "S1", "--target", "0.9"], "--target is for --stage auto; add that or leave"),
-        (["--scenarios", "general"], "not general scenarios; use --stage auto"),
+        (["--stage", "auto", "--rounds", "0"], "rounds is 0; give a whole number of at least 1"),
+        (["--target", "0.9"], "--target, --minutes and --rounds are for --stage auto; add that or"),
+        (["--stage", "S1", "--rounds", "3"], "--rounds are for --stage auto; add that or leave"),
+        (
+            ["--scenarios", "general"],
+            "about perimeter scenarios, not general; use --stage auto",
+        ),
         (["--stage", "S0", "--scenarios", "general-clutter"], "use --stage auto"),
         (["--scenarios", "near"], "scenarios is 'near'; use one of perimeter, general, general-"),
         (["--percept", "nose"], "percept is 'nose'; use one of auto, box, yaw"),
@@ -77,7 +81,7 @@ def test_training_with_bad_arguments(
         (["run", "--count", "0"], "--count': 0 is not in the range"),
         (["run", "--count", "many"], "'many' is not a valid integer"),
         (["run", "--seed", "-1"], "--seed': -1 is not in the range"),
-        (["run", "--scenarios", "top"], "unknown placement 'top'; use one of near, left"),
+        (["run", "--scenarios", "top"], "unknown scenarios 'top'; use one of perimeter, near"),
         (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
         (["run", "--skill", "S7"], "no skill 'S7' in the ledger of 'run'; give one of S0, S1"),
         (["run", "--skill", "../S0"], "no skill '../S0' in the ledger"),
@@ -184,7 +188,7 @@ def test_a_skill_file_with_parameters_that_are_no_numbers(shell: Shell, run_fold
 
 def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
-    for version in (2, 0, "1", None, [1]):
+    for version in (1, 3, 0, "2", None, [2]):
         edited(run_folder / "run.json", version=version)
         for words in (
             (TRAIN, "--resume", run_folder),
@@ -192,8 +196,8 @@ def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
             (EVALUATE, run_folder),
             (EVALUATE, run_folder / "S0"),
         ):
-            assert "this cgtorch reads 1; use the version" in shell.refuses(*words)
-    edited(run_folder / "run.json", version=1, format="other")
+            assert "this cgtorch reads 2; use the version" in shell.refuses(*words)
+    edited(run_folder / "run.json", version=2, format="other")
     assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)
     assert listing(run_folder) == before
 
@@ -218,11 +222,13 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     )
     assert "choose another --run-dir" in message
     assert "has its robot already" in shell.refuses(
-        TRAIN, "--run-dir", run_folder, "--urdf", PR2 / "pr2.urdf"
+        TRAIN, "--run-dir", run_folder, *as_options(SMALL), "--urdf", PR2 / "pr2.urdf"
     )
-    for words in (["--run-dir", "x"], ["--urdf", "x"]):
-        message = shell.refuses(TRAIN, "--resume", run_folder, *words)
-        assert f"{words[0]} cannot change in a run that has begun; leave it out" in message
+    message = shell.refuses(TRAIN, "--resume", run_folder, "--run-dir", "x")
+    assert "--run-dir cannot change in a run that has begun; leave it out" in message
+    message = shell.refuses(TRAIN, "--resume", run_folder, "--urdf", "x")
+    assert "--urdf , not x, and cannot change it, as the run has its robot already" in message
+    assert message.endswith("; leave it out\n")
     message = shell.refuses(TRAIN, "--resume", run_folder, "--seed", SMALL.seed, "--population", 80)
     assert "has --population 60, not 80; leave it out, or take it over with" in message
     assert f"--resume {run_folder} --override population=80" in message

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from own_domains import OWN_CART
 from test_all_commands import COMMANDS
 
-from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, script
-from cgtorch.runs.goal import AUTO
-from cgtorch.training.stages import STAGES as EDGES
-from cgtorch.tabletop.world import DRAWS
+from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, TRAINED, script
+from cgtorch.runs.run import AUTO
+from cgtorch.tabletop.domain import Tabletop
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 
@@ -23,6 +23,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "runs").mkdir()
     shutil.copytree(REFERENCE, tmp_path / "runs" / "one")
     (tmp_path / "mine.json").write_text("{}")
+    (tmp_path / "own_cart.py").write_text(OWN_CART)
     (tmp_path / "bin").mkdir()
     for name, place in COMMANDS.items():
         path = tmp_path / "bin" / name
@@ -65,6 +66,22 @@ printf '%s\n' "${COMPREPLY[@]}"
         ("cgtorch-train --stage ", list(STAGES)),
         ("cgtorch-train --stage a", ["auto"]),
         ("cgtorch-train --method ", ["compose", "paper"]),
+        ("cgtorch-train --domain ", ["gymnasium", "tabletop"]),
+        ("cgtorch-train --domain t", ["tabletop"]),
+        ("cgtorch-train --domain tabletop --stage S", ["S0", "S1", "S2", "S3"]),
+        ("cgtorch-train --domain tabletop --percept ", ["auto", "box", "yaw"]),
+        ("cgtorch-train --scenarios ", list(TRAINED)),
+        ("cgtorch-train --resume runs/one --scenarios gen", ["general", "general-clutter"]),
+        ("cgtorch-train --domain own_cart:Cart --stage ", ["up", "down", "auto"]),
+        ("cgtorch-train --domain own_cart:Cart --scenarios ", ["calm", "windy"]),
+        ("cgtorch-train --domain own_cart:Cart --wi", ["--wind"]),
+        ("cgtorch-train --domain own_cart:Cart --colour ", ["red", "blue"]),
+        ("cgtorch-train --domain own_cart:Cart --percept ", []),
+        ("cgtorch-train --domain nowhere --stage ", []),
+        ("cgtorch-train --domain nowhere --scenarios ", []),
+        ("cgtorch-evaluate runs/one --domain ", ["gymnasium", "tabletop"]),
+        ("cgtorch-export runs/one --domain g", ["gymnasium"]),
+        ("cgtorch-report runs/one --domain g", ["gymnasium"]),
         ("cgtorch-train --resume ", ["runs/one"]),
         ("cgtorch-train --resume runs/o", ["runs/one"]),
         ("cgtorch-train --resume ./runs/o", ["./runs/one"]),
@@ -106,5 +123,7 @@ def test_declared_actions(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_words_are_those_that_the_library_knows() -> None:
-    assert tuple(DRAWS) == SCENARIOS
-    assert (*EDGES, AUTO) == STAGES
+    assert set(SCENARIOS) == set(Tabletop.kinds)
+    assert len(SCENARIOS) == len(Tabletop.kinds)
+    assert Tabletop.trained_kinds == TRAINED
+    assert (*Tabletop.stages, AUTO) == STAGES

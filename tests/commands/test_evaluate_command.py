@@ -7,11 +7,11 @@ import pytest
 from command_line import Shell, in_a_shell, listing
 from trained import Trained, copied
 
-from cgtorch.training.evaluate import evaluate_skill, kept_promises
 from cgtorch.numerics.interval import wilson
 from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.run import last_skill
 from cgtorch.runs.storage import load_knowledge
+from cgtorch.training.evaluate import evaluate_skill, promise_kept
 
 EVALUATE = "cgtorch-evaluate"
 
@@ -41,10 +41,10 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     found = json.loads(ended.out)
     run, skill = last_skill(trained.folder / place)
     assert skill.name == name
-    score = evaluate_skill(skill, run.world_of, "near", 12, 4)
-    knowledge = load_knowledge(run.folder / name)
-    kept = kept_promises(score, skill, knowledge, run.world_of(score.scenarios), 4)
-    again = read_entry(run.folder, name, run.actions).other_noise
+    score = evaluate_skill(skill, run.domain, "near", 12, 4)
+    knowledge = load_knowledge(run.folder / name, run.domain.unfitted())
+    kept = promise_kept(score, skill, knowledge, run.domain, 4)
+    again = read_entry(run.folder, name, run.actions, run.like()).other_noise
     assert kept is not None
     assert again is not None
     assert found == {
@@ -55,6 +55,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
         "succeeded": score.successes,
         "rate": score.successes / 12,
         "interval": list(score.interval),
+        "mean_return": None,
         "promised": {
             "tried": kept.tried,
             "succeeded": kept.successes,
@@ -133,7 +134,8 @@ def test_scenarios_are_those_of_the_run_unless_others_are_named(
     run = copied(trained, tmp_path / "run")
     about = json.loads((run / "run.json").read_text())
     for kind in ("perimeter", "general"):
-        about["settings"] |= {"scenarios": kind, "percept": "box"}
+        about["settings"] |= {"scenarios": kind}
+        about["domain_settings"] |= {"percept": "box"}
         (run / "run.json").write_text(json.dumps(about))
         ended = shell(EVALUATE, run, "--count", 2, "--json")
         assert (ended.code, ended.err) == (0, "")

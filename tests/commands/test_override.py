@@ -10,6 +10,7 @@ from command_line import Shell
 from torch import Tensor
 from trained import SMALL, Trained, begin_last, copied, first_evolution, interrupted
 
+from cgtorch.domains.settings import to_plain
 from cgtorch.runs.run import open_run, versions
 
 TRAIN = "cgtorch-train"
@@ -52,7 +53,7 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     entry = {"before": "S1", "changed": changed, "set_aside": "set-aside/1"}
     assert about(folder)["history"] == [entry]
     wanted = copied(trained, tmp_path / "wanted", ("S0",))
-    edited(wanted, settings=settings.to_dict())
+    edited(wanted, settings=to_plain(settings))
     found = begin_last(open_run(folder))
     assert same(found, begin_last(open_run(wanted)))
     assert not same(found, first_evolution(folder / "set-aside" / "1"))

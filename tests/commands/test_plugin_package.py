@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_line import Ended, in_a_shell
+from command_line import Ended, as_options, in_a_shell
 from trained import SMALL
 
 from cgtorch.actions import paper_actions
@@ -18,11 +18,7 @@ from cgtorch.actions import paper_actions
 HERE = Path(__file__).parent.parent
 SOURCE = HERE / "plugin_package"
 NAMES = ("Approach", "Wander")
-OPTIONS = [
-    f"--{name.replace('_', '-')}={value}"
-    for name, value in SMALL.to_dict().items()
-    if name != "actions"
-]
+OPTIONS = as_options(SMALL)
 
 
 @pytest.fixture(scope="module")

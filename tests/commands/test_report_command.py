@@ -10,8 +10,8 @@ from lxml import html
 from report_pages import REFERENCE, thinned, words
 from trained import Trained, interrupted
 
-from cgtorch.runs.journal import recalled_generations
 from cgtorch.report.page import report_page
+from cgtorch.runs.journal import recalled_generations
 
 REPORT = "cgtorch-report"
 

@@ -4,15 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from command_line import Shell, in_a_shell, listing
+from command_line import Shell, as_options, in_a_shell, listing
 from trained import SMALL, Trained, copied
 
 TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
-OPTIONS = [
-    f"--{name.replace('_', '-')}={value}"
-    for name, value in SMALL.to_dict().items()
-    if name != "actions"
-]
+OPTIONS = as_options(SMALL)
 HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", "--practice=0"]
 LITTLE = ["--transitions=50", "--labels=60"]
 
@@ -99,7 +95,10 @@ def test_a_finished_stage_is_not_made_again(shell: Shell, trained: Trained, tmp_
         assert ended.err == ""  # quiet: the table alone, where results go
         assert "S0" in ended.out
         assert "S1" in ended.out
+    about = json.loads(was.pop(folder / "run.json"))
     assert {p: p.read_bytes() for p in was} == was
+    noted = json.loads((folder / "run.json").read_text())
+    assert noted == {**about, "goes_on_to": {"stage": "S1"}}
     summary = json.loads((folder / "summary.json").read_text())
     assert summary == json.loads((trained.folder / "summary.json").read_text())
     assert [stage["stage"] for stage in summary["stages"]] == ["S0", "S1"]
@@ -156,7 +155,7 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     assert not (folder / "auto-1").exists()
     ended = shell(TRAIN, *words, "--rounds", 1)
     assert ended.code == 0, ended
-    assert "fresh placements = " in ended.err
+    assert "fresh scenarios = " in ended.err
     said = ended.err.replace("\n", " ")
     assert f"run {folder} has not reached its goal of 0.98; go on with --resume" in said
     ended = shell(EVALUATE, folder, "--count", 5, "--json")

@@ -4,17 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from click.testing import CliRunner
+from command_line import as_options
 from pretended_gpu import pretended_gpu
 from trained import SMALL
 
 from cgtorch.commands.train import command
 from cgtorch.files import read_json
 
-OPTIONS = [
-    f"--{name.replace('_', '-')}={value}"
-    for name, value in replace(SMALL, practice=0).to_dict().items()
-    if name != "actions"
-]
+OPTIONS = as_options(replace(SMALL, practice=0))
 
 
 def test_a_skill_is_evolved_there(tmp_path: Path) -> None:

@@ -7,46 +7,25 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
-from support import FOOTPRINT, seeded, world
+from reaching import BASE, TABLE, Reaching, fitted_to, world_of
+from support import seeded, world
 from torch import Tensor
 
-from cgtorch.environment import Dataset
-from cgtorch.tabletop.data import collect, domain_of
-from cgtorch.environment import start_lanes
-from cgtorch.domains.knowledge import (
-    ASIDE,
-    MOST_NEW,
-    Knowledge,
-    fit_models,
-    imagine,
-    learn,
-    parted,
-    possible_with,
-    sampled,
-    taken,
-)
+from cgtorch.domains.knowledge import ASIDE, MOST_NEW, Knowledge, learn, parted, sampled, taken
+from cgtorch.environment import Dataset, start_lanes
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
 from cgtorch.improvement.team import try_all
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.tabletop.world import Scenarios, TabletopWorld, cluttered_scenarios, random_scenarios
-
-
-def reachable(at: Tensor, table: Tensor) -> Tensor:
-    """What is in front of the base and near it can be grasped."""
-    return (at[:, 0] > 0.2) & (at[:, 0] < 1.2) & (at[:, 1].abs() < 0.4)
-
-
-def world_of(scenarios: Scenarios) -> TabletopWorld:
-    return TabletopWorld(scenarios, reachable, FOOTPRINT)
-
+from cgtorch.tabletop.data import collect, scenes_of
+from cgtorch.tabletop.world import cluttered_scenarios, random_scenarios
 
 PERCEPTS = world(0, 4).start(torch.arange(4))[1]
 
 
 @pytest.mark.parametrize("replicas", [1, 3])
 def test_scenarios_are_imagined_several_times(knowledge: Knowledge, replicas: int) -> None:
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), replicas, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, replicas, seeded(0))
     assert place.num_scenarios == 4 * replicas
     seen = place.start(torch.arange(4 * replicas))[1]
     for i in range(4):
@@ -54,9 +33,9 @@ def test_scenarios_are_imagined_several_times(knowledge: Knowledge, replicas: in
 
 
 def test_errors_are_those_that_gamma_makes(knowledge: Knowledge) -> None:
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 3, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, 3, seeded(0))
     data = knowledge.dataset
-    made = data.next_percept - knowledge.swift(data.percept, data.motion).detach()
+    made = data.next_percept - knowledge.swift(data.percept, data.control).detach()
     assert place.errors is not None
     errors = place.errors.flatten(0, 1)
     assert (
@@ -73,7 +52,7 @@ def test_errors_are_those_that_gamma_makes(knowledge: Knowledge) -> None:
 
 
 def test_imagined_tables_are_in_the_way(knowledge: Knowledge) -> None:
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
     lanes = start_lanes(place, torch.arange(4), 0, 0)
     for ahead, free in ((0.2, True), (1.2, False), (-3.0, False), (float("nan"), False)):
         motion = torch.tensor([ahead, 0.0, 0.0]).repeat(4, 1)
@@ -87,7 +66,7 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
     half = 0.5**0.5
     seven = [1.2 - half, 1.2 + half, -half, half, 1.2, 0.0, 0.8]
     turned, behind, none = [0.0, 1.0], [-1.0, -0.5, -0.2, 0.2], [0.0] * 4
-    possible = possible_with(torch.tensor(FOOTPRINT))
+    possible = TABLE.possible
     forwards, aside, back = [0.6, 0.0, 0.0], [0.2, 0.9, 0.0], [-0.4, 0.0, 0.0]
     for extra, free in (
         ([], [False, False, True]),
@@ -102,15 +81,15 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
 def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: Knowledge) -> None:
     """The training data alone would say otherwise: each is a centre and not novel at all."""
     fresh = collect(world_of, 400, 120, seeded(8))
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
     with torch.no_grad():
-        _, novelty = place.gamma(fresh.percept, fresh.motion)
+        _, novelty = place.gamma(fresh.percept, fresh.control)
     assert float((novelty <= place.most_novel).float().mean()) > 0.9
 
 
 def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
     """Driving back, again and again, the robot comes to where no data are."""
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
     lanes = start_lanes(place, torch.arange(4), 0, 0)
     back = torch.tensor([-1.2, 0.0, 0.0]).repeat(4, 1)
     lost = [place.lost(lanes)]
@@ -127,15 +106,12 @@ def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
 
 
 def test_obstacles_that_are_not_there_are_never_imagined() -> None:
-    def seeing_yaw(scenarios: Scenarios) -> TabletopWorld:
-        return TabletopWorld(scenarios, reachable, FOOTPRINT, percept="yaw")
-
-    domain = domain_of("general-clutter")
-    knowledge = fit_models(collect(seeing_yaw, 80, 120, seeded(0), domain), seed=0)
-    percepts = first_percepts(seeing_yaw(cluttered_scenarios(12, seeded(1))))
+    table = Reaching(robot=BASE, tabletop="yaw", obstacles=1)
+    knowledge = fitted_to(collect(table.world, 80, 120, seeded(0), scenes_of("general-clutter")))
+    percepts = first_percepts(table.world(cluttered_scenarios(12, seeded(1))))
     there = (percepts[:, 9:] != 0).any(1)
     assert 0 < int(there.sum()) < 12
-    place = imagine(knowledge, percepts, torch.tensor(FOOTPRINT), 1, seeded(2))
+    place = table.imagine(knowledge, percepts, 1, seeded(2))
     assert place.errors is not None
     assert place.errors[:, :, :9].abs().amin(2).gt(0).all()
     lanes = start_lanes(place, torch.arange(12), 0, 0)
@@ -146,7 +122,7 @@ def test_obstacles_that_are_not_there_are_never_imagined() -> None:
 
 def test_imagining_leaves_the_models_alone(knowledge: Knowledge) -> None:
     before = {k: v.clone() for k, v in knowledge.gamma.state_dict().items()}
-    place = imagine(knowledge, PERCEPTS, torch.tensor(FOOTPRINT), 1, seeded(0))
+    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
     assert place.classifier is not knowledge.classifier
     assert all(torch.equal(v, before[k]) for k, v in knowledge.gamma.state_dict().items())
 
@@ -155,7 +131,7 @@ def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> No
     scenarios = random_scenarios("near", 30, seeded(1))
     experience = try_skill(nearly(0.3), setup.world_of(scenarios)).experience
     after = learn(knowledge, experience, seeded(2))
-    assert after.verdicts is not None
+    assert after.acceptances is not None
     gained = [
         (len(after.dataset.percept) - len(knowledge.dataset.percept), MOST_NEW),
         (len(after.aside.percept) - len(knowledge.aside.percept), MOST_NEW // ASIDE),
@@ -163,18 +139,18 @@ def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> No
     for old, new in ((knowledge.dataset, after.dataset), (knowledge.aside, after.aside)):
         for name, rows in vars(old).items():
             assert torch.equal(vars(new)[name][: len(rows)], rows)
-    if after.verdicts[0].accepted:
+    if after.acceptances[0].accepted:
         assert sum(rows for rows, _ in gained) == min(MOST_NEW, len(experience.percept)) > 0
         assert gained[1][0] <= gained[1][1]
     assert after.gamma_report is knowledge.gamma_report
-    assert (after.classifier is not knowledge.classifier) == after.verdicts[1].accepted
+    assert (after.classifier is not knowledge.classifier) == after.acceptances[1].accepted
 
 
 def test_a_tenth_is_never_fitted_on() -> None:
     data = collect(world_of, 60, 90, seeded(0))
     fitted, aside = parted(data)
     assert len(aside.percept) == 6
-    assert len(aside.graspable) == len(data.graspable) // ASIDE
+    assert len(aside.succeeded) == len(data.succeeded) // ASIDE
     together = torch.cat([fitted.percept, aside.percept])
     assert torch.equal(together.sort(0).values, data.percept.sort(0).values)
     assert not (torch.cdist(fitted.percept, aside.percept) == 0).any()
@@ -183,20 +159,20 @@ def test_a_tenth_is_never_fitted_on() -> None:
 def _tables(knowledge: Knowledge, data: Dataset) -> float:
     """Γ's mean error on the table."""
     with torch.no_grad():
-        answer = knowledge.gamma(data.percept, data.motion)
+        answer = knowledge.gamma(data.percept, data.control)
     return float((answer - data.next_percept).abs()[:, :4].mean())
 
 
 def _brier(knowledge: Knowledge, data: Dataset) -> float:
     with torch.no_grad():
-        chance = knowledge.classifier(data.grasp_percept)
-    return float((chance - data.graspable.float()).square().mean())
+        chance = knowledge.classifier(data.tested)
+    return float((chance - data.succeeded.float()).square().mean())
 
 
 def _is_known(data: Dataset) -> tuple[Tensor, Tensor]:
     """Transitions with objects far from the table's centre, and grasps to the left."""
     centre = torch.stack([data.percept[:, 0:2].mean(1), data.percept[:, 2:4].mean(1)], 1)
-    return (data.percept[:, 4:6] - centre).norm(dim=1) > 0.48, data.grasp_percept[:, 5] > 0
+    return (data.percept[:, 4:6] - centre).norm(dim=1) > 0.48, data.tested[:, 5] > 0
 
 
 def _known(data: Dataset) -> Dataset:
@@ -211,7 +187,7 @@ def _new(data: Dataset) -> Dataset:
 @pytest.fixture(scope="module")
 def half() -> Knowledge:
     """What is known after half of the world has been seen."""
-    return fit_models(_known(collect(world_of, 700, 600, seeded(6))), 0)
+    return fitted_to(_known(collect(world_of, 700, 600, seeded(6))))
 
 
 def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
@@ -220,12 +196,12 @@ def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
     # As many as are known: the regression passes over what is wrong in a small share of the rows.
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_NEW", 700)
     honest = _known(collect(world_of, 1200, 500, seeded(5)))
-    mirrored = honest.motion * torch.tensor([1, 1, -1])  # a gyroscope mounted upside down
-    poisoned = replace(honest, motion=mirrored, graspable=~honest.graspable)
+    mirrored = honest.control * torch.tensor([1, 1, -1])  # a gyroscope mounted upside down
+    poisoned = replace(honest, control=mirrored, succeeded=~honest.succeeded)
     after = learn(half, poisoned, seeded(1))
-    assert after.verdicts is not None
-    assert [v.accepted for v in after.verdicts] == [False, False]
-    assert all(v.after > v.before and "refused" in v.reason for v in after.verdicts)
+    assert after.acceptances is not None
+    assert [v.accepted for v in after.acceptances] == [False, False]
+    assert all(v.after > v.before and "refused" in v.reason for v in after.acceptances)
     assert after.gamma is half.gamma
     assert after.swift is half.swift
     assert after.classifier is half.classifier
@@ -237,8 +213,8 @@ def test_good_data_are_taken_and_better_where_they_are_new(half: Knowledge) -> N
     new = _new(collect(world_of, 400, 600, seeded(10)))
     fresh = collect(world_of, 900, 900, seeded(7))
     after = learn(half, new, seeded(8))
-    assert after.verdicts is not None
-    assert all(v.accepted for v in after.verdicts)
+    assert after.acceptances is not None
+    assert all(v.accepted for v in after.acceptances)
     assert _tables(after, _new(fresh)) < 0.9 * _tables(half, _new(fresh))
     assert _brier(after, _new(fresh)) < 0.9 * _brier(half, _new(fresh))
     assert _tables(after, _known(fresh)) < 1.05 * _tables(half, _known(fresh))
@@ -252,11 +228,11 @@ def test_too_many_rows_become_a_coreset(
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_LABELS", 90)
     experience = collect(world_of, 60, 60, seeded(5))
     after = learn(knowledge, experience, seeded(1))
-    assert after.verdicts is not None
-    rows = [len(after.dataset.percept), len(after.dataset.graspable)]
+    assert after.acceptances is not None
+    rows = [len(after.dataset.percept), len(after.dataset.succeeded)]
     most = [80 + 54, 90 + 54]
-    for had, limit, verdict in zip(rows, most, after.verdicts, strict=True):
-        assert verdict.accepted
+    for had, limit, acceptance in zip(rows, most, after.acceptances, strict=True):
+        assert acceptance.accepted
         assert had <= limit
     aside = knowledge.aside
     assert _tables(after, aside) < 1.2 * _tables(knowledge, aside)
@@ -267,8 +243,8 @@ def test_nothing_experienced_changes_nothing_much(knowledge: Knowledge) -> None:
     after = learn(knowledge, nothing, seeded(0))
     data = knowledge.dataset
     assert torch.allclose(
-        after.gamma(data.percept, data.motion),
-        knowledge.gamma(data.percept, data.motion),
+        after.gamma(data.percept, data.control),
+        knowledge.gamma(data.percept, data.control),
         atol=0.01,
     )
     assert len(after.dataset.percept) == len(data.percept)
@@ -282,13 +258,13 @@ def test_samples(most: int, odd: int, seed: int) -> None:
     some = sampled(data, torch.arange(20) < odd, most, seeded(seed))
     assert len(some.percept) == min(most, 30)
     assert len(set(some.percept[:, 0].tolist())) == len(some.percept)
-    assert torch.equal(some.motion, some.percept + 100)
+    assert torch.equal(some.control, some.percept + 100)
     assert torch.equal(some.next_percept, some.percept + 200)
-    grasps = some.grasp_percept[:, 0]
+    grasps = some.tested[:, 0]
     assert int((grasps < odd).sum()) == min(most, odd)
     assert int((grasps >= odd).sum()) == min(most, 20 - odd)
     assert len(set(grasps.tolist())) == len(grasps)
-    assert torch.equal(some.graspable, grasps % 2 == 0)
+    assert torch.equal(some.succeeded, grasps % 2 == 0)
 
 
 @given(

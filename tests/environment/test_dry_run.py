@@ -10,8 +10,8 @@ from support import Counter, custom_actions, model, nested_actions, seeded, worl
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.environment.dry_run import check_environment
 from cgtorch.environment import Environment, Lanes
+from cgtorch.environment.dry_run import check_environment
 from cgtorch.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.simulation import ModelEnvironment

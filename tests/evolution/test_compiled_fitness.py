@@ -8,11 +8,11 @@ from random_models import random_models
 from support import as_double, as_double_actions, nested_actions, random_graphs, seeded
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.evolution.fitness import Evaluation, evaluate
 from cgtorch.native import available
 from cgtorch.numerics import row_means
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.edge_networks import edge_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 

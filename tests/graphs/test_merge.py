@@ -16,6 +16,7 @@ from support import (
     seeded,
     world,
 )
+from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
 from cgtorch.graphs import (
@@ -53,7 +54,7 @@ def test_runs_do_not_change(seed: int, actions: ActionSet) -> None:
     graphs = doubled(random_graphs(seed, 8, actions), seed)
     for place in (world(seed, 6), model(seed, 6)):
         was, now = (rollout(g, actions, place) for g in (graphs, merged(graphs)))
-        for name, value in vars(was).items():
+        for name, value in tensors_of(was).items():
             assert torch.equal(value, getattr(now, name)), name
 
 

@@ -19,6 +19,7 @@ from support import (
     stochastic_actions,
     world,
 )
+from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.errors import ActionError, CgtorchError, GraphError, RunError
@@ -82,7 +83,7 @@ def test_a_file_holds_a_skill_that_does_the_same(tmp_path: Path) -> None:
         rollout(s.graph, s.actions, world(0, 30), max_transitions=s.max_transitions)
         for s in (skill, again)
     )
-    for name, value in vars(one).items():
+    for name, value in tensors_of(one).items():
         assert torch.equal(value, getattr(two, name)), name
 
 

@@ -1,50 +1,25 @@
-"""A stand-in for the arms, a world of it, and models that were really fitted to it."""
+"""A small search in models that were really fitted to a world with a stand-in for the arms."""
 
 import pytest
-import torch
-from support import FOOTPRINT, seeded
-from torch import Tensor
+from reaching import small_knowledge, small_setup
 
-from cgtorch.actions import paper_actions
-from cgtorch.tabletop.data import collect
-from cgtorch.evolution import EvolutionSettings
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn, with_footprint
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.stopping import Budget
-from cgtorch.tabletop.world import Scenarios, TabletopWorld, stage_scenarios
-
-
-def reachable(at: Tensor, table: Tensor) -> Tensor:
-    """What is in front of the base and near it can be grasped."""
-    return (at[:, 0] > 0.2) & (at[:, 0] < 1.2) & (at[:, 1].abs() < 0.4)
-
-
-def world_of(scenarios: Scenarios) -> TabletopWorld:
-    return TabletopWorld(scenarios, reachable, FOOTPRINT)
+from cgtorch.tabletop.world import Scenarios, stage_scenarios
 
 
 @pytest.fixture(scope="session")
 def knowledge() -> Knowledge:
-    return fit_models(collect(world_of, 120, 120, seeded(0)), seed=0)
+    return small_knowledge()
 
 
 @pytest.fixture(scope="session")
-def setup() -> Setup:
-    """A small search."""
-    return Setup(
-        actions=paper_actions(),
-        world_of=world_of,
-        imagine=with_footprint(torch.tensor(FOOTPRINT)),
-        learn=learn,
-        evolution=EvolutionSettings(population=60, capacity=12),
-        budget=Budget(generations=12),
-        attempts=3,
-        rounds=2,
-    )
+def setup() -> Setup[Scenarios]:
+    return small_setup()
 
 
 @pytest.fixture(scope="session")
-def nothing_yet(knowledge: Knowledge) -> Progress:
+def nothing_yet(knowledge: Knowledge) -> Progress[Scenarios]:
     """Before the first stage."""
     none = stage_scenarios("near", 0)
     return Progress(None, none, none, knowledge)

@@ -11,15 +11,15 @@ SIZE = 7
 
 
 def tensors() -> dict[str, Tensor]:
-    """Of a trial of three scenarios, which went through two transitions and one grasp."""
+    """Of a trial of three scenarios, which went through two transitions and one test."""
     return {
-        "succeeded": torch.tensor([True, False, True]),
+        "solved": torch.tensor([True, False, True]),
         "transitions": torch.tensor([1, 2, 3]),
         "percept": torch.zeros(2, SIZE),
-        "motion": torch.zeros(2, 3),
+        "control": torch.zeros(2, 3),
         "next_percept": torch.zeros(2, SIZE),
-        "grasp_percept": torch.zeros(1, SIZE),
-        "graspable": torch.tensor([True]),
+        "tested": torch.zeros(1, SIZE),
+        "succeeded": torch.tensor([True]),
     }
 
 

@@ -10,6 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support import random_skill, seeded, world
+from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
 from cgtorch.environment import Lanes
@@ -120,7 +121,7 @@ def test_composed_skills_can_be_stored_and_composed_again(tmp_path: Path) -> Non
     save_skill(tmp_path / "skill.json", outer)
     again = load_skill(tmp_path / "skill.json", ACTIONS)
     one, two = (rollout(s.graph, s.actions, world(0, 30)) for s in (outer, again))
-    for name, value in vars(one).items():
+    for name, value in tensors_of(one).items():
         assert torch.equal(value, getattr(two, name))
 
 
@@ -150,7 +151,7 @@ def test_members_that_behave_the_same_are_one_node() -> None:
     alone = torch.stack([rollout(s.graph, s.actions, place).succeeded[0] for s in (one, two, one)])
     at_once = alone.gather(0, sent[None])[0]
     assert at_once.any()
-    for name, value in vars(once).items():
+    for name, value in tensors_of(once).items():
         assert torch.equal(value[:, at_once], getattr(all_three, name)[:, at_once]), name
 
 

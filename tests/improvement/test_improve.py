@@ -117,7 +117,7 @@ def grown(before: Dataset, after: Dataset) -> int:
     """How many rows are new; the old ones must come first."""
     for name, rows in vars(before).items():
         assert torch.equal(vars(after)[name][: len(rows)], rows), name
-    return len(after.graspable) - len(before.graspable)
+    return len(after.succeeded) - len(before.succeeded)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -133,10 +133,10 @@ def test_where_nothing_can_be_solved_all_stays_and_the_models_learn(
     before = nothing_yet.knowledge
     assert grown(before.dataset, after.knowledge.dataset) > 0
     seen = after.knowledge.dataset
-    new = slice(len(before.dataset.graspable), None)
-    assert not seen.graspable[new].any()
+    new = slice(len(before.dataset.succeeded), None)
+    assert not seen.succeeded[new].any()
     # Where grasping failed, C no longer believes in it as it did.
-    where = seen.grasp_percept[new]
+    where = seen.tested[new]
     doubt = before.classifier(where).mean() - after.knowledge.classifier(where).mean()
     assert float(doubt) > 0.05
     # The knowledge that the stage began with is as it was.

@@ -10,12 +10,12 @@ import torch
 from support import seeded
 
 from cgtorch.errors import RunError
-from cgtorch.runs.journal import FileJournal
 from cgtorch.graphs import skill_to_dict
 from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.runs.journal import FileJournal
 from cgtorch.tabletop.world import random_scenarios, stage_scenarios
 
 METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow}

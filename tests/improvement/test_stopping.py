@@ -12,7 +12,6 @@ from torch import Tensor
 
 from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
-from cgtorch.runs.journal import FileJournal
 from cgtorch.improvement.journal import Standing
 from cgtorch.improvement.stopping import (
     Found,
@@ -22,6 +21,7 @@ from cgtorch.improvement.stopping import (
     islands_from,
     standing_of,
 )
+from cgtorch.runs.journal import FileJournal
 
 ACTIONS = custom_actions()
 

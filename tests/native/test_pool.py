@@ -7,30 +7,28 @@ import pytest
 import torch
 from torch import Tensor
 
-from cgtorch import native
-from cgtorch.svm.gram import Gram
+from cgtorch.native import available, function
+from cgtorch.native.structures import POINTER, WHOLE
 
-GENERATOR = torch.Generator().manual_seed(0)
-MATRIX = torch.randn(3000, 3000, generator=GENERATOR, dtype=torch.float64)
-SPARSE = torch.randn(5, 3000, generator=GENERATOR, dtype=torch.float64)
-SPARSE *= torch.rand(5, 3000, generator=GENERATOR) < 0.3
+pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
-
-def product(_: object = None) -> Tensor:
-    return Gram(MATRIX).times(SPARSE)
+ROWS = 1600
+COLUMNS = torch.randn(5, ROWS, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+TYPES = POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE
 
 
-@pytest.fixture(autouse=True)
-def three_threads():
-    before = native.use_threads(3)
-    yield
-    native.use_threads(before)
+def kernel_matrix(_: object = None) -> Tensor:
+    found = torch.empty(ROWS, ROWS)
+    call = function("rbf_gram", torch.float32, *TYPES)
+    assert call is not None
+    call(COLUMNS.data_ptr(), ROWS, len(COLUMNS), ROWS, found.data_ptr(), 3)
+    return found
 
 
 def test_several_callers_at_once_all_get_their_results() -> None:
-    expected = product()
+    expected = kernel_matrix()
     with ThreadPoolExecutor(6) as pool:
-        for found in pool.map(product, range(60)):
+        for found in pool.map(kernel_matrix, range(60)):
             assert torch.equal(found, expected)
 
 
@@ -38,13 +36,13 @@ def test_several_callers_at_once_all_get_their_results() -> None:
     "fork" not in multiprocessing.get_all_start_methods(), reason="there is no fork"
 )
 def test_a_forked_process_has_threads_of_its_own() -> None:
-    expected = product()
+    expected = kernel_matrix()
     context = multiprocessing.get_context("fork")
     with ThreadPoolExecutor(2) as busy:  # so that one is at it, with its locks, as it forks
-        others = [busy.submit(product) for _ in range(40)]
+        others = [busy.submit(kernel_matrix) for _ in range(40)]
         for _ in range(5):
             receiver, sender = context.Pipe(duplex=False)
-            child = context.Process(target=lambda s=sender: s.send(product().numpy()))
+            child = context.Process(target=lambda s=sender: s.send(kernel_matrix().numpy()))
             child.start()
             assert receiver.poll(60)
             assert torch.equal(torch.from_numpy(receiver.recv()), expected)

@@ -16,11 +16,12 @@ from islands_on_ranks import everything
 from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
 
+from cgtorch.domains.settings import to_plain
 from cgtorch.parallel import distributed as ranks
 
 GATHER = """
 import torch
-from cgtorch import ranks
+from cgtorch.parallel import distributed as ranks
 
 with ranks.together():
     assert ranks.count() == 5
@@ -62,7 +63,7 @@ with ranks.together():
 RESTARTED = """
 import os, signal, sys
 import torch
-from cgtorch import ranks
+from cgtorch.parallel import distributed as ranks
 
 with ranks.together():
     if int(os.environ["TORCHELASTIC_RESTART_COUNT"]) < 2:
@@ -159,7 +160,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("count", [2, 3])
 def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_path: Path) -> None:
     """60 individuals and 13 scenarios do not divide evenly by all of these."""
-    given = {k: v for k, v in SMALL.to_dict().items() if v != getattr(type(SMALL), k, None)}
+    given = {k: v for k, v in to_plain(SMALL).items() if v != getattr(type(SMALL), k, None)}
     options = [
         part
         for name, value in given.items()

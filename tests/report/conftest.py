@@ -1,12 +1,15 @@
 """One small stage, told by the events of a real evolution in a real world."""
 
+from dataclasses import dataclass
+
 import pytest
 import torch
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.tabletop.data import collect
+from cgtorch.domains.knowledge import Knowledge
+from cgtorch.domains.success import fit_success_classifier
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import branching_action, compose
@@ -19,17 +22,21 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.domains.knowledge import Knowledge
+from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.data import collect
+from cgtorch.tabletop.data.poses import PERIMETER
 from cgtorch.tabletop.models import (
-    fit_success_classifier,
-    fit_transition_model,
+    GraspClassifier,
+    SuccessQuality,
+    fit_table_transition_model,
     fresh_labels,
     success_quality,
     transition_quality,
 )
+from cgtorch.tabletop.models.summary import Fresh, tabletop_summary
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
 from cgtorch.tabletop.world.scenarios import stage_scenarios
 
@@ -48,15 +55,40 @@ def _world_of(scenarios: Scenarios) -> TabletopWorld:
 def _knowledge() -> Knowledge:
     data = collect(_world_of, 120, 100, seeded(0))
     grid = {"C": (8.0,), "gamma": (0.03,), "folds": 3}
-    gamma, gamma_report = fit_transition_model(
-        data.percept, data.motion, data.next_percept, epsilon=(0.1,), **grid
+    gamma, gamma_report = fit_table_transition_model(
+        data.percept, data.control, data.next_percept, epsilon=(0.1,), **grid
     )
-    classifier, report = fit_success_classifier(data.grasp_percept, data.graspable, **grid)
+    classifier, report = fit_success_classifier(
+        GraspClassifier(), data.tested, data.succeeded, **grid
+    )
     return Knowledge(data, gamma, gamma, classifier, gamma_report, report, data)
 
 
+@dataclass(frozen=True)
+class Models:
+    """What is known of the models that the events tell of."""
+
+    knowledge: Knowledge
+    fresh: Fresh
+    judged: SuccessQuality
+
+    def summary(self, fresh: Fresh | None = None) -> ModelSummary:
+        """What is told of them, or would be with other fresh experience."""
+        given = fresh or self.fresh
+        return tabletop_summary(_world_of, self.knowledge, given, seeded(4), PERIMETER)
+
+
 @pytest.fixture(scope="session")
-def events() -> list[Event]:
+def models() -> Models:
+    knowledge = _knowledge()
+    tried = transition_quality(_world_of, knowledge.gamma, 40, seeded(2))
+    labels = fresh_labels(_world_of, 60, seeded(1))
+    judged = success_quality(_world_of, knowledge.classifier, labels, seeded(4))
+    return Models(knowledge, Fresh(tried, labels), judged)
+
+
+@pytest.fixture(scope="session")
+def events(models: Models) -> list[Event]:
     """Two candidates of stage S1, the models between them, and the skill made of both."""
     told: list[Event] = []
     actions, generator = paper_actions(), seeded(3)
@@ -66,11 +98,7 @@ def events() -> list[Event]:
     targets = torch.arange(11) >= 6
     world, keep = _world_of(scenarios), ~targets
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
-    knowledge = _knowledge()
-    labels, own = fresh_labels(_world_of, 60, seeded(1)), seeded(4)
-    judged = success_quality(_world_of, knowledge.classifier, labels, own)
-    tried = transition_quality(_world_of, knowledge.gamma, 40, seeded(2))
-    told.append(ModelsFitted("S1", knowledge, 1.5, tried, judged))
+    told.append(ModelsFitted("S1", models.summary(), 1.5))
     members: list[Skill] = []
     kept = torch.zeros(11, dtype=torch.bool)
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):

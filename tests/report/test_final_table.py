@@ -2,15 +2,16 @@ import io
 import re
 
 import pytest
+from reaching import TABLE
 from rich.console import Console
 
 from cgtorch.report import final_table, final_text
 
 
-def result(stage: str, edge: str, succeeded: int, **changes: object) -> dict[str, object]:
+def result(stage: str, kind: str, succeeded: int, **changes: object) -> dict[str, object]:
     return {
         "stage": stage,
-        "edge": edge,
+        "scenarios": kind,
         "targets_succeeded": succeeded,
         "targets": 5,
         "w_size": 65,
@@ -19,44 +20,44 @@ def result(stage: str, edge: str, succeeded: int, **changes: object) -> dict[str
         "depth": 2,
         "generations": 1140,
         "seconds": 379.6,
-        "fresh": {"placement": edge, "tried": 40, "succeeded": 38},
-        "perimeter": None,
+        "fresh": {"scenarios": kind, "tried": 40, "succeeded": 38},
+        "overall": None,
         **changes,
     }
 
 
 RESULTS = [
     result("S0", "near", 5, w_size=0, depth=1, seconds=9.6),
-    result("S1", "left", 5, perimeter={"tried": 40, "succeeded": 12}),
+    result("S1", "left", 5, overall={"tried": 40, "succeeded": 12}),
     result("S2", "right", 5, w_lost=2),
-    result("S3", "far", 4, perimeter={"tried": 40, "succeeded": 39}),
+    result("S3", "far", 4, overall={"tried": 40, "succeeded": 39}),
 ]
 
 
 def shown(results: list[dict[str, object]], width: int) -> str:
     screen = Console(file=io.StringIO(), width=width)
-    screen.print(final_table(results))
+    screen.print(final_table(results, TABLE))
     assert isinstance(screen.file, io.StringIO)
     return screen.file.getvalue()
 
 
 def test_text_puts_ours_beside_the_papers() -> None:
-    lines = [re.split(r"\s{2,}", line.strip()) for line in final_text(RESULTS).splitlines()[1:]]
+    lines = [
+        re.split(r"\s{2,}", line.strip()) for line in final_text(RESULTS, TABLE).splitlines()[1:]
+    ]
     assert lines == [
-        ["stage", "edge", "ours", "the paper", "W kept", "fresh", "nodes", "gens",
+        ["stage", "scenarios", "ours", "the paper", "W kept", "fresh", "nodes", "gens",
          "time"],
         ["S0", "near", "5/5", "5/5", "0/0", "38/40", "7", "1140", "0:10"],
         ["S1", "left", "5/5", "5/5", "65/65", "38/40", "7", "1140", "6:20"],
-        ["S2", "right", "5/5", "4/5, not the corner", "63/65", "38/40", "7", "1140",
-         "6:20"],
-        ["S3", "far", "4/5", "3/5", "65/65", "38/40", "7", "1140",
-         "6:20"],
+        ["S2", "right", "5/5", "4/5", "63/65", "38/40", "7", "1140", "6:20"],
+        ["S3", "far", "4/5", "3/5", "65/65", "38/40", "7", "1140", "6:20"],
         ["S3", "perimeter", "39/40 = 97.5 %", "34/40 = 85 %"],
     ]  # fmt: skip
 
 
 def test_columns_are_aligned() -> None:
-    lines = final_text(RESULTS).splitlines()[1:]
+    lines = final_text(RESULTS, TABLE).splitlines()[1:]
     at = lines[0].index("the paper")
     assert all(line[at - 1] == " " and line[at] != " " for line in lines)
     assert len({len(line) for line in lines[:-1]}) == 1
@@ -65,7 +66,7 @@ def test_columns_are_aligned() -> None:
 @pytest.mark.parametrize("width", [80, 120])
 def test_no_number_is_cut_in_a_terminal(width: int) -> None:
     text = shown(RESULTS, width)
-    for row in final_text(RESULTS).splitlines()[1:]:
+    for row in final_text(RESULTS, TABLE).splitlines()[1:]:
         for word in row.split():
             assert word in text
     assert "…" not in text
@@ -73,20 +74,20 @@ def test_no_number_is_cut_in_a_terminal(width: int) -> None:
 
 
 def test_other_placements_than_the_papers_are_not_beside_its_result() -> None:
-    test = {"placement": "general", "tried": 40, "succeeded": 30}
-    text = final_text([result("auto-1", "general", 5, perimeter=test)])
+    test = {"scenarios": "general", "tried": 40, "succeeded": 30}
+    text = final_text([result("auto-1", "general", 5, overall=test)], TABLE)
     last = next(line for line in text.splitlines() if "30/40" in line)
     assert last.split() == ["auto-1", "general", "30/40", "=", "75", "%", "–"]
 
 
 def test_what_is_missing_is_a_dash() -> None:
-    bare: list[dict[str, object]] = [{"stage": "S9", "perimeter": None, "fresh": None}]
-    for text in (final_text(bare), shown(bare, 100)):
+    bare: list[dict[str, object]] = [{"stage": "S9", "overall": None, "fresh": None}]
+    for text in (final_text(bare, TABLE), shown(bare, 100)):
         row = next(line for line in text.splitlines() if "S9" in line)
         assert row.split() == ["S9", *["–"] * 8]
         last = next(line for line in text.splitlines() if "perimeter" in line)
         assert last.split() == ["–", "perimeter", "–", "34/40", "=", "85", "%"]
-    assert len(final_text([]).splitlines()) == 3
+    assert len(final_text([], TABLE).splitlines()) == 3
 
 
 def test_names_are_not_taken_for_markup() -> None:

@@ -2,10 +2,14 @@ import io
 import re
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import pytest
+import torch
 from rich.console import Console
 
+from cgtorch.domains.summary import summary_of
+from cgtorch.evolution.fitness import WORST
 from cgtorch.improvement.events import (
     Event,
     GenerationDone,
@@ -13,11 +17,12 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     StageStarted,
 )
-from cgtorch.tabletop.models import TransitionQuality
-from cgtorch.svm import Verdict
+from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
 from cgtorch.report.event_messages import models_fitted
+from cgtorch.svm import Acceptance
+from cgtorch.tabletop.models import TransitionQuality
 
 QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
 
@@ -39,16 +44,17 @@ def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
     return [line.rstrip() for line in screen.file.getvalue().splitlines()]
 
 
-def test_models_are_told_with_what_no_model_can_better(events: list[Event]) -> None:
+def test_models_are_told_with_what_no_model_can_better(events: list[Event], models: Any) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
-    line = models_fitted(replace(fitted, gamma_quality=QUALITY))
+    told = models.summary(replace(models.fresh, quality=QUALITY))
+    line = models_fitted(replace(fitted, summary=told))
     assert line.startswith(
         "S1: on 2000 fresh transitions Γ errs by 1.06 cm on the object (floor 1.07; without the "
         "noise of the motion 0.40) and 2.11 cm on the table (floor 1.97 ± 0.05), C's balanced "
     )
-    said = Verdict(True, 20, 0.02, 0.01, 0.001), Verdict(False, 20, 0.03, 0.04, 0.001)
-    learned = replace(fitted.knowledge, verdicts=said)
-    assert models_fitted(replace(fitted, knowledge=learned)).startswith(
+    said = Acceptance(True, 20, 0.02, 0.01, 0.001), Acceptance(False, 20, 0.03, 0.04, 0.001)
+    learned = replace(models.knowledge, acceptances=said)
+    assert models_fitted(replace(fitted, summary=summary_of(learned))).startswith(
         "S1: Γ has learned on; C stays as it was, since its error on earlier data would be 0.0400 "
         "instead of 0.0300; now from 120 transitions"
     )
@@ -75,14 +81,13 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
         r"S1\.1: in the world W \d/6, M \d/5; of its group \d+ solved, \d+ promised by the models",
         lines[2],
     )
-    assert lines[-3] == "S1: 30 of 40 fresh placements = 75.0%, the goal is 0.9"
+    assert lines[-3] == "S1: 30 of 40 fresh scenarios = 75.0%, the goal is 0.9"
     accepted = events[-1]
     assert isinstance(accepted, SkillAccepted)
     targets = int(accepted.succeeded[6:].sum())
     w = int(accepted.succeeded[:6].sum())
     assert lines[-2] == (
-        f"S1: accepted; test placements {targets}/5, W {w}/6, M {targets}/5, "
-        "3 nodes in 2 levels, 1:02"
+        f"S1: accepted; tests {targets}/5, W {w}/6, M {targets}/5, 3 nodes in 2 levels, 1:02"
     )
     assert lines[-1] == "Collecting data …"
     assert "\x1b" not in text_of(display)
@@ -161,12 +166,15 @@ def test_accepted_skills_stay_above_the_live_lines(events: list[Event]) -> None:
     assert "S1: stage 2" not in shown
 
 
-def test_how_good_the_first_models_are_stays_above_the_live_lines(events: list[Event]) -> None:
+def test_how_good_the_first_models_are_stays_above_the_live_lines(
+    events: list[Event], models: Any
+) -> None:
     later = next(e for e in events if isinstance(e, ModelsFitted))
     assert later.stage == "S1"
     with ProgressDisplay(console(terminal=True)) as display:
-        first = replace(later, stage="start", gamma_quality=QUALITY)
-        for event in (first, replace(later, gamma_quality=None)):
+        told = models.summary(replace(models.fresh, quality=QUALITY))
+        learned = ModelSummary("Γ has learned on; C has learned on")
+        for event in (replace(later, stage="start", summary=told), replace(later, summary=learned)):
             display(event)
     shown = text_of(display)
     assert "start: on 2000 fresh transitions" in shown
@@ -208,3 +216,18 @@ def test_time_left_is_a_bound(events: list[Event]) -> None:
     estimate.evolution_over()
     estimate.stage_over()
     assert estimate.run_left == pytest.approx(4 * 47)
+
+
+def test_what_an_unfinished_episode_is_worth_is_on_no_line(events: list[Event]) -> None:
+    told = next(e for e in events if isinstance(e, GenerationDone))
+
+    def shown(fitness: list[float]) -> str:
+        display = ProgressDisplay(console(True))
+        values = torch.tensor(fitness)
+        generation = replace(told.generation, fitness=values, best=float(values.max()))
+        for event in (events[0], replace(told, generation=generation)):
+            display(event)
+        return snapshot(display)[2]
+
+    assert "fitness best -2.000 mean -3.000  M " in shown([-4.0, -2.0, WORST, WORST / 1000])
+    assert "fitness best – mean –  M " in shown([WORST, WORST / 1000])

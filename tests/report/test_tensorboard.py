@@ -1,32 +1,40 @@
+import math
 import struct
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from reaching import TABLE
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.actions import paper_actions
+from cgtorch.domains.summary import summary_of
 from cgtorch.errors import RunError
+from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.improvement.events import (
     AboutToKeep,
     Event,
     EvolutionRecalled,
+    FreshTested,
     GenerationDone,
     ModelsFitted,
     SkillAccepted,
     WorldTested,
 )
-from cgtorch.svm import Verdict
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
+from cgtorch.svm import Acceptance
 
 SETTINGS = {"population": 60, "seed": 3, "stages": ("S0", "S1"), "quiet": True, "device": "cpu"}
 ALL = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
+drawing = partial(TensorBoardWatch, draw_scenarios=TABLE.draw_scenarios)
 
 
 def read(folder: Path) -> EventAccumulator:
@@ -38,7 +46,7 @@ def read(folder: Path) -> EventAccumulator:
 @pytest.fixture(scope="module")
 def written(events: list[Event], tmp_path_factory: pytest.TempPathFactory) -> EventAccumulator:
     folder = tmp_path_factory.mktemp("run") / "tensorboard"
-    watch = TensorBoardWatch(folder, SETTINGS, actions=paper_actions(), picture_seconds=0)
+    watch = drawing(folder, SETTINGS, actions=paper_actions(), picture_seconds=0)
     with watch:
         for event in events:
             watch(event)
@@ -56,7 +64,7 @@ def documented() -> dict[str, set[str]]:
         if kind in ("scalar", "histogram", "image", "text") and rest:
             kinds.setdefault(kind, set()).update(t.strip() for t in head.split(","))
     kinds["histogram"] = {f"strategy/{name}" for name in STRATEGY}
-    kinds["scalar"].remove("gamma/error_<coordinate>")
+    kinds["scalar"] -= {"gamma/error_<coordinate>", "world/mean_return"}
     for what in ("accuracy", "possible"):
         kinds["scalar"].remove(f"classifier/<draw>_{what}")
         kinds["scalar"] |= {f"classifier/{draw}_{what}" for draw in ("near", "overall", "beside")}
@@ -72,7 +80,7 @@ def test_files_hold_exactly_the_documented_tags(written: EventAccumulator) -> No
     assert set(tags["scalars"]) == wanted["scalar"]
     assert set(tags["histograms"]) == wanted["histogram"]
     assert set(tags["images"]) == wanted["image"]
-    assert wanted["image"] == {"graph/best", "table/successes", "classifier/reliability"}
+    assert wanted["image"] == {"graph/best", "scenarios/solved", "classifier/reliability"}
     assert set(tags["tensors"]) == {"settings/text_summary"}
 
 
@@ -99,23 +107,20 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
     assert len(set(best)) > 1  # the evolution has got somewhere
 
 
-def test_models_and_world(written: EventAccumulator, events: list[Event]) -> None:
-    fitted = next(e for e in events if isinstance(e, ModelsFitted))
-    gamma, classifier = fitted.knowledge.gamma_report, fitted.knowledge.classifier_report
-    assert fitted.gamma_quality is not None
-    assert fitted.classifier_quality is not None
+def test_models_and_world(written: EventAccumulator, events: list[Event], models: Any) -> None:
+    gamma, classifier = models.knowledge.gamma_report, models.knowledge.classifier_report
     wanted = {
         "gamma/error_table_x_min": gamma.error[0],
         "gamma/error_object_z": gamma.error[6],
         "gamma/object_error": (gamma.error[4] + gamma.error[5]) / 2,
-        "gamma/fresh_object_error": fitted.gamma_quality.object_error,
-        "gamma/fresh_object_floor": fitted.gamma_quality.object_floor,
-        "gamma/fresh_table_error": fitted.gamma_quality.table_error,
-        "gamma/fresh_table_floor": fitted.gamma_quality.table_floor,
+        "gamma/fresh_object_error": models.fresh.quality.object_error,
+        "gamma/fresh_object_floor": models.fresh.quality.object_floor,
+        "gamma/fresh_table_error": models.fresh.quality.table_error,
+        "gamma/fresh_table_floor": models.fresh.quality.table_floor,
         "classifier/balanced_accuracy": classifier.balanced_accuracy,
         "classifier/calibration_error": classifier.calibration_error,
-        "classifier/near_accuracy": fitted.classifier_quality.near.balanced,
-        "classifier/beside_possible": fitted.classifier_quality.beside.possible_balanced,
+        "classifier/near_accuracy": models.judged.near.balanced,
+        "classifier/beside_possible": models.judged.beside.possible_balanced,
         "models/fit_seconds": 1.5,
         "models/rows": 120,
     }
@@ -132,14 +137,14 @@ def test_models_and_world(written: EventAccumulator, events: list[Event]) -> Non
     assert targets.value == int((accepted.succeeded & accepted.targets).sum())
 
 
-def test_learning_curves_have_rows_as_their_step(events: list[Event], tmp_path: Path) -> None:
+def test_learning_curves_have_rows_as_their_step(
+    events: list[Event], tmp_path: Path, models: Any
+) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     with TensorBoardWatch(tmp_path, {}) as watch:
         watch(fitted)
-    found, curve = (
-        read(tmp_path / module.BY_ROWS),
-        fitted.knowledge.classifier_report.learning_curve,
-    )
+    found = read(tmp_path / module.BY_ROWS)
+    curve = models.knowledge.classifier_report.learning_curve
     for kind, scores in (("train", curve.train_scores), ("test", curve.test_scores)):
         drawn = found.Scalars(f"classifier/learning_curve/{kind}")
         assert [s.step for s in drawn] == list(curve.sizes)
@@ -147,10 +152,13 @@ def test_learning_curves_have_rows_as_their_step(events: list[Event], tmp_path: 
         assert [s.value for s in drawn] == pytest.approx(means, rel=1e-5)
 
 
-def test_learning_on_repeats_nothing_of_the_first_fit(events: list[Event], tmp_path: Path) -> None:
+def test_learning_on_repeats_nothing_of_the_first_fit(
+    events: list[Event], tmp_path: Path, models: Any
+) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
-    same = Verdict(True, 10, 0.1, 0.1, 0.01)
-    later = replace(fitted, knowledge=replace(fitted.knowledge, verdicts=(same, same)))
+    same = Acceptance(True, 10, 0.1, 0.1, 0.01)
+    learned = replace(models.knowledge, acceptances=(same, same))
+    later = replace(fitted, summary=summary_of(learned))
     with TensorBoardWatch(tmp_path, {}) as watch:
         for event in (fitted, later, later):
             watch(event)
@@ -178,9 +186,9 @@ def test_histograms_of_the_strategy(written: EventAccumulator, events: list[Even
 
 def test_pictures_are_png_of_the_size_they_claim(written: EventAccumulator) -> None:
     assert [p.step for p in written.Images("graph/best")] == [46, 48, 48]
-    assert [p.step for p in written.Images("table/successes")] == [48]
+    assert [p.step for p in written.Images("scenarios/solved")] == [48]
     assert [p.step for p in written.Images("classifier/reliability")] == [0]
-    for tag in ("graph/best", "table/successes", "classifier/reliability"):
+    for tag in ("graph/best", "scenarios/solved", "classifier/reliability"):
         for picture in written.Images(tag):
             data = picture.encoded_image_string
             assert data[:8] == b"\x89PNG\r\n\x1a\n"
@@ -206,36 +214,36 @@ def test_hyper_parameters_are_in_the_same_file(written: EventAccumulator) -> Non
 def test_a_run_goes_on_where_it_ended(events: list[Event], tmp_path: Path) -> None:
     """What a finished stage ends with stays; what an unfinished one left behind is hidden."""
     generations = [e for e in events if isinstance(e, GenerationDone)]
-    first = TensorBoardWatch(tmp_path, SETTINGS)
+    first = drawing(tmp_path, SETTINGS)
     for event in [events[0], *generations[:10], events[-1]]:
         first(event)
     first.close()
-    interrupted = TensorBoardWatch(tmp_path, SETTINGS, first_step=11)
+    interrupted = drawing(tmp_path, SETTINGS, first_step=11)
     for event in [events[0], *generations[10:20], events[-1]]:
         interrupted(event)
     interrupted.close()
     time.sleep(1.1)  # TensorBoard orders files by the second
-    again = TensorBoardWatch(tmp_path, SETTINGS, first_step=11)
+    again = drawing(tmp_path, SETTINGS, first_step=11)
     for event in [events[0], *generations[10:15]]:
         again(event)
     again.close()
     found = read(tmp_path)
     assert [s.step for s in found.Scalars("fitness/best")] == [*range(10), *range(11, 16)]
-    assert [p.step for p in found.Images("table/successes")] == [10]
+    assert [p.step for p in found.Images("scenarios/solved")] == [10]
 
 
 def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Path) -> None:
     """Ten generations are told, then recalled as eight: two of them are evaluated again."""
     generations = [e for e in events if isinstance(e, GenerationDone)]
     world = next(e for e in events if isinstance(e, WorldTested))
-    whole = TensorBoardWatch(tmp_path / "whole", SETTINGS)
-    killed = TensorBoardWatch(tmp_path / "killed", SETTINGS)
+    whole = drawing(tmp_path / "whole", SETTINGS)
+    killed = drawing(tmp_path / "killed", SETTINGS)
     for event in [events[0], world, *generations[:10]]:
         whole(event)
         killed(event)
     killed(AboutToKeep())  # and no close: it was killed
     time.sleep(1.1)
-    again = TensorBoardWatch(tmp_path / "killed", SETTINGS, first_step=8, recalled=8)
+    again = drawing(tmp_path / "killed", SETTINGS, first_step=8, recalled=8)
     champion = generations[7].generation.champion
     again(events[0])
     again(world)
@@ -250,7 +258,7 @@ def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Pa
     for tag in ("fitness/best", "solved/M", "world/solved_W", "stage/targets"):
         pairs = ([(s.step, s.value) for s in each.Scalars(tag)] for each in (one, two))
         assert len({tuple(p) for p in pairs}) == 1, tag
-    assert [p.step for p in two.Images("table/successes")] == [15]
+    assert [p.step for p in two.Images("scenarios/solved")] == [15]
 
 
 def test_without_actions_only_accepted_skills_are_drawn(
@@ -311,3 +319,23 @@ def test_watching_changes_nothing(events: list[Event], tmp_path: Path) -> None:
         watch(event)
     assert torch.equal(event.generation.population.strategy, before)
     assert torch.equal(torch.random.get_rng_state(), state)
+
+
+def test_returns_are_written_where_there_are_some(events: list[Event], tmp_path: Path) -> None:
+    told = next(e for e in events if isinstance(e, GenerationDone))
+    fresh = FreshTested("S1", 3, 4, -2.0, decisive=False, mean_return=-2.5)
+    lost, some = (
+        replace(told, generation=replace(told.generation, fitness=torch.tensor(f), best=max(f)))
+        for f in ([WORST, WORST / 100], [-4.0, -2.0, WORST, WORST / 1000])
+    )
+    with TensorBoardWatch(tmp_path, {}) as watch:
+        for event in (lost, some, fresh):
+            watch(event)
+    found = read(tmp_path)
+    assert [s.value for s in found.Scalars("world/mean_return")] == [-2.5]
+    wanted = {"best": -2.0, "mean": -3.0}
+    for name, value in wanted.items():
+        first, second = found.Scalars(f"fitness/{name}")
+        assert math.isnan(first.value)
+        assert second.value == value
+    assert [s.value for s in found.Scalars("population/unsolved")] == [1.0, 0.5]

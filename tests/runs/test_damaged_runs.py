@@ -14,12 +14,12 @@ from trained import Trained, copied
 
 from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, evolve
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.run import Run, open_run
-from cgtorch.runs.storage import load_population, load_result, load_tensors, save_tensors
-from cgtorch.training.train import finished_generations
 from cgtorch.graphs import load_skill
 from cgtorch.report import final_table
+from cgtorch.runs.run import Run, open_run
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_population, load_result, load_tensors, save_tensors
+from cgtorch.training.train import finished_generations
 
 FILES = [
     "run.json",
@@ -50,7 +50,7 @@ def used(folder: Path, file: str) -> None:
         load_skill(folder / file, run.actions)
     elif file.endswith("result.json"):
         finished_generations(run)
-        final_table([load_result(folder / file)])
+        final_table([load_result(folder / file)], run.domain)
     elif file.endswith("specialists.safetensors"):
         seeds = load_population(folder / file, run.actions)
         settings = EvolutionSettings(population=8)
@@ -58,8 +58,7 @@ def used(folder: Path, file: str) -> None:
         next(search), next(search)
     else:
         progress = load_progress(run, folder / "S0")
-        world_of = run.world_of
-        world_of(progress.solved).start(torch.arange(len(progress.solved)))
+        run.domain.world(progress.solved).start(torch.arange(len(progress.solved)))
 
 
 @cache
@@ -146,11 +145,13 @@ def test_foreign_files(folder: Path, file: str, tmp_path: Path) -> None:
 VALUES = [None, -1, 1.5, True, "x", [], {}, 10**30, 1e300]
 
 
-@pytest.mark.parametrize("key", ["stage", "generations", "seconds", "fresh"])
+@pytest.mark.parametrize(
+    "key", ["stage", "scenarios", "generations", "seconds", "fresh", "overall"]
+)
 def test_results_with_a_wrong_value(folder: Path, key: str) -> None:
     path = folder / "S0/result.json"
     raw = path.read_text()
-    allowed = {"stage": ["x"], "seconds": [1.5]}.get(key, [])
+    allowed = {"stage": ["x"], "scenarios": ["x"], "seconds": [1.5]}.get(key, [])
     try:
         for value in VALUES:
             path.write_text(json.dumps({**json.loads(raw), key: value}))

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from cgtorch.errors import RunError
-from cgtorch.runs.journal import FileJournal, journal_of, recalled_generations
 from cgtorch.files import write_bytes
 from cgtorch.improvement.events import AboutToKeep, Event, JournalDamaged
 from cgtorch.improvement.journal import Standing
+from cgtorch.runs.journal import FileJournal, journal_of, recalled_generations
 
 
 def result(number: int) -> dict[str, Tensor]:

@@ -12,13 +12,13 @@ import torch
 from trained import Trained
 
 from cgtorch.errors import CgtorchError, RunError
-from cgtorch.training.evaluate import under_other_noise
-from cgtorch.runs.ledger import WAS, enter, read_entry, read_index
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.run import open_run
 from cgtorch.graphs import skill_to_dict
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.trial import try_skill
+from cgtorch.runs.ledger import WAS, enter, read_entry, read_index
+from cgtorch.runs.run import open_run
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.training.evaluate import under_other_noise
 
 W, M, NEW = range(len(WAS))
 
@@ -28,7 +28,7 @@ def test_the_whole_history_can_be_read(trained: Trained) -> None:
     assert [(s["name"], s["parent"]) for s in index] == [("S0", None), ("S1", "S0")]
     run = open_run(trained.folder)
     for line, result in zip(index, trained.results, strict=True):
-        entry = read_entry(trained.folder, line["name"], run.actions)
+        entry = read_entry(trained.folder, line["name"], run.actions, run.like())
         assert entry.summary == line
         assert line["members"] == list(entry.skill.sub_skills)
         assert (line["w_before"], line["w_lost"]) == (result["w_size"], 0)
@@ -39,7 +39,7 @@ def test_the_whole_history_can_be_read(trained: Trained) -> None:
 def test_every_skill_is_restored_as_it_was(trained: Trained) -> None:
     run = open_run(trained.folder)
     for name in ("S0", "S1"):
-        restored = read_entry(trained.folder, name, run.actions).skill
+        restored = read_entry(trained.folder, name, run.actions, run.like()).skill
         kept = load_progress(run, run.folder / name).skill
         assert kept is not None
         assert skill_to_dict(restored) == skill_to_dict(kept)
@@ -49,8 +49,8 @@ def test_the_evidence_is_what_the_world_says(trained: Trained) -> None:
     """Eq. 1 from the ledger alone: the world gives the same result on every scenario again."""
     run = open_run(trained.folder)
     for name in ("S0", "S1"):
-        entry = read_entry(run.folder, name, run.actions)
-        again = try_skill(entry.skill, run.world_of(entry.scenarios)).succeeded
+        entry = read_entry(run.folder, name, run.actions, run.like())
+        again = try_skill(entry.skill, run.domain.world(entry.scenarios)).succeeded
         assert torch.equal(again, entry.succeeded)
         assert again[entry.was == W].all()  # eq. 1a
         assert again[entry.was == M].any()  # eq. 1b
@@ -60,9 +60,9 @@ def test_w_under_other_noise(trained: Trained) -> None:
     """All of W, which is small here, was met by other noise than its own and mostly holds."""
     run = open_run(trained.folder)
     for name in ("S0", "S1"):
-        entry = read_entry(run.folder, name, run.actions)
+        entry = read_entry(run.folder, name, run.actions, run.like())
         solved = load_progress(run, run.folder / name).solved
-        again = under_other_noise(entry.skill, run.world_of, solved, run.settings.seed)
+        again = under_other_noise(entry.skill, run.domain, solved, run.settings.seed)
         assert entry.other_noise == (again.tried, again.successes)
         assert entry.summary["w_other_noise"]["tried"] == len(solved)
         assert again.successes > len(solved) / 2
@@ -77,7 +77,8 @@ def test_a_ledger_from_before_other_noise_was_tried(trained: Trained, tmp_path: 
             del line["w_other_noise"]
         path.write_text(json.dumps(data))
     assert [s["name"] for s in read_index(tmp_path)] == ["S0", "S1"]
-    entry = read_entry(tmp_path, "S1", open_run(trained.folder).actions)
+    run = open_run(trained.folder)
+    entry = read_entry(tmp_path, "S1", run.actions, run.like())
     assert entry.other_noise is None
     assert entry.summary["w_other_noise"] is None
 
@@ -91,7 +92,7 @@ def test_w_and_m_before_and_after(trained: Trained) -> None:
 
     before: list[Any] = []
     for name in ("S0", "S1"):
-        entry = read_entry(run.folder, name, run.actions)
+        entry = read_entry(run.folder, name, run.actions, run.like())
         progress = load_progress(run, run.folder / name)
         assert seeds(entry.scenarios[entry.was == W]) == before
         assert seeds(entry.scenarios[entry.succeeded]) == seeds(progress.solved)
@@ -108,7 +109,7 @@ def test_entries_are_for_people_too(trained: Trained) -> None:
     lines = (trained.folder / "ledger" / "S1.json").read_text().splitlines()
     rows = [line for line in lines if '"was"' in line]
     run = open_run(trained.folder)
-    assert len(rows) == len(read_entry(trained.folder, "S1", run.actions).scenarios)
+    assert len(rows) == len(read_entry(trained.folder, "S1", run.actions, run.like()).scenarios)
     assert all(json.loads(row.rstrip(",")) for row in rows)
 
 
@@ -116,7 +117,7 @@ def test_an_entry_made_again_replaces_the_old_one(trained: Trained, tmp_path: Pa
     shutil.copytree(trained.folder / "ledger", tmp_path / "ledger")
     run = open_run(trained.folder)
     was = (tmp_path / "ledger" / "S1.json").read_bytes()
-    enter(tmp_path, read_entry(trained.folder, "S1", run.actions))
+    enter(tmp_path, read_entry(trained.folder, "S1", run.actions, run.like()))
     assert read_index(tmp_path) == read_index(trained.folder)
     assert (tmp_path / "ledger" / "S1.json").read_bytes() == was
     assert not any(path.name.endswith(".tmp") for path in (tmp_path / "ledger").iterdir())
@@ -124,8 +125,9 @@ def test_an_entry_made_again_replaces_the_old_one(trained: Trained, tmp_path: Pa
 
 def test_a_run_without_a_ledger(tmp_path: Path, trained: Trained) -> None:
     assert read_index(tmp_path) == []
+    run = open_run(trained.folder)
     with pytest.raises(RunError, match="this one has no ledger"):
-        read_entry(tmp_path, "S0", open_run(trained.folder).actions)
+        read_entry(tmp_path, "S0", run.actions, run.like())
 
 
 CHANGES: list[Callable[[dict[str, Any]], object]] = [
@@ -153,8 +155,9 @@ def test_damaged_entries(trained: Trained, tmp_path: Path, change: int) -> None:
     data = json.loads(path.read_text())
     CHANGES[change](data)
     path.write_text(json.dumps(data))
+    run = open_run(trained.folder)
     with pytest.raises(CgtorchError) as caught:
-        read_entry(tmp_path, "S1", open_run(trained.folder).actions)
+        read_entry(tmp_path, "S1", run.actions, run.like())
     assert "\n" not in str(caught.value)
 
 
@@ -173,7 +176,7 @@ def test_names_in_the_index_lead_nowhere(trained: Trained, tmp_path: Path, name:
 def test_damaged_bytes_end_in_a_typed_error(trained: Trained, tmp_path: Path, file: str) -> None:
     shutil.copytree(trained.folder / "ledger", tmp_path / "ledger")
     path, choice = tmp_path / "ledger" / file, random.Random(file)
-    raw, actions = path.read_bytes(), open_run(trained.folder).actions
+    raw, run = path.read_bytes(), open_run(trained.folder)
     errors = 0
     for _ in range(60):
         damaged = bytearray(raw)
@@ -181,7 +184,7 @@ def test_damaged_bytes_end_in_a_typed_error(trained: Trained, tmp_path: Path, fi
             damaged[choice.randrange(len(raw))] = choice.randrange(256)
         path.write_bytes(bytes(damaged))
         try:
-            read_entry(tmp_path, "S1", actions)
+            read_entry(tmp_path, "S1", run.actions, run.like())
         except CgtorchError:
             errors += 1
     assert errors > 20

@@ -12,8 +12,8 @@ from trained import Trained, interrupted
 
 from cgtorch.errors import SettingsError
 from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.resume_settings import fixed_settings, overridden, refuse_others, take_over
 from cgtorch.runs.run import open_run
-from cgtorch.runs.resume_settings import FIXED, overridden, refuse_others, take_over
 
 
 def about(folder: Path) -> dict[str, Any]:
@@ -23,18 +23,20 @@ def about(folder: Path) -> dict[str, Any]:
 
 def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> None:
     run = open_run(trained.folder)
-    assert set(FIXED) == {
-        *("seed", "method", "transitions", "labels", "position_noise", "heading_noise"),
-        *("scenarios", "percept", "networks", "actions"),
+    fixed, known = fixed_settings(run), {**vars(run.settings), **vars(run.domain.settings)}
+    assert set(fixed) == {
+        *("domain", "seed", "method", "models", "transitions", "labels", "scenarios", "actions"),
+        *("robot", "urdf", "position_noise", "heading_noise", "percept", "networks"),
     }
-    for name, reason in FIXED.items():
-        other = (getattr(run.settings, name), "x")
+    for name, reason in fixed.items():
+        other = (known[name], "x")
         with pytest.raises(SettingsError, match=f"{name.replace('_', '-')} .* as {reason}"):
             overridden(run, {name: other})
         with pytest.raises(SettingsError, match=f"as {reason}; leave it out"):
             refuse_others(run, {name: other}, "leave it out")
-        assert overridden(run, {name: getattr(run.settings, name)}) == run.settings
-    refuse_others(run, vars(run.settings), "leave it out")
+        assert overridden(run, {name: known[name]}) == run.settings
+    refuse_others(run, known, "leave it out")
+    refuse_others(run, run.all_settings(), "leave it out")
 
 
 def test_the_history_grows_and_a_journal_goes_aside_each_time(
@@ -48,7 +50,7 @@ def test_the_history_grows_and_a_journal_goes_aside_each_time(
         assert (taken.before, taken.set_aside) == ("S1", f"set-aside/{number}")
         assert not (run.folder / "journal").exists()
         run = taken.run
-        assert run == replace(open_run(run.folder), robot=run.robot, actions=run.actions)
+        assert run == replace(open_run(run.folder), domain=run.domain, actions=run.actions)
     taken = take_over(run, overridden(run, {"islands": 3}), "auto")
     assert (taken.before, taken.set_aside) == ("auto-1", None)
     changes = [entry["changed"] for entry in about(run.folder)["history"]]

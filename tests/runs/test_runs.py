@@ -15,10 +15,6 @@ from trained import SMALL, Trained, copied
 
 from cgtorch.actions import paper_actions
 from cgtorch.errors import ActionError, GraphError, RunError
-from cgtorch.tabletop.network_presets import NETWORKS
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.run import create_run, last_skill, lone_skill, open_run, whole_folder
-from cgtorch.training.train import NotImprovedError, train
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.improvement.events import (
     Event,
@@ -29,6 +25,17 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
+from cgtorch.runs.run import (
+    create_run,
+    last_skill,
+    lone_skill,
+    open_run,
+    whole_folder,
+)
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.tabletop.domain import ACTIONS, Tabletop
+from cgtorch.training.context import Training
+from cgtorch.training.train import NotImprovedError, train
 
 
 def listing(folder: Path) -> set[str]:
@@ -84,7 +91,9 @@ def test_a_run_is_opened_as_it_was_begun(tmp_path: Path) -> None:
     assert again.settings == SMALL
     assert again.stages == ()
     assert again.actions.names == run.actions.names
-    assert again.robot.description == run.robot.description
+    assert isinstance(run.domain, Tabletop)
+    assert isinstance(again.domain, Tabletop)
+    assert again.domain.robot.description == run.domain.robot.description
     with pytest.raises(RunError, match="holds something that is no run"):
         create_run(run.folder, SMALL)
 
@@ -114,16 +123,18 @@ def with_action(trained: Trained, target: Path, spec: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("networks", NETWORKS)
+@pytest.mark.parametrize("networks", ACTIONS)
 @pytest.mark.parametrize(("size", "percept"), [(7, "box"), (9, "yaw"), (11, "box"), (13, "yaw")])
 def test_a_skill_file_tells_what_it_reads(
     tmp_path: Path, size: int, percept: str, networks: str
 ) -> None:
     path = tmp_path / "skill.json"
-    skill = random_skill(4, "some", NETWORKS[networks].actions(size))
+    skill = random_skill(4, "some", ACTIONS[networks](size))
     save_skill(path, skill)
-    found, again = lone_skill(path, scenarios="perimeter" if percept == "box" else "general")
-    assert found == percept
+    wanted = "perimeter" if percept == "box" else "general"
+    domain, kind, again = lone_skill(path, kind=wanted)
+    assert isinstance(domain, Tabletop)
+    assert (domain.tabletop, kind) == (percept, wanted)
     assert skill_to_dict(again) == skill_to_dict(skill)
 
 
@@ -170,12 +181,12 @@ def test_every_accepted_skill_kept_what_the_one_before_solved(trained: Trained) 
     run = open_run(trained.folder)
     first, second = (load_progress(run, run.folder / stage) for stage in ("S0", "S1"))
     assert second.skill is not None
-    assert try_skill(second.skill, run.world_of(first.solved)).succeeded.all()
+    assert try_skill(second.skill, run.domain.world(first.solved)).succeeded.all()
     assert len(second.solved) > len(first.solved)
     accepted = [e for e in trained.events if isinstance(e, SkillAccepted)]
     assert {e.stage for e in accepted} == {"S0", "S1"}
     for event in accepted:
-        again = try_skill(event.skill, run.world_of(event.scenarios)).succeeded
+        again = try_skill(event.skill, run.domain.world(event.scenarios)).succeeded
         assert torch.equal(again, event.succeeded)
         assert again[event.keep].all()
         assert again[~event.keep].any()
@@ -203,11 +214,11 @@ def test_data_grow_and_the_old_come_first(trained: Trained) -> None:
 
 def test_results_are_what_the_world_says(trained: Trained) -> None:
     for result, stage, edge in zip(trained.results, ("S0", "S1"), ("near", "left"), strict=True):
-        assert (result["stage"], result["edge"]) == (stage, edge)
+        assert (result["stage"], result["scenarios"]) == (stage, edge)
         assert result["targets"] == 5
         assert 0 <= result["targets_succeeded"] <= 5
         assert result["w_lost"] == 0
-        assert result["fresh"]["tried"] == result["perimeter"]["tried"] == 40
+        assert result["fresh"]["tried"] == result["overall"]["tried"] == 40
         assert result["generations"] > 0
     assert trained.results[0]["w_size"] == 0
     run = open_run(trained.folder)
@@ -225,7 +236,7 @@ def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
     about["settings"]["seed"] = seed
     (folder / "run.json").write_text(json.dumps(about))
     events: list[Event] = []
-    train(open_run(folder), "S0", events.append, quietly)
+    train(Training(open_run(folder), events.append, quietly), "S0")
     return (folder / "S0" / "skill.json").read_bytes()
 
 
@@ -239,7 +250,7 @@ def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
     trained: Trained, tmp_path: Path
 ) -> None:
     folder = copied(trained, tmp_path / "run", ("S0",))
-    train(open_run(folder), "S1", lambda event: None, quietly)
+    train(Training(open_run(folder), lambda event: None, quietly), "S1")
     one, other = (last_skill(place)[1] for place in (trained.folder, folder))
     assert skill_to_dict(one) == skill_to_dict(other)
     for name in ("data.safetensors", "scenarios.json", "skill.json"):
@@ -261,12 +272,12 @@ def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        train(open_run(folder), "S1", stop, quietly)
+        train(Training(open_run(folder), stop, quietly), "S1")
     left = listing(folder) - before
     assert all(name.startswith("journal") for name in left)
     assert "journal/S1/00000.safetensors" in left
     told: list[Event] = []
-    train(open_run(folder), "S1", told.append, quietly)
+    train(Training(open_run(folder), told.append, quietly), "S1")
     assert isinstance(next(e for e in told if not isinstance(e, StageStarted)), EvolutionRecalled)
     assert not (folder / "journal").exists()
     for name in ("data.safetensors", "scenarios.json", "skill.json"):
@@ -280,7 +291,7 @@ def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: P
     (folder / "run.json").write_text(json.dumps(about))
     before = listing(folder)
     with pytest.raises(NotImprovedError, match="raise --attempts") as caught:
-        train(open_run(folder), "S0", lambda event: None, quietly)
+        train(Training(open_run(folder), lambda event: None, quietly), "S0")
     assert "\n" not in str(caught.value)
     assert listing(folder) == before
 
@@ -291,5 +302,5 @@ def test_a_journal_that_a_finished_stage_has_left_goes(trained: Trained, tmp_pat
     left = run.folder / "journal" / "S1"
     left.mkdir(parents=True)
     (left / "00001.safetensors").write_bytes(b"x")
-    train(run, "S1", lambda event: None, quietly)
+    train(Training(run, lambda event: None, quietly), "S1")
     assert not left.parent.exists()

@@ -3,52 +3,60 @@
 import json
 import math
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeAlias
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cgtorch.domains.settings import DomainSettings, from_plain, to_plain
 from cgtorch.errors import SettingsError
-from cgtorch.tabletop.network_presets import NETWORKS as KINDS_OF_NETWORKS
-from cgtorch.runs.settings import (
-    CHOICES,
-    LATER,
-    NETWORKS,
-    PERCEPTS,
-    SCENARIOS,
-    RunSettings,
-    settings_from_dict,
-)
-from cgtorch.tabletop.world import DRAWS
-from cgtorch.tabletop.world import PERCEPTS as SIZES_OF_PERCEPTS
+from cgtorch.runs.settings import NAMES, RunSettings, all_fields, defaults_of
+from cgtorch.tabletop.domain import ACTIONS, Tabletop
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.world import PERCEPTS
 
+Kind: TypeAlias = type[RunSettings] | type[TabletopSettings]
+KINDS: tuple[Kind, ...] = (RunSettings, TabletopSettings)
+EVERY = [(kind, f) for kind in KINDS for f in fields(kind)]
 COUNTS = [f.name for f in fields(RunSettings) if isinstance(f.default, int)]
-SIZES = [f.name for f in fields(RunSettings) if isinstance(f.default, float)]
+SIZES = [f.name for f in fields(TabletopSettings) if isinstance(f.default, float)]
+CHOICES = {f.name: (kind, f.metadata["choices"]) for kind, f in EVERY if f.metadata["choices"]}
+TEXTS = [
+    (kind, f.name) for kind, f in EVERY if isinstance(f.default, str) and f.name not in CHOICES
+]
 LEAST = {"seed": 0, "population": 2, "practice": 0, "transitions": 50, "labels": 60}
 
 
-def refused(**values: Any) -> str:
+def refused(kind: Kind, **values: Any) -> str:
     with pytest.raises(SettingsError) as caught:
-        RunSettings(**values)
+        kind(**values)
     message = str(caught.value)
     assert "\n" not in message
     return message
 
 
-@given(
-    st.fixed_dictionaries(
-        {name: st.integers(LEAST.get(name, 1), 2**31 - 1) for name in COUNTS}
-        | {name: st.floats(0, 10) for name in SIZES}
-        | {name: st.sampled_from(choices) for name, choices in CHOICES.items()}
-        | {
-            "actions": st.lists(st.text(max_size=10), max_size=3).map(tuple),
-        }
-    )
-)
-def test_round_trip(values: dict[str, Any]) -> None:
-    settings = RunSettings(**values)
-    assert settings_from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
+def any_of(kind: Kind) -> st.SearchStrategy[dict[str, Any]]:
+    """Values of all settings of a kind."""
+
+    def values(f: Any) -> st.SearchStrategy[Any]:
+        if f.name in CHOICES:
+            return st.sampled_from(CHOICES[f.name][1])
+        if isinstance(f.default, int):
+            return st.integers(LEAST.get(f.name, 1), 2**31 - 1)
+        if isinstance(f.default, float):
+            return st.floats(0, 10)
+        if isinstance(f.default, str):
+            return st.text(max_size=10)
+        return st.lists(st.text(max_size=10), max_size=3).map(tuple)
+
+    return st.fixed_dictionaries({f.name: values(f) for f in fields(kind)})
+
+
+@given(any_of(RunSettings), any_of(TabletopSettings))
+def test_round_trip(of_run: dict[str, Any], of_tabletop: dict[str, Any]) -> None:
+    for settings in (RunSettings(**of_run), TabletopSettings(**of_tabletop)):
+        assert from_plain(type(settings), json.loads(json.dumps(to_plain(settings)))) == settings
 
 
 @pytest.mark.parametrize("name", COUNTS)
@@ -57,66 +65,79 @@ def test_counts(name: str) -> None:
     assert getattr(RunSettings(**{name: least}), name) == least
     for bad in (least - 1, -(2**40), 2**31, 1.0, math.nan, "5", None, True, [5]):
         assert f"{name} is {bad!r}; give a whole number of at least {least}" in refused(
-            **{name: bad}
+            RunSettings, **{name: bad}
         )
 
 
 @pytest.mark.parametrize("name", SIZES)
 def test_sizes(name: str) -> None:
-    assert getattr(RunSettings(**{name: 0}), name) == 0
+    assert getattr(TabletopSettings(**{name: 0}), name) == 0
     for bad in (-1e-9, 11, 1e39, 10**400, math.inf, -math.inf, math.nan, "0.1", None, [0.1], True):
-        assert f"{name} is {bad!r:.40}; give a number from 0 to 10" in refused(**{name: bad})
+        message = refused(TabletopSettings, **{name: bad})
+        assert f"{name} is {bad!r:.40}; give a number from 0 to 10" in message
 
 
 @pytest.mark.parametrize("name", CHOICES)
 @pytest.mark.parametrize("bad", ["", "Compose", "near", None, 3, ["compose"]])
 def test_choices(name: str, bad: Any) -> None:
-    message = refused(**{name: bad})
-    assert message == f"{name} is {bad!r}; use one of {', '.join(CHOICES[name])}"
+    kind, choices = CHOICES[name]
+    assert refused(kind, **{name: bad}) == f"{name} is {bad!r}; use one of {', '.join(choices)}"
+
+
+@pytest.mark.parametrize(("kind", "name"), TEXTS)
+@pytest.mark.parametrize("bad", [None, 3, ["tabletop"], True])
+def test_texts(kind: Kind, name: str, bad: Any) -> None:
+    assert refused(kind, **{name: bad}) == f"{name} is {bad!r}; give a text"
 
 
 def test_what_can_be_chosen_exists() -> None:
-    assert set(SCENARIOS) <= set(DRAWS)
-    assert set(PERCEPTS) == {"auto", *SIZES_OF_PERCEPTS}
-    assert set(NETWORKS) == {"auto", *KINDS_OF_NETWORKS}
+    assert set(CHOICES["percept"][1]) == {"auto", *PERCEPTS}
+    assert set(CHOICES["networks"][1]) == {"auto", *ACTIONS}
+    assert set(Tabletop.trained_kinds) <= set(Tabletop.kinds)
 
 
-def test_a_run_from_before_there_were_other_tables() -> None:
-    data = RunSettings(scenarios="general", percept="yaw", seed=3).to_dict()
-    for name in LATER:
-        del data[name]
-    before = RunSettings(seed=3, scenarios="perimeter", percept="box", networks="percept")
-    assert settings_from_dict(data) == before
+def test_no_setting_has_two_meanings() -> None:
+    names = [f.name for f in all_fields(TabletopSettings)]
+    assert len(names) == len(set(names))
+    assert names[: len(NAMES)] == list(NAMES)
+
+
+def test_a_domain_may_have_other_defaults_of_a_run() -> None:
+    usual = {f.name: f.default for f in fields(RunSettings)}
+    assert defaults_of(DomainSettings) == usual
+    assert defaults_of(TabletopSettings) == {**usual, "labels": 5500}
 
 
 @pytest.mark.parametrize("bad", [(1,), ("Wait", None), 5, None, "Wait"])
 def test_actions(bad: Any) -> None:
-    assert "give names" in refused(actions=bad)
+    assert "give names" in refused(RunSettings, actions=bad)
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("data", [None, 3, "text", [], {}, {"seed": 0}])
-def test_what_are_no_settings(data: Any) -> None:
+def test_what_are_no_settings(kind: Kind, data: Any) -> None:
     with pytest.raises(SettingsError, match="is unknown or missing"):
-        settings_from_dict(data)
+        from_plain(kind, data)
 
 
-@pytest.mark.parametrize("name", [f.name for f in fields(RunSettings)])
-def test_a_wrong_setting_in_a_file(name: str) -> None:
-    data = RunSettings().to_dict()
+@pytest.mark.parametrize(("kind", "name"), [(kind, f.name) for kind, f in EVERY])
+def test_a_wrong_setting_in_a_file(kind: Kind, name: str) -> None:
+    data = to_plain(kind())
     for bad in ({}, [[]], -1, {"a": 1}):
         with pytest.raises(SettingsError) as caught:
-            settings_from_dict({**data, name: bad})
+            from_plain(kind, {**data, name: bad})
         assert name in str(caught.value)
 
 
-@pytest.mark.parametrize("name", [f.name for f in fields(RunSettings) if f.name not in LATER])
-def test_a_setting_missing_in_a_file(name: str) -> None:
-    data = RunSettings().to_dict()
+@pytest.mark.parametrize(("kind", "name"), [(kind, f.name) for kind, f in EVERY])
+def test_a_setting_missing_in_a_file(kind: Kind, name: str) -> None:
+    data = to_plain(kind())
     del data[name]
     with pytest.raises(SettingsError, match=f"'{name}' is unknown or missing"):
-        settings_from_dict(data)
+        from_plain(kind, data)
 
 
-def test_an_unknown_setting_in_a_file() -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_unknown_setting_in_a_file(kind: Kind) -> None:
     with pytest.raises(SettingsError, match="'colour' is unknown or missing"):
-        settings_from_dict({**RunSettings().to_dict(), "colour": "red"})
+        from_plain(kind, {**to_plain(kind()), "colour": "red"})

@@ -18,10 +18,10 @@ from support import (
     random_graphs,
     seeded,
 )
+from told_by_runs import tensors_of
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.graphs import Graphs, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
@@ -29,6 +29,7 @@ from cgtorch.simulation.compiled import compiled_evaluation, compiled_rollout
 from cgtorch.simulation.engine_inputs import interpreter
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.tabletop.edge_networks import edge_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -81,8 +82,8 @@ def assert_same(found: Rollouts | None, wanted: Rollouts) -> None:
 
 
 def equal(first: Rollouts, second: Rollouts) -> bool:
-    pairs = zip(vars(first).values(), vars(second).values(), strict=True)
-    return all(torch.equal(a, b) for a, b in pairs)
+    one, other = tensors_of(first), tensors_of(second)
+    return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
 
 
 @given(
@@ -254,7 +255,7 @@ def test_no_lane_depends_on_others_to_the_bit(
     )
     assert whole is not None
     assert part is not None
-    for name, value in vars(whole).items():
+    for name, value in tensors_of(whole).items():
         wanted = value[rows][:, some]
         same = (getattr(part, name) == wanted) | (
             (wanted != wanted) & (getattr(part, name) != wanted)

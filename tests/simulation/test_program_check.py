@@ -13,7 +13,8 @@ from cgtorch.errors import GraphError
 from cgtorch.evolution import evaluate
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
-from cgtorch.simulation import engine_inputs as interpreter, rollout
+from cgtorch.simulation import engine_inputs as interpreter
+from cgtorch.simulation import rollout
 
 ACTIONS = as_double_actions(paper_actions())
 

@@ -21,6 +21,7 @@ from support import (
     stochastic_actions,
     world,
 )
+from told_by_runs import tensors_of
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, Detect, paper_actions
@@ -104,7 +105,7 @@ def test_a_result_does_not_depend_on_the_rest_of_the_batch(
     some = torch.randperm(12, generator=seeded(seed))[:5]
     where = torch.randperm(8, generator=seeded(seed))[:3]
     part = rollout(graphs[some], actions, environment, scenarios=where)
-    for name, value in vars(part).items():
+    for name, value in tensors_of(part).items():
         assert torch.equal(value, getattr(everything, name)[some][:, where]), name
 
 

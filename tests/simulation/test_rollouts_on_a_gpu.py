@@ -11,12 +11,13 @@ from support import (
     nested_actions,
     random_graphs,
 )
+from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.simulation import rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.tabletop.edge_networks import edge_actions
 
 AT_ONCE = {
     "program.py: check_numbers", "program.py: compile_graphs", "program.py: _table",
@@ -59,8 +60,8 @@ def test_rollouts_are_the_same_and_the_host_waits_once_a_step(
         gpu.waits.clear()
         found = rollout(moved, actions, elsewhere, scenarios=some)
         waits = dict(gpu.waits)
-        assert all(x.device == GPU for x in vars(found).values())
-        for name, value in vars(found).items():  # on the CPU Γ and C are compiled
+        assert all(x.device == GPU for x in tensors_of(found).values())
+        for name, value in tensors_of(found).items():  # on the CPU Γ and C are compiled
             torch.testing.assert_close(value.cpu(), getattr(wanted, name), atol=1e-9, rtol=0)
     assert 5 < waits.pop(EVERY_STEP) <= steps + 1
     assert set(waits) <= AT_ONCE

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.model_selection import KFold, StratifiedKFold
 from sklearn.model_selection import learning_curve as oracle
-from tabletop import labelled, transitions
+from stand_in import labelled, transitions
 
 from cgtorch.errors import DataError, SettingsError
 from cgtorch.svm import SVC, SVR, LearningCurve, doubling_sizes, learning_curve

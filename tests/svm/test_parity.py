@@ -16,7 +16,7 @@ from sklearn.datasets import (
     load_wine,
 )
 from sklearn.model_selection import StratifiedKFold
-from tabletop import labelled, transitions
+from stand_in import labelled, transitions
 
 from cgtorch.svm import SVC, SVR
 

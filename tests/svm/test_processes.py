@@ -5,11 +5,11 @@ import signal
 
 import pytest
 import torch
-from tabletop import labelled
+from stand_in import labelled
 
 from cgtorch.errors import DataError, SettingsError
-from cgtorch.svm import SVC, grid_search
 from cgtorch.parallel.processes import in_processes
+from cgtorch.svm import SVC, grid_search
 
 
 @pytest.mark.parametrize("processes", [1, 2, 3])

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -9,35 +10,57 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
-from tabletop import labelled, transitions
+from stand_in import labelled, transitions
+from torch import nn
 
 from cgtorch.errors import ModelError
-from cgtorch.svm import SVC, SVR, load_model, load_report, save_model
-from cgtorch.tabletop.models import fit_success_classifier, fit_transition_model
-from cgtorch.svm.storage import load_model_and_report, tensors_of
+from cgtorch.files import tensors_of
+from cgtorch.svm import SVC, SVR, Choice, load_model, load_report, save_model
+from cgtorch.svm.storage import MACHINES, load_model_and_report
 
-GRID = {"C": [4.0], "gamma": [0.1]}
+REPORT = Choice(4.0, 0.1, 0.0, 0.75)
+
+
+class Scaled(nn.Module):
+    """A model around a machine, with buffers of its own."""
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(10))
+        self.register_buffer("scale", torch.ones(10))
+        self.machine = SVR()
+
+    def shapes(self, features):
+        return {"mean": (features,), "scale": (features,)}
+
+    def forward(self, x):
+        return self.machine((x - self.mean) / self.scale)
+
+
+KINDS = {**MACHINES, "Scaled": Scaled}
 
 
 @pytest.fixture(scope="module")
-def gamma_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("models") / "gamma.safetensors"
-    model, report = fit_transition_model(*transitions(100), **GRID)
-    save_model(path, model, report)
-    return path, model, report
+def model_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "scaled.safetensors"
+    p, u, q = (torch.tensor(a) for a in transitions(100))
+    model, rows = Scaled(), torch.cat([p, u], 1)
+    model.mean, model.scale = rows.mean(0), rows.std(0).clamp_min(1e-3)
+    model.machine.fit((rows - model.mean) / model.scale, q)
+    save_model(path, model.float(), REPORT)
+    return path, model
 
 
-def test_what_was_saved_is_what_is_loaded(gamma_file, tmp_path):
-    path, model, report = gamma_file
-    p, u, _ = (torch.tensor(a, dtype=torch.float32) for a in transitions(50, 1))
-    again = load_model(path)
-    assert torch.equal(again(p, u), model(p, u))
+def test_what_was_saved_is_what_is_loaded(model_file, tmp_path):
+    path, model = model_file
+    rows = torch.randn(50, 10, generator=torch.Generator().manual_seed(0))
+    again = load_model(path, KINDS)
+    assert torch.equal(again(rows), model(rows))
     assert not again.training
-    assert load_report(path)["error"] == list(report.error)
+    assert load_report(path, KINDS) == asdict(REPORT)
 
     x, y = labelled(100)
     for other in (
-        fit_success_classifier(x, y, **GRID)[0],
         SVC(kernel="poly", degree=2, coef0=1.0, probability=True).fit(x, y),
         SVR().fit(x, x[:, :2]),
     ):
@@ -47,9 +70,9 @@ def test_what_was_saved_is_what_is_loaded(gamma_file, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["one"]
 
 
-def test_a_failed_save_leaves_the_old_file(gamma_file, tmp_path, monkeypatch):
-    _, model, _ = gamma_file
-    path = tmp_path / "gamma"
+def test_a_failed_save_leaves_the_old_file(model_file, tmp_path, monkeypatch):
+    _, model = model_file
+    path = tmp_path / "scaled"
     save_model(path, model)
     before = path.read_bytes()
 
@@ -62,7 +85,7 @@ def test_a_failed_save_leaves_the_old_file(gamma_file, tmp_path, monkeypatch):
     assert path.read_bytes() == before
     assert len(list(tmp_path.iterdir())) == 1
     with pytest.raises(ModelError, match="cannot write"):
-        save_model(tmp_path / "nowhere" / "gamma", model)
+        save_model(tmp_path / "nowhere" / "scaled", model)
 
 
 def test_what_cannot_be_saved_is_refused(tmp_path):
@@ -100,10 +123,10 @@ def _rewritten(path, target, change_state=None, **header):
         ({"kind": ["SVR"]}, "damaged"),
     ],
 )
-def test_a_foreign_header_is_refused(gamma_file, tmp_path, header, says):
-    _rewritten(gamma_file[0], tmp_path / "m", **header)
+def test_a_foreign_header_is_refused(model_file, tmp_path, header, says):
+    _rewritten(model_file[0], tmp_path / "m", **header)
     with pytest.raises(ModelError, match=says):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)
 
 
 @pytest.mark.parametrize(
@@ -120,15 +143,15 @@ def test_a_foreign_header_is_refused(gamma_file, tmp_path, header, says):
         ("machine.bias", lambda t: None, "missing"),
     ],
 )
-def test_foreign_tensors_are_refused(gamma_file, tmp_path, name, change, says):
+def test_foreign_tensors_are_refused(model_file, tmp_path, name, change, says):
     def edit(state):
         value = change(state.pop(name))
         if value is not None:
             state[name] = value.contiguous()
 
-    _rewritten(gamma_file[0], tmp_path / "m", edit)
+    _rewritten(model_file[0], tmp_path / "m", edit)
     with pytest.raises(ModelError, match=says):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)
 
 
 def test_files_that_are_no_models_are_refused(tmp_path):
@@ -139,29 +162,29 @@ def test_files_that_are_no_models_are_refused(tmp_path):
     for content in (b"", b"\x00" * 8, b"\xff" * 64, pickle.dumps({"a": 1}), b"{}"):
         (tmp_path / "m").write_bytes(content)
         with pytest.raises(ModelError):
-            load_model(tmp_path / "m")
+            load_model(tmp_path / "m", KINDS)
 
 
 def test_a_huge_file_is_refused_unread(tmp_path):
     with (tmp_path / "m").open("wb") as file:
         file.truncate(2 * 1024**3)
     with pytest.raises(ModelError, match="larger than"):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)
 
 
-def test_a_file_is_read_once(gamma_file, monkeypatch):
+def test_a_file_is_read_once(model_file, monkeypatch):
     opened, plain = [], Path.open
     monkeypatch.setattr(Path, "open", lambda p, *a, **k: opened.append(p) or plain(p, *a, **k))
-    model, report = load_model_and_report(gamma_file[0])
-    assert opened == [gamma_file[0]]
-    assert report == load_report(gamma_file[0])
-    assert torch.equal(model.machine.weights, gamma_file[1].machine.weights)
+    model, report = load_model_and_report(model_file[0], KINDS)
+    assert opened == [model_file[0]]
+    assert report == load_report(model_file[0], KINDS)
+    assert torch.equal(model.machine.weights, model_file[1].machine.weights)
 
 
 @pytest.mark.parametrize("shape", [[2**40, 0], [2**20, 2**20], [2**62, 2**62]])
-def test_a_file_cannot_ask_for_more_memory_than_it_is_large(gamma_file, tmp_path, shape):
+def test_a_file_cannot_ask_for_more_memory_than_it_is_large(model_file, tmp_path, shape):
     """Shapes are taken from the file only where its bytes fill them."""
-    content = gamma_file[0].read_bytes()
+    content = model_file[0].read_bytes()
     length = int.from_bytes(content[:8], "little")
     tensors = json.loads(content[8 : 8 + length])
     tensors["machine.centres"]["shape"] = shape
@@ -169,10 +192,10 @@ def test_a_file_cannot_ask_for_more_memory_than_it_is_large(gamma_file, tmp_path
     head = len(text).to_bytes(8, "little") + text
     (tmp_path / "m").write_bytes(head + content[8 + length :])
     with pytest.raises(ModelError):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)
     (tmp_path / "m").write_bytes((2**60).to_bytes(8, "little") + content[8:])
     with pytest.raises(ModelError):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)
 
 
 def test_outputs_that_are_none_are_refused(tmp_path):
@@ -185,25 +208,24 @@ def test_outputs_that_are_none_are_refused(tmp_path):
 
     _rewritten(tmp_path / "m", tmp_path / "n", none)
     with pytest.raises(ModelError, match="shape"):
-        load_model(tmp_path / "n")
+        load_model(tmp_path / "n", KINDS)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(data=st.data())
-def test_damage_never_escapes_as_another_error(gamma_file, tmp_path, data):
-    content = bytearray(gamma_file[0].read_bytes())
+def test_damage_never_escapes_as_another_error(model_file, tmp_path, data):
+    content = bytearray(model_file[0].read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, min(len(content), 3000) - 1))
         content[place] = data.draw(st.integers(0, 255))
     del content[data.draw(st.integers(len(content) // 2, len(content))) :]
     (tmp_path / "m").write_bytes(content)
     try:
-        model = load_model(tmp_path / "m")
+        model = load_model(tmp_path / "m", KINDS)
     except ModelError as error:
         assert "\n" not in str(error)  # noqa: PT017
     else:
-        p, u, _ = (torch.tensor(a, dtype=torch.float32) for a in transitions(5, 1))
-        assert model(p, u).shape == (5, 7)
+        assert model(torch.randn(5, 10)).shape == (5, 7)
 
 
 def safetensors(dtype, shape, size):
@@ -232,4 +254,4 @@ def test_types_and_shapes_that_torch_lacks_are_one_line(tmp_path, dtype, shape, 
     assert len(str(caught.value).splitlines()) == 1
     (tmp_path / "m").write_bytes(data)
     with pytest.raises(ModelError, match="is damaged"):
-        load_model(tmp_path / "m")
+        load_model(tmp_path / "m", KINDS)

@@ -3,9 +3,9 @@ import torch
 from support import seeded
 
 from cgtorch.actions import BranchingNN, ContinuousNN
-from cgtorch.tabletop.edge_networks import EdgeBranchingNN, EdgeNN, edge_actions
 from cgtorch.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.edge_networks import EdgeBranchingNN, EdgeNN, edge_actions
 from cgtorch.tabletop.world.edge_frame import SCENE, edge_frame, motion_to, scene
 
 

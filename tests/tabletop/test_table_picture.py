@@ -7,7 +7,7 @@ import torch
 from support import seeded
 
 from cgtorch.errors import DataError
-from cgtorch.report import draw_scenes, draw_table_top
+from cgtorch.tabletop.table_picture import SCENES, draw_placements, draw_scenes, draw_table_top
 from cgtorch.tabletop.world import (
     Scenarios,
     cluttered_scenarios,
@@ -171,3 +171,59 @@ def test_scenes_without_results_are_refused() -> None:
         draw_scenes(scenarios, torch.ones(4))
     with pytest.raises(DataError, match="at least one scenario"):
         draw_scenes(scenarios[:0], torch.ones(0))
+
+
+def test_placements_at_one_table_are_in_one_picture() -> None:
+    scenarios, succeeded, targets = some()
+    figure = draw_placements(scenarios, succeeded, targets, title="S2")
+    alone = draw_table_top(scenarios, succeeded, targets, title="S2")
+    assert len(figure.axes) == 1
+    assert figure.axes[0].get_title() == alone.axes[0].get_title()
+    for gid, part in by_gid(alone).items():
+        drawn = by_gid(figure)[gid]
+        if gid in ("reached", "missed", "targets"):
+            assert np.array_equal(drawn.get_offsets(), part.get_offsets())
+    wide = draw_placements(scenarios, succeeded, targets, footprint=(-1, 1, -1, 1))
+    outline = by_gid(wide)["robots"].get_paths()[0].vertices
+    assert np.ptp(outline, 0).min() == pytest.approx(2, abs=0.9)
+    none = draw_placements(scenarios[:0], succeeded[:0], targets[:0])
+    assert none.axes[0].get_title() == "0 of 0 reached"
+
+
+def test_placements_at_several_tables_have_a_panel_each() -> None:
+    scenarios = cluttered_scenarios(7, seeded(0))
+    none = torch.zeros(7, dtype=torch.bool)
+    figure = draw_placements(scenarios, torch.arange(7) < 5, none, title="S1")
+    assert len(figure.axes) == 7
+    assert figure.get_suptitle().startswith("S1: 5 of 7 reached")
+
+
+def test_of_many_placements_tests_and_misses_are_drawn_first() -> None:
+    scenarios = cluttered_scenarios(60, seeded(0))
+    succeeded = torch.ones(60, dtype=torch.bool)
+    targets = torch.zeros(60, dtype=torch.bool)
+    succeeded[[3, 50]] = False
+    targets[[11, 50, 59]] = True
+    figure = draw_placements(scenarios, succeeded, targets)
+    assert len(figure.axes) == SCENES
+    assert figure.get_suptitle().startswith(f"{SCENES - 2} of {SCENES} reached")
+    drawn = torch.stack(
+        [
+            torch.tensor(mark.get_offsets()[0])
+            for axes in figure.axes
+            for mark in axes.collections
+            if mark.get_gid() in ("reached", "missed")
+        ]
+    ).float()
+    place = torch.cdist(drawn, scenarios.object.flip(1)).argmin(1)
+    assert {3, 11, 50, 59} <= set(place.tolist())
+    assert torch.equal(place, place.unique())  # in their order, none twice
+    gaps = place.diff()
+    assert gaps.max() <= 5  # the others evenly spread
+
+
+def test_only_misses_are_drawn_where_there_are_more_than_fit() -> None:
+    scenarios = cluttered_scenarios(40, seeded(0))
+    succeeded = torch.arange(40) >= 30
+    figure = draw_placements(scenarios, succeeded, torch.zeros(40, dtype=torch.bool))
+    assert figure.get_suptitle().startswith(f"0 of {SCENES} reached")

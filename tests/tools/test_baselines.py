@@ -32,10 +32,11 @@ from benchmarks.tensor_way import tensor_rollout
 from benchmarks.touching import touching
 from benchmarks.workload import Workload, first_population, workload_of
 
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.run import open_run
 from cgtorch.graphs import NO_NODE, Graphs, widened
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_knowledge
 from cgtorch.simulation import Rollouts, rollout
+from cgtorch.tabletop.domain import Tabletop
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
 LIMIT = 12
@@ -44,8 +45,9 @@ LIMIT = 12
 @cache
 def work() -> Workload:
     run = open_run(REFERENCE)
-    knowledge = load_progress(run, REFERENCE / run.stages[-1]).knowledge
-    return workload_of(knowledge, run.robot, 6, seeded(0))
+    assert isinstance(run.domain, Tabletop)
+    knowledge = load_knowledge(REFERENCE / run.stages[-1], run.domain.unfitted())
+    return workload_of(knowledge, run.domain, 6, seeded(0))
 
 
 @cache

@@ -14,11 +14,11 @@ from trained import SMALL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from compare_methods import METHODS, compare, published, seeds_in
+from compare_methods import METHODS, compare, published, quietly, seeds_in
 from comparison.table import LABELS, cost_of, spread, table
 
 from cgtorch.runs.run import open_run
-from cgtorch.training.train import make_setup
+from cgtorch.training.context import Training
 
 SEED = f"seed-{SMALL.seed}"
 
@@ -98,7 +98,8 @@ def test_what_is_there_is_not_made_again(folder: Path) -> None:
 
 
 def test_the_published_settings(folder: Path) -> None:
-    setup = published(make_setup(open_run(folder / SEED / "begin")))
+    training = Training(open_run(folder / SEED / "begin"), lambda event: None, quietly)
+    setup = published(training.setup())
     assert (setup.evolution.population, setup.evolution.elite, setup.evolution.tau) == (
         200,
         1,

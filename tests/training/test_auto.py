@@ -14,15 +14,16 @@ from support import seeded
 from trained import SMALL, Trained, copied
 
 from cgtorch.errors import RunError, SettingsError
-from cgtorch.training.auto import act, reached, train_until
-from cgtorch.training.evaluate import check_percepts
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.run import Run, create_run, last_skill, open_run
-from cgtorch.runs.storage import load_result
-from cgtorch.training.train import NotImprovedError, train
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.run import Run, create_run, last_skill, open_run
+from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_result
+from cgtorch.training.auto import act, reached, train_until
+from cgtorch.training.context import Training
+from cgtorch.training.evaluate import check_percepts
+from cgtorch.training.train import NotImprovedError, train
 
 GOAL = Goal(target=0.95, rounds=2)
 """More than two small rounds can reach."""
@@ -53,7 +54,7 @@ def made(trained: Trained, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """A run of two rounds, from the start on."""
     run = prepared(trained, tmp_path_factory.mktemp("auto") / "run", attempts=2)
     events: list[Event] = []
-    return run, events, train_until(run, GOAL, events.append, quietly)
+    return run, events, train_until(Training(run, events.append, quietly), GOAL)
 
 
 def test_rounds_are_stages_of_the_run(made: Made) -> None:
@@ -76,8 +77,8 @@ def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
     for result in results:
         progress = load_progress(run, run.folder / result["stage"])
         assert progress.skill is not None
-        assert try_skill(progress.skill, run.world_of(progress.solved)).succeeded.all()
-        assert not try_skill(progress.skill, run.world_of(progress.missed)).succeeded.any()
+        assert try_skill(progress.skill, run.domain.world(progress.solved)).succeeded.all()
+        assert not try_skill(progress.skill, run.domain.world(progress.missed)).succeeded.any()
         assert (result["w_size"], result["w_lost"], result["targets"]) == (before, 0, missed)
         assert result["targets_succeeded"] > 0
         met += result["fresh"]["tried"] + (result["decisive"] or {"tried": 0})["tried"]
@@ -98,7 +99,7 @@ def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
     """A run that lost its second round makes the same again."""
     folder = tmp_path / "run"
     shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
-    results = train_until(open_run(folder), GOAL, ignore, quietly)
+    results = train_until(Training(open_run(folder), ignore, quietly), GOAL)
     timed = {"seconds": 0, "search_seconds": 0}
     assert [r | timed for r in results] == [r | timed for r in made[2]]
     for name in ("skill.json", "scenarios.json", "data.safetensors"):
@@ -110,13 +111,13 @@ def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
     run, _, results = made
     events: list[Event] = []
     for goal in (Goal(target=0.95, minutes=0), GOAL, Goal(target=0.95, rounds=1)):
-        assert train_until(run, goal, events.append, quietly) == results
+        assert train_until(Training(run, events.append, quietly), goal) == results
     assert events == []
 
 
 def test_a_run_with_rounds_has_no_further_stages(made: Made) -> None:
     with pytest.raises(RunError, match="can have no further stage; go on with --stage auto"):
-        train(made[0], "S0", ignore, quietly)
+        train(Training(made[0], ignore, quietly), "S0")
 
 
 def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_path: Path) -> None:
@@ -124,18 +125,18 @@ def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_pat
     run = prepared(trained, tmp_path / "run", ("S0", "S1"), attempts=2)
     goal = Goal(target=0.5, rounds=6)
     events: list[Event] = []
-    results = train_until(run, goal, events.append, quietly)
+    results = train_until(Training(run, events.append, quietly), goal)
     assert [r["stage"] for r in results[:2]] == ["S0", "S1"]
     assert reached(goal, results[2:])
     last = results[-1]
     assert last["decisive"]["tried"] == goal.decisive == 80
     assert last["decisive"]["succeeded"] >= 40
-    assert last["perimeter"] == last["decisive"]
+    assert last["overall"] == last["decisive"]
     assert [e.decisive for e in events if isinstance(e, FreshTested)][-2:] == [False, True]
-    assert train_until(run, goal, events.append, quietly) == results
+    assert train_until(Training(run, events.append, quietly), goal) == results
     kept = load_progress(run, run.folder / "S1")
     final = last_skill(run.folder)[1]
-    assert try_skill(final, run.world_of(kept.solved)).succeeded.all()
+    assert try_skill(final, run.domain.world(kept.solved)).succeeded.all()
 
 
 def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> None:
@@ -145,7 +146,7 @@ def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> 
     def error(seed: int) -> str:
         run = prepared(trained, tmp_path / str(seed), seed=seed, **hasty)
         try:
-            train_until(run, Goal(target=0.5, rounds=1), ignore, quietly)
+            train_until(Training(run, ignore, quietly), Goal(target=0.5, rounds=1))
         except NotImprovedError as e:
             return "" if run.stages else str(e)
         return ""
@@ -155,7 +156,7 @@ def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> 
 
 
 def decided(succeeded: int, tried: int) -> dict[str, Any]:
-    return {"decisive": {"placement": "perimeter", "tried": tried, "succeeded": succeeded}}
+    return {"decisive": {"scenarios": "perimeter", "tried": tried, "succeeded": succeeded}}
 
 
 def test_only_the_last_round_can_reach_the_goal() -> None:
@@ -186,7 +187,7 @@ def test_acting_is_trying_in_the_world(made: Made) -> None:
     run, _, _ = made
     skill = last_skill(run.folder)[1]
     score = act(run, skill, 20, seeded(3))
-    again = try_skill(skill, run.world_of(score.scenarios))
+    again = try_skill(skill, run.domain.world(score.scenarios))
     assert torch.equal(again.succeeded, score.succeeded)
     assert torch.equal(again.transitions, score.transitions)
 
@@ -203,13 +204,17 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
     )
     run = create_run(tmp_path_factory.mktemp("wide") / "run", settings)
     events: list[Event] = []
-    return run, events, train_until(run, Goal(target=0.5, rounds=1), events.append, quietly)
+    return (
+        run,
+        events,
+        train_until(Training(run, events.append, quietly), Goal(target=0.5, rounds=1)),
+    )
 
 
 def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
     """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept."""
     run, _, results = wide
-    assert {results[0][name]["placement"] for name in ("fresh", "perimeter")} == {"general-clutter"}
+    assert {results[0][name]["scenarios"] for name in ("fresh", "overall")} == {"general-clutter"}
     again, skill = last_skill(run.folder)
     check_percepts(skill, 13, "the run's scenarios")
     progress = load_progress(again, again.folder / "auto-1")
@@ -221,13 +226,13 @@ def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
     assert 0.3 < float((both[:, 0, 3] > 0).float().mean()) < 0.7
     for scenarios, solved in ((progress.solved, True), (progress.missed, False)):
         assert len(scenarios.table[:, 2:].unique(dim=0)) == len(scenarios) > 0
-        succeeded = try_skill(skill, again.world_of(scenarios)).succeeded
+        succeeded = try_skill(skill, again.domain.world(scenarios)).succeeded
         assert succeeded.eq(solved).all()
 
 
 def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
     with pytest.raises(SettingsError, match="use --stage auto"):
-        train(wide[0], "S0", ignore, quietly)
+        train(Training(wide[0], ignore, quietly), "S0")
 
 
 VALUES: list[Callable[[Any], Any]] = [
@@ -235,6 +240,9 @@ VALUES: list[Callable[[Any], Any]] = [
     lambda d: {},
     lambda d: {**d, "tried": -1},
     lambda d: {**d, "succeeded": d["tried"] + 1},
+    lambda d: {**d, "scenarios": 3},
+    lambda d: {**d, "mean_return": "much"},
+    lambda d: {**d, "mean_return": [1.0]},
 ]
 
 

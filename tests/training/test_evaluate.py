@@ -4,16 +4,15 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import graspable, random_skill, seeded
+from reaching import TABLE
+from support import random_skill, seeded
 
 from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
 from cgtorch.errors import SettingsError
-from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.graphs import SubSkill
 from cgtorch.improvement.trial import try_skill
-from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios
-
-FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
+from cgtorch.tabletop.world import random_scenarios
+from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 
 
 def score(successes: int, tried: int) -> Score:
@@ -53,27 +52,23 @@ def test_nothing_tried() -> None:
     assert nothing.interval[0] == 0
 
 
-def world_of(scenarios: Scenarios) -> TabletopWorld:
-    return TabletopWorld(scenarios, graspable, FOOTPRINT)
-
-
 def test_scenarios_come_from_the_seed() -> None:
     skill = random_skill(4, "some", paper_actions())
-    first, again, other = (evaluate_skill(skill, world_of, "left", 30, s) for s in (1, 1, 2))
+    first, again, other = (evaluate_skill(skill, TABLE, "left", 30, s) for s in (1, 1, 2))
     assert torch.equal(first.scenarios.object, again.scenarios.object)
     assert torch.equal(first.succeeded, again.succeeded)
     assert not torch.equal(first.scenarios.object, other.scenarios.object)
-    alone = try_skill(skill, world_of(first.scenarios))
+    alone = try_skill(skill, TABLE.world(first.scenarios))
     assert torch.equal(alone.succeeded, first.succeeded)
     assert torch.equal(alone.transitions, first.transitions)
 
 
 def test_parts_change_nothing_and_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     skill, told = random_skill(1, "any", paper_actions()), list[int]()
-    whole = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    whole = evaluate_skill(skill, TABLE, "perimeter", 20, 3, told.append)
     assert told == [20]
     monkeypatch.setattr("cgtorch.training.evaluate.PART", 7)
-    parts = evaluate_skill(skill, world_of, "perimeter", 20, 3, told.append)
+    parts = evaluate_skill(skill, TABLE, "perimeter", 20, 3, told.append)
     assert told == [20, 7, 7, 6]
     assert torch.equal(whole.succeeded, parts.succeeded)
     assert torch.equal(whole.transitions, parts.transitions)
@@ -92,7 +87,7 @@ def test_the_score_on_some() -> None:
 def test_what_is_met_again_is_what_was_solved(successes: int, tried: int, seed: int) -> None:
     solved = score(successes, tried).scenarios
     skill = random_skill(4, "some", paper_actions())
-    again = under_other_noise(skill, world_of, solved, seed, most=40)
+    again = under_other_noise(skill, TABLE, solved, seed, most=40)
     assert again.tried == min(40, tried)
     places = {tuple(row) for row in solved.object.tolist()}
     assert {tuple(row) for row in again.scenarios.object.tolist()} <= places
@@ -102,7 +97,7 @@ def test_what_is_met_again_is_what_was_solved(successes: int, tried: int, seed: 
 @pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])
 def test_bad_requests(placement: str, count: int) -> None:
     with pytest.raises(SettingsError):
-        evaluate_skill(random_skill(4, "some", paper_actions()), world_of, placement, count, 0)
+        evaluate_skill(random_skill(4, "some", paper_actions()), TABLE, placement, count, 0)
 
 
 def wider_actions() -> ActionSet:
@@ -115,14 +110,14 @@ def wider_actions() -> ActionSet:
 
 def test_a_skill_of_the_papers_table_can_be_tried_on_any_table() -> None:
     skill = random_skill(4, "some", paper_actions())
-    score = evaluate_skill(skill, world_of, "general", 30, 1)
+    score = evaluate_skill(skill, TABLE, "general", 30, 1)
     assert score.tried == 30
-    assert torch.equal(try_skill(skill, world_of(score.scenarios)).succeeded, score.succeeded)
+    assert torch.equal(try_skill(skill, TABLE.world(score.scenarios)).succeeded, score.succeeded)
 
 
 def test_a_skill_must_read_what_there_is_to_see() -> None:
     narrow, wide = (random_skill(4, "some", a) for a in (paper_actions(), wider_actions()))
-    assert evaluate_skill(wide, world_of, "general-clutter", 10, 1).tried == 10
+    assert evaluate_skill(wide, TABLE, "general-clutter", 10, 1).tried == 10
     for skill, kind, says in (
         (
             narrow,
@@ -133,7 +128,7 @@ def test_a_skill_must_read_what_there_is_to_see() -> None:
         (wide, "near", "of near have 7; use"),
     ):
         with pytest.raises(SettingsError, match=says):
-            evaluate_skill(skill, world_of, kind, 10, 1)
+            evaluate_skill(skill, TABLE, kind, 10, 1)
 
 
 def test_a_skill_within_a_skill_must_fit_too() -> None:
@@ -141,4 +136,4 @@ def test_a_skill_within_a_skill_must_fit_too() -> None:
     actions = wider_actions().extended(["inner"], [SubSkill(inner)])
     outer = random_skill(5, "outer", actions)
     with pytest.raises(SettingsError, match="'inner' reads percepts of 7 numbers"):
-        evaluate_skill(outer, world_of, "general-clutter", 10, 1)
+        evaluate_skill(outer, TABLE, "general-clutter", 10, 1)

@@ -1,27 +1,29 @@
 """The four experiments of section VI and their scenarios."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 import torch
+from reaching import TABLE
 from support import seeded
 
+from cgtorch.actions import paper_actions
 from cgtorch.errors import SettingsError
-from cgtorch.training.stages import (
-    STAGES,
-    check_stages,
-    exercise,
-    round_name,
-    stage_generator,
-    stages_up_to,
-)
+from cgtorch.runs.run import Run, round_name
+from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.world import random_scenarios, stage_scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
+from cgtorch.training.stages import check_stages, exercise, stage_generator, stages_up_to
 
+RUN = Run(Path("none"), RunSettings(), TABLE, paper_actions())
+STAGES = TABLE.stages
 NONE = stage_scenarios("near", 0)
 
 
 def test_stages_in_order() -> None:
     assert STAGES == {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
-    assert [stages_up_to(s) for s in STAGES] == [
+    assert [stages_up_to(TABLE, s) for s in STAGES] == [
         ("S0",), ("S0", "S1"), ("S0", "S1", "S2"), ("S0", "S1", "S2", "S3"),
     ]  # fmt: skip
 
@@ -29,20 +31,22 @@ def test_stages_in_order() -> None:
 @pytest.mark.parametrize("bad", ["S4", "s0", "", "S0 ", "near", "../S0", "auto", "auto-1"])
 def test_unknown_stages(bad: str) -> None:
     with pytest.raises(SettingsError, match=r"unknown stage .*; use one of S0, S1, S2, S3"):
-        stages_up_to(bad)
+        stages_up_to(TABLE, bad)
 
 
 def test_only_the_papers_table_has_stages() -> None:
-    check_stages("perimeter")
+    for scenarios in ("auto", "perimeter"):
+        check_stages(replace(RUN, settings=RunSettings(scenarios=scenarios)))
     for other in ("general", "general-clutter"):
-        with pytest.raises(SettingsError, match=f"not {other} scenarios; use --stage auto"):
-            check_stages(other)
+        with pytest.raises(SettingsError, match=f"not {other}; use --stage auto"):
+            check_stages(replace(RUN, settings=RunSettings(scenarios=other)))
 
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_five_evenly_spaced_from_the_centred_start(stage: str) -> None:
-    task = exercise(stage, NONE, 0, seeded(0))
+    task = exercise(RUN, stage, NONE, 0, seeded(0))
     assert task.targets.tolist() == [True] * 5
+    assert task.tests == 5
     placed, pose = task.scenarios.object, task.scenarios.pose
     assert torch.equal(pose, pose[:1].expand(5, 3))
     assert pose[0].tolist() == pytest.approx([-TABLE_DEPTH / 2 - 1, 0, 0])
@@ -56,15 +60,16 @@ def test_five_evenly_spaced_from_the_centred_start(stage: str) -> None:
 
 
 def test_the_right_edge_has_its_top_corner() -> None:
-    placed = exercise("S2", NONE, 0, seeded(0)).scenarios.object
+    placed = exercise(RUN, "S2", NONE, 0, seeded(0)).scenarios.object
     corner = torch.tensor([TABLE_DEPTH / 2 - INSET_MIN, 0.1 - TABLE_WIDTH / 2])
     assert (placed - corner).norm(dim=1).min() < 1e-6
 
 
 def test_failures_of_earlier_stages_are_targets_and_practice_is_not() -> None:
     missed = random_scenarios("near", 3, seeded(1))
-    task = exercise("S1", missed, 7, seeded(2))
+    task = exercise(RUN, "S1", missed, 7, seeded(2))
     assert task.targets.tolist() == [True] * 8 + [False] * 7
+    assert task.tests == 5
     for name, value in vars(task.scenarios).items():
         assert torch.equal(value[5:8], getattr(missed, name))
     practice = task.scenarios[torch.arange(8, 15)]
@@ -74,7 +79,7 @@ def test_failures_of_earlier_stages_are_targets_and_practice_is_not() -> None:
 
 def test_a_stage_has_randomness_of_its_own() -> None:
     def drawn(seed: int, stage: str) -> tuple[float, ...]:
-        return tuple(torch.rand(4, generator=stage_generator(seed, stage)).tolist())
+        return tuple(torch.rand(4, generator=stage_generator(TABLE, seed, stage)).tolist())
 
     names = [*STAGES, *map(round_name, range(1, 30))]
     everything = {drawn(seed, stage) for seed in range(20) for stage in names}

@@ -9,7 +9,7 @@ from benchmarks.ceiling import Shape, against_ceiling
 from benchmarks.measure import Comparison, Effort, Line, cores, difference, torch_threads
 from benchmarks.workload import workload
 from cgtorch.domains.knowledge import Knowledge
-from cgtorch.tabletop.models import TransitionModel
+from cgtorch.domains.transition import TransitionModel
 
 
 def gamma_ceiling(effort: Effort) -> Line:
@@ -49,14 +49,14 @@ def _compared(
     """The whole of Γ, or the machine in it, on transitions that were collected."""
     data, machine = knowledge.dataset, model.machine
     pick = torch.randint(len(data.percept), (rows,), generator=torch.Generator().manual_seed(8))
-    percept, motion = data.percept[pick], data.motion[pick]
+    percept, motion = data.percept[pick], data.control[pick]
     with torch.no_grad():
         exact = copy.deepcopy(model).double()
         if part == "whole":
             work = partial(model.predict_with_novelty, percept, motion)
             truth = exact.predict_with_novelty(percept.double(), motion.double())
         else:
-            features = model.features(percept)
+            features = model.features(percept, motion)
             work = partial(machine.values_and_distance, features)
             truth = exact.machine.values_and_distance(features.double())
         gap = difference(work()[0], truth[0], most=1e-3)

@@ -18,11 +18,9 @@ from benchmarks.measure import (
     in_turns,
     torch_threads,
 )
-from cgtorch.tabletop.data import collect
-from cgtorch.runs.run import tabletop_of
-from cgtorch.tabletop.kinematics import load_robot
+from cgtorch.environment import Dataset
 from cgtorch.svm import SVC, SVR, grid_search
-from cgtorch.tabletop.world import LAB_NOISE
+from cgtorch.tabletop.domain import Tabletop
 
 Array = NDArray[np.float64]
 
@@ -88,18 +86,21 @@ def _line(name: str, cases: list[Case], target: float) -> Line:
 
 
 def _labels(rows: int) -> Case:
-    data = collect(
-        tabletop_of(load_robot(), LAB_NOISE), 16, rows + 16, torch.Generator().manual_seed(0)
-    )
-    x = data.grasp_percept.double().numpy()[:rows]
-    return Case(f"{rows} rows", _scaled(x), data.graspable.numpy()[:rows], regression=False)
+    data = _collected(16, rows + 16)
+    x = data.tested.double().numpy()[:rows]
+    return Case(f"{rows} rows", _scaled(x), data.succeeded.numpy()[:rows], regression=False)
 
 
 def _transitions(rows: int) -> Case:
-    data = collect(tabletop_of(load_robot(), LAB_NOISE), rows, 64, torch.Generator().manual_seed(0))
-    p, u, q = (t.double().numpy() for t in (data.percept, data.motion, data.next_percept))
+    data = _collected(rows, 64)
+    p, u, q = (t.double().numpy() for t in (data.percept, data.control, data.next_percept))
     x = np.concatenate([p, u[:, :2], np.sin(u[:, 2:]), np.cos(u[:, 2:])], 1)
     return Case(f"{rows} rows, 7 outputs", _scaled(x), _scaled(q), regression=True)
+
+
+def _collected(transitions: int, labels: int) -> Dataset:
+    generator = torch.Generator().manual_seed(0)
+    return Tabletop().explore("perimeter", transitions, labels, generator)
 
 
 def _scaled(x: Array) -> Array:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.workload import Workload
-from cgtorch.domains.knowledge import MARGIN
-from cgtorch.tabletop.models import SuccessClassifier, TransitionModel
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.tabletop.domain import MARGIN
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.world.clear_way import CLEARANCE
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class PlainModels:
         errors: (B, T, 7) added to Γ's prediction at each motion.
         most_novel: where a motion is more novel, the lane is lost.
         transition: the machine of Γ.
-        sides: (2,), `trust`, `reach` and `most` (4,) as in `TransitionModel`.
+        sides: (2,), `trust`, `reach` and `most` (4,) as in `TableTransitionModel`.
         success: the machine of C.
         platt: slope and offset of C's probability.
         body: (4, 2) corners of the footprint with all the room it must have (m).
@@ -70,8 +70,8 @@ def plain_models(work: Workload) -> PlainModels:
     """The numbers of the models that the workload's environment holds."""
     environment = work.environment
     gamma, classifier = getattr(environment.gamma, "__self__", None), environment.classifier
-    if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
-        raise TypeError(f"{environment.gamma} and {classifier} are not Γ and C of this library")
+    if not isinstance(gamma, TableTransitionModel) or not isinstance(classifier, GraspClassifier):
+        raise TypeError(f"{environment.gamma} and {classifier} are not Γ and C of the tabletop")
     if environment.errors is None:
         raise TypeError("the environment has no errors of Γ")
     x0, x1, y0, y1 = work.footprint.double().tolist()

@@ -162,7 +162,8 @@ def alike(runs: Rollouts, succeeded: Any, percept: Any, transitions: Any) -> tup
 
 def taken(runs: Rollouts, rows: Tensor) -> Rollouts:
     """The rollouts of some individuals."""
-    return Rollouts(**{name: value[rows] for name, value in vars(runs).items()})
+    parts = {name: value[rows] for name, value in vars(runs).items() if value is not None}
+    return Rollouts(**parts)
 
 
 def _comparison(

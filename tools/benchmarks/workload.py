@@ -7,19 +7,17 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.tabletop.data import collect
+from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.evolution import EvolutionSettings, Population, evolve
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.mutation import mutate
 from cgtorch.evolution.population import random_population, slim
-from cgtorch.runs.run import tabletop_of
-from cgtorch.runs.settings import RunSettings
 from cgtorch.graphs import widened
-from cgtorch.domains.knowledge import Knowledge, fit_models, imagine
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.tabletop.kinematics import Robot, load_robot
+from cgtorch.runs.settings import defaults_of
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.world import LAB_NOISE, random_scenarios
+from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.settings import TabletopSettings
 
 SCENARIOS = 20
 GENERATIONS = 10
@@ -49,22 +47,25 @@ class Workload:
 @cache
 def workload() -> Workload:
     """What `cgtorch-train` begins with: data from the robot's world, Γ and C fitted on it."""
-    generator, sizes, robot = _seeded(0), RunSettings(), load_robot()
-    data = collect(tabletop_of(robot, LAB_NOISE), sizes.transitions, sizes.labels, generator)
-    return workload_of(fit_models(data, seed=0), robot, SCENARIOS, generator)
+    generator, sizes, domain = _seeded(0), defaults_of(TabletopSettings), Tabletop()
+    data = domain.explore("perimeter", sizes["transitions"], sizes["labels"], generator)
+    knowledge, _ = fit_models(domain, data, 0, lambda gamma: None)
+    return workload_of(knowledge, domain, SCENARIOS, generator)
 
 
 @cache
 def larger_workload() -> Workload:
     """The same models on five times as many placements, as W soon has more than twenty."""
-    return workload_of(workload().knowledge, load_robot(), 5 * SCENARIOS, _seeded(4))
+    return workload_of(workload().knowledge, Tabletop(), 5 * SCENARIOS, _seeded(4))
 
 
-def workload_of(knowledge: Knowledge, robot: Robot, count: int, generator: Generator) -> Workload:
+def workload_of(
+    knowledge: Knowledge, domain: Tabletop, count: int, generator: Generator
+) -> Workload:
     """The models as an environment of so many random placements around the table."""
-    world = tabletop_of(robot, LAB_NOISE)(random_scenarios("perimeter", count, generator))
-    footprint = torch.tensor(robot.description.footprint)
-    environment = imagine(knowledge, first_percepts(world), footprint, 1, generator)
+    world = domain.world(domain.draw("perimeter", count, generator))
+    footprint = torch.tensor(domain.robot.description.footprint)
+    environment = domain.imagine(knowledge, first_percepts(world), 1, generator)
     return Workload(knowledge, environment, footprint, paper_actions())
 
 

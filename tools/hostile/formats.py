@@ -6,18 +6,33 @@ what it returns is used a little, so that nothing stays lazy.
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Generator
+from torch import Generator, nn
 
 from cgtorch.actions import ActionSet
+from cgtorch.domains.knowledge import taken
+from cgtorch.domains.learning_on import compact_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
+from cgtorch.files import read_bytes, read_json, tensors_of, write_json
+from cgtorch.graphs import load_skill
+from cgtorch.improvement.attempt import trial_from, trial_tensors
+from cgtorch.improvement.journal import Standing
+from cgtorch.improvement.stopping import (
+    Found,
+    found_from,
+    found_tensors,
+    island_from,
+    island_tensors,
+    islands_from,
+)
+from cgtorch.improvement.trial import Trial
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.runs.ledger import read_entry, read_index
 from cgtorch.runs.run import open_run
@@ -31,28 +46,20 @@ from cgtorch.runs.storage import (
     save_population,
     save_scenarios,
 )
-from cgtorch.files import read_bytes, read_json, write_json
-from cgtorch.graphs import load_skill
-from cgtorch.improvement.attempt import trial_from
-from cgtorch.improvement.journal import Standing
-from cgtorch.domains.knowledge import taken
-from cgtorch.improvement.stopping import (
-    Found,
-    found_from,
-    found_tensors,
-    island_from,
-    island_tensors,
-    islands_from,
-)
+from cgtorch.svm import load_model_and_report, save_model
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot, load_robot
-from cgtorch.svm import compact_transition_model, load_model_and_report, save_model
-from cgtorch.files import tensors_of
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.world import draw_of
 from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
 from hostile.small_robot import URDF, WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE, PR2 = ROOT / "runs" / "reference", ROOT / "robots" / "pr2"
+MODELS: Mapping[str, Callable[[], nn.Module]] = {
+    kind.__name__: kind for kind in (TableTransitionModel, GraspClassifier)
+}
+LIKE, LIKE_CLUTTER = (draw_of(kind)(0, Generator()) for kind in ("perimeter", "general-clutter"))
 SCENARIOS = 7  # that a journal is about
 STEP, NOTE = "journal/S4/00000.safetensors", "journal/S4/00000-1.safetensors"
 PART = "journal/S4/00000-1.0.safetensors"
@@ -84,9 +91,10 @@ def prepare(folder: Path) -> ActionSet:
     (folder / "robot" / "robot.urdf").write_text(URDF)
     write_json(folder / "robot" / "robot.json", WORDS)
     stage = folder / "S3"
-    gamma, report = load_model_and_report(stage / "gamma.safetensors")
+    gamma, report = load_model_and_report(stage / "gamma.safetensors", MODELS)
+    assert isinstance(gamma, TableTransitionModel)  # noqa: S101
     data = load_dataset(stage / "data.safetensors")
-    gamma = compact_transition_model(gamma, 16, data.percept[:200], data.motion[:200])[0]
+    gamma = compact_transition_model(gamma, 16, data.percept[:200], data.control[:200])[0]
     save_model(stage / "gamma.safetensors", gamma, report)
     save_dataset(stage / "aside.safetensors", _few(data), {"seed": "2"})
     save_dataset(stage / "data.safetensors", _few(data), {"seed": "2"})
@@ -99,12 +107,21 @@ def _few(data: Dataset) -> Dataset:
 
 def _scenarios(folder: Path, actions: ActionSet) -> list[bytes]:
     path, found = folder / "x.json", []
-    solved, missed = load_scenarios(REFERENCE / "S0" / "scenarios.json", ("W", "M"))
+    solved, missed = load_scenarios(REFERENCE / "S0" / "scenarios.json", ("W", "M"), LIKE)
     clutter = draw_of("general-clutter")(6, Generator().manual_seed(0))
     for one, other in ((solved[:8], missed[:4]), (clutter, clutter[:0])):
         save_scenarios(path, {"W": one, "M": other})
         found.append(path.read_bytes())
     return found
+
+
+def _read_scenarios(folder: Path, actions: ActionSet) -> object:
+    """Scenarios without obstacles, as those of the run, or with them."""
+    path, names = folder / "S0" / "scenarios.json", ("W", "M")
+    try:
+        return load_scenarios(path, names, LIKE)
+    except RunError:
+        return load_scenarios(path, names, LIKE_CLUTTER)
 
 
 def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
@@ -125,9 +142,9 @@ def _journals(folder: Path, actions: ActionSet) -> list[bytes]:
     """An evolution that is over, and a trial."""
     found = {**found_tensors(_found(actions)), "generator": Generator().get_state()}
     data = load_dataset(folder / "S3" / "data.safetensors")
-    own = {"succeeded": _found(actions).solved, "transitions": torch.arange(SCENARIOS)}
+    trial = trial_tensors(Trial(_found(actions).solved, torch.arange(SCENARIOS), data))
     files = []
-    for name, tensors in (("evolution x", found), ("trial of x", {**own, **vars(data)})):
+    for name, tensors in (("evolution x", found), ("trial of x", trial)):
         shutil.rmtree(folder / "journal", ignore_errors=True)
         FileJournal(folder / "journal" / "S4").record(name, tensors)
         files.append((folder / STEP).read_bytes())
@@ -183,18 +200,23 @@ def _read_part(folder: Path, actions: ActionSet) -> object:
 
 
 def _read_models(folder: Path, actions: ActionSet) -> object:
-    known = load_knowledge(folder / "S3")
+    known = load_knowledge(folder / "S3", MODELS)
     data = known.dataset
-    known.gamma(data.percept[:2], data.motion[:2])
-    return known.classifier(data.grasp_percept[:2])
+    known.gamma(data.percept[:2], data.control[:2])
+    return known.classifier(data.tested[:2])
 
 
 def _read_run(folder: Path, actions: ActionSet) -> object:
-    return _moved(open_run(folder).robot)
+    domain = open_run(folder).domain
+    assert isinstance(domain, Tabletop)  # noqa: S101
+    _moved(domain.robot)
+    return domain
 
 
 def _read_pr2(folder: Path, actions: ActionSet) -> object:
-    return _moved(load_robot(folder / "pr2.urdf", PR2 / "robot.json"))
+    robot = load_robot(folder / "pr2.urdf", PR2 / "robot.json")
+    _moved(robot)
+    return robot
 
 
 def _moved(robot: Robot) -> None:
@@ -219,8 +241,7 @@ FORMATS = {
     ),
     "scenarios": Format(
         damaged_json, 12, "S0/scenarios.json",
-        lambda folder, actions: load_scenarios(folder / "S0" / "scenarios.json", ("W", "M")),
-        _scenarios,
+        _read_scenarios, _scenarios,
     ),
     "run": Format(damaged_json, 3, "run.json", _read_run, _kept("run.json")),
     "ledger index": Format(
@@ -229,7 +250,7 @@ FORMATS = {
     ),
     "ledger entry": Format(
         damaged_json, 8, "ledger/S1.json",
-        lambda folder, actions: read_entry(folder, "S1", actions).summary, _entries,
+        lambda folder, actions: read_entry(folder, "S1", actions, LIKE).summary, _entries,
     ),
     "result": Format(
         damaged_json, 14, "S0/result.json",

@@ -8,12 +8,10 @@ from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.tabletop.network_presets import NETWORKS
+from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
-from cgtorch.domains.knowledge import imagine
-from cgtorch.improvement.trial import first_percepts
-from cgtorch.tabletop.world import random_scenarios
+from cgtorch.tabletop.domain import ACTIONS, SPECIALISTS
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,13 @@ latter a whole edge, and the paper's forty placements."""
 
 def pose(problem: Problem, run_folder: Path, seed: int) -> tuple[Environment, ActionSet]:
     """The problem of a seed in the models that a run began with, and what nodes can be."""
-    run, knowledge = open_run(run_folder), load_knowledge(run_folder / "start")
-    networks = NETWORKS[problem.networks]
+    domain = open_run(run_folder).domain
+    knowledge = load_knowledge(run_folder / "start", domain.unfitted())
     generator = Generator().manual_seed(1_000_003 * (seed + 1))
-    world = run.world_of(random_scenarios(problem.placement, problem.drawn, generator))
+    world = domain.world(domain.draw(problem.placement, problem.drawn, generator))
     percepts = first_percepts(world)
     everyone = torch.ones(problem.drawn, dtype=torch.bool)
-    rows = networks.group_of(percepts, everyone, problem.group, generator)
-    models = imagine(knowledge, percepts[rows], world.footprint, problem.replicas, generator)
-    return models, networks.actions(world.percept_size)
+    group_of = SPECIALISTS[problem.networks].group_of
+    rows = group_of(percepts, everyone, problem.group, generator)
+    models = domain.imagine(knowledge, percepts[rows], problem.replicas, generator)
+    return models, ACTIONS[problem.networks](world.percept_size)

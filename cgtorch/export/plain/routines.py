@@ -6,13 +6,14 @@ from cgtorch.export.plain.machine import FAILURE, SUCCESS, State, Userdata
 
 
 class MoveBase(State):
-    """Drives the base by the message, in the robot's own frame."""
+    """Carries out the message; of a mobile base, drives by it in the robot's own frame."""
 
     outcomes = (SUCCESS, FAILURE)
+    control_size = 3
 
     def execute(self, userdata: Userdata) -> str:
         """Fail without a message that is a motion; else `move`."""
-        motion = userdata.message[:3]
+        motion = userdata.message[: self.control_size]
         if not userdata.has_message or not all(map(math.isfinite, motion)):
             return FAILURE
         return SUCCESS if self.move(userdata, *motion) else FAILURE
@@ -20,7 +21,7 @@ class MoveBase(State):
     def move(self, userdata: Userdata, *motion: float) -> bool:
         """Drive by dx, dy (m), then turn by dθ (rad); then keep the new `userdata.percept`.
 
-        False, without moving, where something is in the way.
+        Another robot has other controls. False, without moving, where something is in the way.
         """
         raise NotImplementedError("MoveBase.move is to be filled in")
 

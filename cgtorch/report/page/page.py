@@ -84,6 +84,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "publisher": domain.publisher,
         "beside": bool(domain.published) and run.kind == domain.usual_kind,
         "cards": _cards(contents),
+        "published": bool(domain.published),
         "results": [_row(stage, domain) for stage in contents.stages],
         "overall": domain.published.get(""),
         "overall_theirs": _theirs(domain),
@@ -133,11 +134,13 @@ def _cards(contents: Contents) -> list[tuple[str, str, str]]:
 def _row(stage: Stage, domain: Domain[Any]) -> tuple[str, ...]:
     """A line of the table of results."""
     r, published = stage.result, domain.published.get(stage.name)
+    theirs = f"{published.succeeded} of {published.tried}" if published else DASH
+    tests = f"{r['targets_succeeded']} of {r['targets']}" if r["targets"] else DASH
     return (
         stage.name,
         r["scenarios"],
-        f"{r['targets_succeeded']} of {r['targets']}",
-        f"{published.succeeded} of {published.tried}" if published else DASH,
+        tests,
+        *([theirs] if domain.published else []),
         f"{r['w_size'] - r['w_lost']} of {r['w_size']}",
         counted(r["fresh"]),
         counted(r["overall"]),
@@ -202,10 +205,10 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     if course is None:
         return pictures
     with rc_context(STYLE):
-        fitness = draw_fitness(contents.told, course)
+        fitness = draw_fitness(contents.told, course, contents.run.domain.rewarded)
         rates = draw_rates(contents.told, course)
     pictures["fitness"] = inline_svg(
-        fitness, "fitness", "Fitness, share without fitness, and nodes over generations"
+        fitness, "fitness", "Fitness, share that is worth nothing, and nodes over generations"
     )
     if rates is not None:
         pictures["rates"] = inline_svg(rates, "rates", "Self-adapted rates over generations")

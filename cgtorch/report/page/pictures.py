@@ -47,6 +47,7 @@ def map_picture(stage: Stage, domain: Domain[Any], tests: str | None) -> Picture
         for axes in figure.axes[:1]:
             axes.set_title("")  # which the caption says
     words += ", the tests of this stage marked" if targets.any() else ""
+    words += f"; {figure.get_label()}" if figure.get_label() else ""
     return Picture(inline_svg(figure, f"{stage.name}-map", words), words)
 
 

@@ -39,7 +39,7 @@ def draw_success(
 
     Args:
         shares: of each stage, drawn as circles.
-        others: of the same stages on other placements, drawn as squares.
+        others: of the same stages on other scenarios, drawn as squares.
         label: what `shares` are.
         other: what `others` are.
         published: who has reported which share of all scenarios, drawn as a line; or None.
@@ -74,15 +74,21 @@ def draw_success(
     return figure
 
 
-def draw_fitness(told: Told, course: Course) -> "Figure":
-    """Fitness over generations, above the share of individuals that solve nothing and graph sizes.
+def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
+    """Fitness over generations, above the share that is worth nothing and graph sizes.
 
     A line is an evolution; where it ends its candidate is tried in the world.
+
+    Args:
+        told: by event files.
+        course: of the run.
+        rewarded: whether the fitness is the mean return of episodes.
     """
+    worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = _figure(5.4, (2.2, 1, 1))
     for axes, tags in (
         (fitness, {"fitness/best": (GOOD, "the best"), "fitness/mean": (LINE, "the mean")}),
-        (unsolved, {"population/unsolved": (LINE, "fitness 0")}),
+        (unsolved, {"population/unsolved": (LINE, worthless)}),
         (nodes, {"graph/nodes_best": (GOOD, "the best"), "graph/nodes_mean": (LINE, "the mean")}),
     ):
         for tag, (colour, name) in tags.items():
@@ -94,8 +100,8 @@ def draw_fitness(told: Told, course: Course) -> "Figure":
                     marker=marker, label=name if i == 0 else None,
                 )  # fmt: skip
         _stages(axes, course, named=axes is fitness)
-    fitness.set_ylabel("fitness (eq. 3)")
-    unsolved.set_ylabel("share with\nfitness 0")
+    fitness.set_ylabel("mean return" if rewarded else "fitness (eq. 3)")
+    unsolved.set_ylabel(f"share with\n{worthless}")
     unsolved.set_ylim(-0.03, 1.03)
     unsolved.yaxis.set_major_formatter(_percent)
     nodes.set_ylabel("nodes")

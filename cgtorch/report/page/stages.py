@@ -9,7 +9,7 @@ from cgtorch.domains.domain import Published
 from cgtorch.report.estimate import as_time
 from cgtorch.report.page.contents import Contents, Stage
 from cgtorch.report.page.pictures import Panel, Picture, graph_picture, map_picture
-from cgtorch.report.page.shares import share_of
+from cgtorch.report.page.shares import counted, share_of
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class StageSection:
         published: what others report; None if nobody has such a stage.
         drawing: of what it is about; empty if the domain has none.
         reached: "5 of 5"; None if the stage is not made.
+        what: was reached.
         facts: names and values.
         map: what the skill solved.
         graph: its graph.
@@ -33,6 +34,7 @@ class StageSection:
     published: Published | None
     drawing: Markup
     reached: str | None
+    what: str = ""
     facts: tuple[tuple[str, str], ...] = ()
     map: Picture | None = None
     graph: Picture | None = None
@@ -61,8 +63,8 @@ def stage_sections(contents: Contents) -> list[StageSection]:
                 stage.result["scenarios"],
                 published,
                 drawing,
-                f"{stage.result['targets_succeeded']} of {stage.result['targets']}",
-                tuple(_facts(stage)),
+                *_score(stage.result, domain.solved[0], tests is not None),
+                tuple(_facts(stage, run.learns)),
                 map_picture(stage, domain, tests),
                 graph,
                 panels,
@@ -71,7 +73,15 @@ def stage_sections(contents: Contents) -> list[StageSection]:
     return sections
 
 
-def _facts(stage: Stage) -> list[tuple[str, str]]:
+def _score(result: dict[str, Any], solved: str, in_stages: bool) -> tuple[str, str]:
+    """How much a stage has reached, and of what: its tests, fresh scenarios if it has none."""
+    if in_stages and not result["targets"]:
+        return counted(result["fresh"]), f"fresh ones {solved}"
+    what = solved if in_stages else f"missed before, {solved} now"
+    return f"{result['targets_succeeded']} of {result['targets']}", what
+
+
+def _facts(stage: Stage, learns: bool) -> list[tuple[str, str]]:
     r = stage.result
     facts = [
         ("Fresh scenarios", _tested(r["fresh"])),
@@ -93,7 +103,7 @@ def _facts(stage: Stage) -> list[tuple[str, str]]:
         *facts,
         ("Nodes, levels", f"{r['nodes']}, {r['depth']}"),
         ("Generations", f"{r['generations']:,}"),
-        ("Actions tried in the models", f"{r['transitions']:,}"),
+        (f"Actions tried in the {'models' if learns else 'world'}", f"{r['transitions']:,}"),
         ("Time", _time(stage)),
     ]
 

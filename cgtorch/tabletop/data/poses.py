@@ -62,7 +62,8 @@ def poses_around(
 ) -> Scenarios:
     """Scenarios with the robot at a random free pose anywhere around the table.
 
-    Positions are uniform within the arena of the scenes, `wider` times as large, along x and along y.
+    Positions are uniform within the arena of the scenes, `wider` times as large, along x and along
+    y.
     """
     arena = wider * scenes.arena
 

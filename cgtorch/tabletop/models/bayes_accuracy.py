@@ -51,8 +51,8 @@ def scenes_behind(
 ) -> Scenarios:
     """Scenes (n · samples) drawn from those that percepts (n, D) leave possible, row by row.
 
-    Objects are placed and tables shaped as in these scenes; every free pose is as likely. Obstacles,
-    which are reached over, are left out.
+    Objects are placed and tables shaped as in these scenes; every free pose is as likely.
+    Obstacles, which are reached over, are left out.
     """
     examples = scenes.draw(64, generator)
     world = world_of(examples)

@@ -1,9 +1,9 @@
 """What the geometry of a percept says by itself, without data.
 
 The first seven numbers of a percept are the table's axis-aligned box x min, x max, y min, y max and
-the object's x, y, z; what may follow is in `cgtorch.tabletop.world.percepts`. A motion (..., 3) is dx, dy
-and dθ: the robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres and
-radians in the robot's base frame.
+the object's x, y, z; what may follow is in `cgtorch.tabletop.world.percepts`. A motion (..., 3) is
+dx, dy and dθ: the robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres
+and radians in the robot's base frame.
 
 Skills ask for thousands of motions at once, so what is put together here has its columns side by
 side in memory (`columns`), where operations on some of them are several times as fast.

@@ -1,8 +1,8 @@
 """Which tables a percept leaves possible, where tables are of any size and yaw.
 
-They are those of `cgtorch.tabletop.world.general`, sampled by importance sampling (Kahn & Marshall 1953). A
-box and a yaw determine the sides of its rectangle, so where only the box is seen any yaw is drawn;
-where the yaw is seen, the sides are as seen but for the noise.
+They are those of `cgtorch.tabletop.world.general`, sampled by importance sampling (Kahn & Marshall
+1953). A box and a yaw determine the sides of its rectangle, so where only the box is seen any yaw
+is drawn; where the yaw is seen, the sides are as seen but for the noise.
 """
 
 from collections.abc import Callable

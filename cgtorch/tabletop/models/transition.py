@@ -1,9 +1,9 @@
 """Γ, the transition model: the next percept from a percept and a motion.
 
-Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`): points move rigidly, and the box
-around a rectangle of known sides follows from its yaw. The box seen leaves open to which side the
-table is turned, and that is what support vector regression learns, from where on the table the
-object would stand. Where the percept tells the table's yaw, there is nothing to learn, and its
+Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`): points move rigidly, and
+the box around a rectangle of known sides follows from its yaw. The box seen leaves open to which
+side the table is turned, and that is what support vector regression learns, from where on the table
+the object would stand. Where the percept tells the table's yaw, there is nothing to learn, and its
 sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is fitted is in
 `cgtorch.tabletop.models.transition_fit`.
 """

@@ -92,7 +92,6 @@ def fit_table_transition_model(
         machine, rows[:_CURVE_ROWS], wanted[:_CURVE_ROWS],
         sizes=sizes, folds=folds, seed=generator, scoring=SCORE,
     )  # fmt: skip
-    machine.seed = generator
     model.machine = machine.fit(rows, wanted[:, None])
     if not learnt:
         _silence(machine, rows)
@@ -114,7 +113,6 @@ def fit_table_transition_model(
         grid_gamma=tuple(grid.gamma.tolist()),
         grid_epsilon=tuple(grid.epsilon.tolist()),
         grid_scores=grid.mean.tolist(),
-        finished_by_smo=int((~grid.direct).sum()),
         learning_curve=curve,
     )
     return model.to(dtype), report

@@ -19,8 +19,8 @@ class TransitionQuality:
     """Errors of Γ on transitions that it was not fitted on, in metres.
 
     A floor is the error, on the same transitions, of the median of all that may follow given the
-    percept and the motion (`cgtorch.tabletop.models.transition_bayes_error`); its expectation is the least that any
-    model can have.
+    percept and the motion (`cgtorch.tabletop.models.transition_bayes_error`); its expectation is
+    the least that any model can have.
 
     Attributes:
         rows: Transitions.

@@ -60,10 +60,11 @@ def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
 class TabletopWorld:
     """An `Environment` of B scenarios in the true world.
 
-    A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A lane's state
-    (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has perceived, and K
-    obstacles. The noise of a lane depends on its scenario's seed and on that count alone, so it
-    depends neither on what else runs beside it nor on how the skill is nested in another one.
+    A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A
+    lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has
+    perceived, and K obstacles. The noise of a lane depends on its scenario's seed and on that count
+    alone, so it depends neither on what else runs beside it nor on how the skill is nested in
+    another one.
     """
 
     control_size = 3

@@ -8,16 +8,19 @@ from lxml import html
 from report_pages import parsed, rewrite, words
 from support import random_graphs, seeded
 
-from cgtorch.training.auto import act
-from cgtorch.runs.run import Run, create_run, open_run
-from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import save_scenarios
 from cgtorch.graphs import Skill, save_skill
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.storage import save_scenarios
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training.auto import act
 
 
 def auto_run(folder: Path, scenarios: str, count: int) -> Run:
     """A run with one round, whose skill nobody evolved but the world has tried."""
-    run = create_run(folder, RunSettings(scenarios=scenarios))
+    run = create_run(
+        folder, RunSettings(**{**defaults_of(TabletopSettings), "scenarios": scenarios})
+    )
     graphs = random_graphs(3, 1, run.actions)
     skill = Skill("auto-1", graphs, run.actions)
     score = act(run, skill, count, seeded(0), enough=count)
@@ -27,14 +30,14 @@ def auto_run(folder: Path, scenarios: str, count: int) -> Run:
     (folder / "auto-1").mkdir()
     save_skill(folder / "auto-1" / "skill.json", skill)
     save_scenarios(folder / "auto-1" / "scenarios.json", {"W": solved, "M": missed})
-    tested = {"placement": scenarios, "tried": score.tried, "succeeded": score.successes}
+    tested = {"scenarios": scenarios, "tried": score.tried, "succeeded": score.successes}
     numbers = dict.fromkeys(
         ("targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded",
          "w_size", "w_lost", "generations", "transitions"), 0,
     )  # fmt: skip
-    names = {"stage": "auto-1", "edge": scenarios, "skill": "auto-1"}
+    names = {"stage": "auto-1", "scenarios": scenarios, "skill": "auto-1"}
     size = {"nodes": skill.num_nodes, "depth": skill.depth, "seconds": 1.5}
-    tests = {"fresh": tested, "perimeter": tested, "decisive": None}
+    tests = {"fresh": tested, "overall": tested, "decisive": None}
     rewrite(folder / "auto-1" / "result.json", {**names, **numbers, **size, **tests})
     goal = {"target": 0.9, "minutes": 5.0, "rounds": 30}
     rewrite(folder / "summary.json", {"stages": [], "reached": False, **goal})
@@ -52,7 +55,7 @@ def test_tables_that_differ_are_drawn_one_by_one(tmp_path: Path, scenarios: str)
     drawn = a_map(page)
     tables = [e for e in drawn.iter("g") if e.get("data-part") == "table"]
     assert len(tables) == 24
-    assert "; 24 of them drawn" in words(page.get_element_by_id("stage-1"))
+    assert "; seen from above, 24 of them drawn" in words(page.get_element_by_id("stage-1"))
     obstacles = [e for e in drawn.iter("g") if e.get("data-part") == "obstacle"]
     assert bool(obstacles) == (scenarios == "general-clutter")
     assert page.find_class("paper") == []  # which has no such experiment
@@ -75,6 +78,6 @@ def test_of_many_placements_all_missed_and_some_reached_are_drawn(tmp_path: Path
     drawn = {e.get("data-part"): len([*e.iter("use")]) for e in a_map(page).iter("g")}
     assert (drawn["reached"], drawn["missed"]) == (1493, 7)
     text = words(page.get_element_by_id("stage-1"))
-    assert "2000 placements reached, 7 missed; 1500 of them drawn" in text
-    assert "34 of 40 reached" in words(page.get_element_by_id("around"))
+    assert "2000 scenarios reached, 7 missed; seen from above, 1500 of them drawn" in text
+    assert "34 of 40 reached" in words(page.get_element_by_id("overall"))
     assert next(words(e) for e in page.iter("article")).startswith("auto-1: perimeter")

@@ -9,17 +9,19 @@ from pathlib import Path
 
 import pytest
 from lxml import html
+from reaching import TABLE
 from report_pages import REFERENCE, STAGES, thinned, words
 
-from cgtorch.runs.run import open_run
-from cgtorch.runs.storage import load_models, load_scenarios
 from cgtorch.graphs import load_skill, to_networkx
-from cgtorch.report import final_table
+from cgtorch.report import final_text
 from cgtorch.report.graph_picture import skills_of
 from cgtorch.report.page import report_page
-from cgtorch.report.page.paper import EXPERIMENTS
+from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_models, load_scenarios
+from cgtorch.tabletop.published import EXPERIMENTS
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
+RUN = open_run(REFERENCE)
 SUMMARY = json.loads((REFERENCE / "summary.json").read_text())
 
 
@@ -104,7 +106,7 @@ def test_names_are_unique_and_lead_somewhere(page: html.HtmlElement) -> None:
     for value in (*page.xpath("//@aria-labelledby"),):
         referred |= set(value.split())
     assert referred - set(names) == set()
-    assert {"results", "stages", "around", "evolution", "models", "settings", "reproduce"} <= {
+    assert {"results", "stages", "overall", "evolution", "models", "settings", "reproduce"} <= {
         link.removeprefix("#") for link in page.xpath("//nav//@href")
     }
 
@@ -146,23 +148,24 @@ def test_results_are_those_of_the_run(page: html.HtmlElement) -> None:
         found = dict(zip(head, row, strict=True))
         paper = EXPERIMENTS[result["stage"]]
         assert found["stage"] == result["stage"]
-        assert found["on"] == result["edge"]
+        assert found["on"] == result["scenarios"]
         assert found["reached"] == f"{result['targets_succeeded']} of {result['targets']}"
         assert found["the paper"] == f"{paper.succeeded} of {paper.tried}"
         assert found["W kept"] == f"{result['w_size'] - result['w_lost']} of {result['w_size']}"
         assert found["fresh"] == f"{result['fresh']['succeeded']} of {result['fresh']['tried']}"
-        around = result["perimeter"]
-        assert found["around"] == f"{around['succeeded']} of {around['tried']}"
+        overall = result["overall"]
+        assert found["overall"] == f"{overall['succeeded']} of {overall['tried']}"
         assert found["generations"] == str(result["generations"])
 
 
-def test_the_paper_says_the_same_here_as_in_the_final_table() -> None:
-    for name, published in EXPERIMENTS.items():
-        assert final_table.__globals__["PAPER"][name].startswith(
-            f"{published.succeeded}/{published.tried}"
-        )
-    figures = [figure for published in EXPERIMENTS.values() for figure in published.figures]
-    assert figures == [*range(3, 11)]
+def test_the_paper_says_the_same_here_as_in_the_final_table(page: html.HtmlElement) -> None:
+    lines = [line.split() for line in final_text(SUMMARY["stages"], TABLE).splitlines()[2:]]
+    _, *rows = table(page, "Objects reached")
+    for (name, _, _, theirs, *_), row in zip(lines[:-1], rows, strict=True):
+        assert theirs == EXPERIMENTS[name].text
+        assert row[3] == theirs.replace("/", " of ")
+    details = [words for name in STAGES for words, _ in EXPERIMENTS[name].details]
+    assert [int(words.split()[1].strip(",")) for words in details] == [*range(3, 11)]
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -173,8 +176,9 @@ def test_a_stage_stands_beside_the_paper(page: html.HtmlElement, name: str) -> N
     (result,) = (r for r in SUMMARY["stages"] if r["stage"] == name)
     reached = f"{result['targets_succeeded']} of {result['targets']} reached"
     assert words(ours.find_class("score")[0]) == reached
-    for figure in published.figures:
-        assert f"Figure {figure}," in words(paper)
+    assert len(published.details) == 2
+    for heading, text in published.details:
+        assert f"{heading}. {text}" in words(paper)
     # As many objects as the paper tried, within the dashed ellipse, on the table.
     drawing = paper.find_class("schematic")[0]
     x, y, rx, ry = (float(drawing.find_class("set")[0].get(k)) for k in ("cx", "cy", "rx", "ry"))
@@ -187,20 +191,20 @@ def test_a_stage_stands_beside_the_paper(page: html.HtmlElement, name: str) -> N
 
 @pytest.mark.parametrize("name", STAGES)
 def test_a_map_shows_all_that_was_tried(page: html.HtmlElement, name: str) -> None:
-    solved, missed = load_scenarios(REFERENCE / name / "scenarios.json", ("W", "M"))
+    solved, missed = load_scenarios(REFERENCE / name / "scenarios.json", ("W", "M"), RUN.like())
     picture = next(e for e in part(page, name).iter("svg") if "from above" in e.get("aria-label"))
     marks = {e.get("data-part"): len([*e.iter("use")]) for e in picture.iter("g")}
     assert marks["reached"] == len(solved)
     assert marks.get("missed", 0) == len(missed)
     assert marks["targets"] == 5
-    caption = f"{name}: {len(solved)} placements reached, {len(missed)} missed"
+    caption = f"{name}: {len(solved)} scenarios reached, {len(missed)} missed"
     assert caption in words(part(page, name))
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_a_graph_is_the_skill(page: html.HtmlElement, name: str) -> None:
     """In the picture and in the tables: all nodes, all edges, the start red and square."""
-    skill = load_skill(REFERENCE / name / "skill.json", open_run(REFERENCE).actions)
+    skill = load_skill(REFERENCE / name / "skill.json", RUN.actions)
     here = part(page, name)
     picture = next(e for e in here.iter("svg") if "Graph" in e.get("aria-label"))
     nodes, edges, ends, starts, rows = [], [], [], [], []
@@ -250,8 +254,8 @@ def test_evidence_of_a_stage(page: html.HtmlElement) -> None:
 
 
 def test_all_around(page: html.HtmlElement) -> None:
-    text = words(page.get_element_by_id("around"))
-    last = SUMMARY["stages"][-1]["perimeter"]
+    text = words(page.get_element_by_id("overall"))
+    last = SUMMARY["stages"][-1]["overall"]
     assert "34 of 40 = 85.0%" in text
     assert f"{last['succeeded']} of {last['tried']} reached by S3" in text
 
@@ -263,11 +267,11 @@ def test_evolution_counts_the_generations(page: html.HtmlElement) -> None:
 
 
 def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None:
-    models = load_models(REFERENCE / "S3")
+    models = load_models(REFERENCE / "S3", RUN.domain.unfitted())
     _, *rows = table(page, "Γ in cross-validation")
     report = models.gamma_report
     for row, name, error, rigid in zip(
-        rows, report.coordinates, report.error, report.rigid_error, strict=True
+        rows, report.coordinates, report.error, report.baseline_error, strict=True
     ):
         assert row == [name, f"{100 * error:.2f} cm", f"{100 * rigid:.2f} cm"]
     found = facts(page.get_element_by_id("models"))
@@ -285,8 +289,9 @@ def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None
 def test_settings_and_versions(page: html.HtmlElement) -> None:
     about = json.loads((REFERENCE / "run.json").read_text())
     rows = {row[0]: row for row in table(page, "Settings")[1:]}
-    assert set(rows) == set(about["settings"])
-    for name, value in about["settings"].items():
+    settings = {**about["settings"], **about["domain_settings"]}
+    assert set(rows) == set(settings)
+    for name, value in settings.items():
         shown, usual = rows[name][1:3]
         assert shown == ("none" if value == [] else str(value))
         assert usual == ("0" if name == "seed" else "")

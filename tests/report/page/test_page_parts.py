@@ -1,6 +1,7 @@
 """The parts that the page is made of, one by one."""
 
 import shlex
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,6 @@ from torch.utils.tensorboard import SummaryWriter
 from cgtorch.actions import paper_actions
 from cgtorch.commands.train import command
 from cgtorch.errors import printable
-from cgtorch.runs.run import Run, create_run, open_run
-from cgtorch.runs.settings import RunSettings
 from cgtorch.graphs import Skill
 from cgtorch.report import draw_skill
 from cgtorch.report.page.contents import read_contents
@@ -24,6 +23,9 @@ from cgtorch.report.page.course import course_of
 from cgtorch.report.page.event_files import read_event_files
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.vector import STYLE, inline_svg
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.tabletop.settings import TabletopSettings
 
 SLOW = "CGTORCH_NATIVE=0"
 
@@ -73,23 +75,33 @@ def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
     words = [word for word in shlex.split(line) if word != SLOW]
     assert words[0] == "cgtorch-train"
     values = command.make_context("cgtorch-train", words[1:]).params
-    names = set(RunSettings.__dataclass_fields__)
+    names = {f.name for kind in (RunSettings, TabletopSettings) for f in fields(kind)}
     return values, {name: value for name, value in values.items() if name in names}
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("settings", "own"),
     [
-        RunSettings(),
-        RunSettings(seed=7, population=60, position_noise=0.01, method="paper", networks="percept"),
-        RunSettings(scenarios="general", heading_noise=0.0, islands=3, migration=2),
+        (RunSettings(), TabletopSettings()),
+        (
+            RunSettings(seed=7, population=60, method="paper"),
+            TabletopSettings(position_noise=0.01, networks="percept"),
+        ),
+        (
+            RunSettings(scenarios="general", islands=3, migration=2),
+            TabletopSettings(heading_noise=0.0),
+        ),
     ],
 )
-def test_the_command_gives_the_settings(tmp_path: Path, settings: RunSettings) -> None:
-    run = create_run(tmp_path / "run", settings)
+def test_the_command_gives_the_settings(
+    tmp_path: Path, settings: RunSettings, own: TabletopSettings
+) -> None:
+    run = create_run(tmp_path / "run", settings, own)
     (line,) = training_commands(run, {}, {})
     found = options(line)[1]
+    theirs = {f.name: found.pop(f.name) for f in fields(own)}
     assert RunSettings(**found) == settings
+    assert TabletopSettings(**theirs) == own
 
 
 def with_stages(folder: Path, *names: str) -> Run:

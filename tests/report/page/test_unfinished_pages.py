@@ -13,9 +13,9 @@ from safetensors.torch import load, save
 from torch.utils.tensorboard import SummaryWriter
 
 from cgtorch.errors import CgtorchError, RunError
+from cgtorch.report.page import report_page
 from cgtorch.runs.journal import FileJournal
 from cgtorch.svm.storage import notes_of
-from cgtorch.report.page import report_page
 
 
 def missing(page: html.HtmlElement) -> list[str]:
@@ -54,7 +54,7 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
         "S2 has begun and is not finished; its journal knows 7 generations.",
     ]
     assert [words(e.find("h3")) for e in page.iter("article")] == [
-        "S0: near edge", "S1: left edge", "S2: right edge", "S3: far edge",
+        "S0: near", "S1: left", "S2: right", "S3: far",
     ]  # fmt: skip
     assert [len(list(e.iter("svg"))) for e in page.iter("article")] == [3, 3, 1, 1]
     results = [json.loads((folder / s / "result.json").read_text()) for s in ("S0", "S1")]
@@ -106,9 +106,9 @@ def test_half_an_event_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "values"),
     [
-        ("S0/result.json", {"fresh": {"placement": "near", "tried": 4, "succeeded": 5}}),
+        ("S0/result.json", {"fresh": {"scenarios": "near", "tried": 4, "succeeded": 5}}),
         ("S0/result.json", {"seconds": -1}),
-        ("S0/result.json", {"edge": 7}),
+        ("S0/result.json", {"scenarios": 7}),
         ("S0/scenarios.json", {"W": [{}]}),
         ("S0/skill.json", {"start": "nobody"}),
         ("ledger/index.json", {"skills": [{"name": "../S0"}]}),

@@ -9,12 +9,11 @@ import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.environment import Dataset
-from cgtorch.tabletop.data import collect, domain_of
+from cgtorch.environment import Dataset, Lanes
+from cgtorch.errors import DataError, SettingsError
+from cgtorch.tabletop.data import collect, scenes_of
 from cgtorch.tabletop.data.collect import drive
 from cgtorch.tabletop.data.poses import ARENA, PERIMETER, in_table, poses_around
-from cgtorch.environment import Lanes
-from cgtorch.errors import DataError, SettingsError
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
 
@@ -120,26 +119,26 @@ def test_start_poses_are_free() -> None:
 @pytest.mark.parametrize(
     ("kind", "percept", "size"), [("general", "yaw", 9), ("general-clutter", "box", 11)]
 )
-def test_data_of_other_domains(kind: str, percept: str, size: int) -> None:
+def test_data_of_other_scenes(kind: str, percept: str, size: int) -> None:
     asked: list[Scenarios] = []
 
     def watched(scenarios: Scenarios) -> TabletopWorld:
         asked.append(scenarios)
         return TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
 
-    data = collect(watched, 200, 200, seeded(3), domain_of(kind))
-    assert data.percept.shape == data.next_percept.shape == data.grasp_percept.shape == (200, size)
+    data = collect(watched, 200, 200, seeded(3), scenes_of(kind))
+    assert data.percept.shape == data.next_percept.shape == data.tested.shape == (200, size)
     assert data.percept[:, 6].min() < 0.65 < 0.85 < data.percept[:, 6].max()
     for scenarios in asked:
         assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
         assert len(scenarios.table.unique(dim=0)) == len(scenarios)
 
 
-def test_edges_of_one_table_share_a_domain() -> None:
-    assert domain_of("near") is domain_of("perimeter") is PERIMETER
-    assert domain_of("general").arena > PERIMETER.arena
+def test_edges_of_one_table_share_their_scenes() -> None:
+    assert scenes_of("near") is scenes_of("perimeter") is PERIMETER
+    assert scenes_of("general").arena > PERIMETER.arena
     with pytest.raises(SettingsError, match="unknown placement 'far away'"):
-        domain_of("far away")
+        scenes_of("far away")
 
 
 def test_nobody_starts_in_an_obstacle() -> None:

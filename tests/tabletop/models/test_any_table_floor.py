@@ -4,17 +4,17 @@ import pytest
 import torch
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.tabletop.data import domain_of, label
+from cgtorch.tabletop.data import label, scenes_of
 from cgtorch.tabletop.data.poses import poses_at_object
-from cgtorch.tabletop.models import fit_transition_model, transition_quality
-from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
-from cgtorch.tabletop.models.table_posterior import tables_behind
+from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
 from cgtorch.tabletop.models.bayes_accuracy import chance_of_success, scenes_behind
+from cgtorch.tabletop.models.table_posterior import tables_behind
+from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
 from cgtorch.tabletop.models.transition_quality import fresh_transitions
 from cgtorch.tabletop.world import TabletopWorld, percept_of
 from cgtorch.tabletop.world.percepts import side_seen
 
-GENERAL = domain_of("general")
+GENERAL = scenes_of("general")
 PERCEPTS = ("box", "yaw")
 
 
@@ -69,7 +69,7 @@ def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
     quality = {}
     for percept in PERCEPTS:
         data = fresh_transitions(world_of(percept), 500, seeded(6), GENERAL)
-        model, _ = fit_transition_model(data.percept, data.motion, data.next_percept, **grid)
+        model, _ = fit_table_transition_model(data.percept, data.motion, data.next_percept, **grid)
         quality[percept] = transition_quality(world_of(percept), model, 1000, seeded(7), GENERAL)
     assert quality["yaw"].table_error < 1.03 * quality["yaw"].table_floor
     assert quality["yaw"].object_error < 1.03 * quality["yaw"].object_floor

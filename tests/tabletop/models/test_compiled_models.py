@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from random_models import first_percepts, random_classifier, random_gamma
 from support import FOOTPRINT, seeded
 
+from cgtorch.native import available
 from cgtorch.svm.compiled import machine_structure, machine_values
 from cgtorch.svm.rbf_predict import fused_rbf_and_nearest
-from cgtorch.native import available
 from cgtorch.tabletop.world import motion_possible
 from cgtorch.tabletop.world.clear_way import motion_possible_in_torch
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from tabletop import labelled
+from stand_in import labelled
 
 from cgtorch.tabletop.models.grasp_features import grasp_features, used_features
 

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 import torch
-from tabletop import labelled, labels, transitions
+from stand_in import labelled, labels, transitions
 
+from cgtorch.domains.learning_on import compact_success_classifier, update_success_classifier
+from cgtorch.domains.success import calibration, fit_success_classifier
 from cgtorch.errors import DataError
-from cgtorch.svm import compact_success_classifier, update_success_classifier
-from cgtorch.tabletop.models import fit_success_classifier
-from cgtorch.tabletop.models.success import calibration
+from cgtorch.tabletop.models import GraspClassifier
 
 GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}
 
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit_success_classifier(*labelled(900, 1), **GRID)
+    return fit_success_classifier(GraspClassifier(), *labelled(900, 1), **GRID)
 
 
 def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
@@ -33,7 +33,7 @@ def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
 
 def test_gradients_equal_finite_differences():
     x, y = labelled(150, 3)
-    model, _ = fit_success_classifier(x, y, dtype=torch.float64, **GRID)
+    model, _ = fit_success_classifier(GraspClassifier(), x, y, dtype=torch.float64, **GRID)
     small, _ = compact_success_classifier(model, 16, torch.tensor(x))
     x = torch.tensor(labelled(4, 4)[0], requires_grad=True)
     assert torch.autograd.gradcheck(model, (x,))
@@ -42,7 +42,7 @@ def test_gradients_equal_finite_differences():
 
 def test_any_number_of_coordinates(fitted):
     x, y = labelled(150, 5)
-    model, _ = fit_success_classifier(x[:, 4:6], y, **GRID)
+    model, _ = fit_success_classifier(GraspClassifier(), x[:, 4:6], y, **GRID)
     assert model(torch.tensor(x[:, 4:6]).reshape(3, 50, 2)).shape == (3, 50)
     with pytest.raises(DataError, match="coordinates"):
         model(torch.tensor(x))
@@ -51,16 +51,16 @@ def test_any_number_of_coordinates(fitted):
 def test_one_class_and_tiny_data_are_refused():
     x, y = labelled(60, 6)
     with pytest.raises(DataError, match="1 classes"):
-        fit_success_classifier(x, np.ones(60))
+        fit_success_classifier(GraspClassifier(), x, np.ones(60))
     with pytest.raises(DataError, match="fewer than the 5 folds"):
-        fit_success_classifier(x[:22], y[:22] * 0 + (np.arange(22) < 3), **GRID)
+        fit_success_classifier(GraspClassifier(), x[:22], y[:22] * 0 + (np.arange(22) < 3), **GRID)
 
 
 def test_learning_on_improves(fitted):
     x, y = labelled(700, 7)
     order = np.random.default_rng(0).permutation(700)
     x, y = x[order], y[order]
-    start, _ = fit_success_classifier(x[:120], y[:120], **GRID)
+    start, _ = fit_success_classifier(GraspClassifier(), x[:120], y[:120], **GRID)
     grown = update_success_classifier(start, x, y)
     fresh, _, _ = transitions(6000, 8)
     truth = torch.tensor(labels(fresh)) > 0

@@ -9,22 +9,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.tabletop.data import domain_of, grasp_labels
-from cgtorch.tabletop.data.collect import drive
-from cgtorch.environment import start_lanes
-from cgtorch.errors import DataError
-from cgtorch.svm import (
+from cgtorch.domains.learning_on import (
     compact_transition_model,
-    load_model,
-    save_model,
     transition_coreset,
     update_transition_model,
 )
-from cgtorch.tabletop.models import fit_success_classifier, fit_transition_model, geometry
+from cgtorch.domains.success import fit_success_classifier
+from cgtorch.environment import start_lanes
+from cgtorch.errors import DataError
+from cgtorch.svm import load_model, save_model
 from cgtorch.svm.scores import balanced_accuracy
+from cgtorch.tabletop.data import grasp_labels, scenes_of
+from cgtorch.tabletop.data.collect import drive
+from cgtorch.tabletop.models import (
+    GraspClassifier,
+    TableTransitionModel,
+    fit_table_transition_model,
+    geometry,
+)
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, cluttered_scenarios
 
 QUIET = Noise(0, 0)
+KINDS = {"TableTransitionModel": TableTransitionModel}
 GRID = {"C": [1.0], "gamma": [1.0], "grid_rows": 200}
 
 
@@ -35,8 +41,8 @@ def world_of(percept, noise=LAB_NOISE):
 @pytest.fixture(scope="module")
 def fitted():
     """Γ from 500 transitions among clutter, where percepts tell the yaw."""
-    data = drive(world_of("yaw"), 500, seeded(0), domain_of("general-clutter"))
-    return *fit_transition_model(*data, **GRID), data
+    data = drive(world_of("yaw"), 500, seeded(0), scenes_of("general-clutter"))
+    return *fit_table_transition_model(*data, **GRID), data
 
 
 def moved_without_noise(scenes, motion):
@@ -99,7 +105,7 @@ def test_errors_are_those_of_the_noise(fitted):
         "side x", "side y",
         "obstacle 1 x min", "obstacle 1 x max", "obstacle 1 y min", "obstacle 1 y max",
     )  # fmt: skip
-    p, u, q = drive(world_of("yaw"), 1000, seeded(6), domain_of("general-clutter"))
+    p, u, q = drive(world_of("yaw"), 1000, seeded(6), scenes_of("general-clutter"))
     error = (model(p, u) - q).abs().mean(0)
     assert float(error[:4].mean()) < 0.016
     assert float(error[4:6].mean()) < 0.016
@@ -112,7 +118,7 @@ def test_errors_are_those_of_the_noise(fitted):
 def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
     model, report, (p, u, q) = fitted
     save_model(tmp_path / "gamma", model, report)
-    assert torch.equal(load_model(tmp_path / "gamma")(p, u), model(p, u))
+    assert torch.equal(load_model(tmp_path / "gamma", KINDS)(p, u), model(p, u))
     small, _ = compact_transition_model(model, 32, p, u)
     assert torch.allclose(small(p, u), model(p, u), atol=1e-6)
     kept, start = transition_coreset(model, p, u, q, 300)
@@ -122,9 +128,9 @@ def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
 
 
 def test_boxes_of_any_table_are_better_turned_than_kept():
-    data = drive(world_of("box"), 600, seeded(7), domain_of("general"))
-    model, _ = fit_transition_model(*data, **GRID)
-    p, u, q = drive(world_of("box"), 1000, seeded(8), domain_of("general"))
+    data = drive(world_of("box"), 600, seeded(7), scenes_of("general"))
+    model, _ = fit_table_transition_model(*data, **GRID)
+    p, u, q = drive(world_of("box"), 1000, seeded(8), scenes_of("general"))
     kept = geometry.from_parts(geometry.move_rigidly(geometry.to_parts(p), u))
     error, rigid = ((x - q).abs()[:, :4].mean() for x in (model(p, u), kept))
     assert float(error) < 0.95 * float(rigid)
@@ -140,9 +146,9 @@ def test_grasps_depend_on_the_height(percept, features):
     def worlds(scenarios):
         return TabletopWorld(scenarios, arms, FOOTPRINT, percept=percept)
 
-    domain = domain_of("general")
+    domain = scenes_of("general")
     rows, answer = grasp_labels(worlds, 500, seeded(0), domain)
-    model, _ = fit_success_classifier(rows, answer, C=[100.0], gamma=[0.5])
+    model, _ = fit_success_classifier(GraspClassifier(), rows, answer, C=[100.0], gamma=[0.5])
     assert len(model.mean) == features
     fresh, truth = grasp_labels(worlds, 500, seeded(1), domain)
     assert float(balanced_accuracy(model(fresh) - 0.5, truth.float() - 0.5)) > 0.9
@@ -153,9 +159,9 @@ def test_grasps_depend_on_the_height(percept, features):
 
 def test_obstacles_say_nothing_about_grasps():
     """Obstacles are reached over, so C says the same beside them."""
-    domain = domain_of("general")
+    domain = scenes_of("general")
     rows, answer = grasp_labels(world_of("yaw"), 200, seeded(2), domain)
-    model, _ = fit_success_classifier(rows, answer, C=[100.0], gamma=[0.5])
+    model, _ = fit_success_classifier(GraspClassifier(), rows, answer, C=[100.0], gamma=[0.5])
     box = torch.tensor([1.0, 1.4, -0.2, 0.3]).expand(len(rows), 4)
     assert torch.equal(model(torch.cat([rows, box], 1)), model(rows))
     with pytest.raises(DataError, match="which make 8 features; the classifier was fitted on 10"):

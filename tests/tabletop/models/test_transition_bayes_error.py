@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, seeded
 
-from cgtorch.tabletop.data.collect import drive
 from cgtorch.environment import start_lanes
-from cgtorch.tabletop.models import fit_transition_model, transition_quality
-from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
+from cgtorch.tabletop.data.collect import drive
+from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
 from cgtorch.tabletop.models.geometry import to_parts
 from cgtorch.tabletop.models.object_prior import placement_density
+from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
 from cgtorch.tabletop.models.transition_quality import FreshTransitions, fresh_transitions
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, random_scenarios
 from cgtorch.tabletop.world.geometry import bounding_box
@@ -159,7 +159,7 @@ def test_weighted_medians_err_least(values, seed):
 
 def test_gamma_is_close_to_the_floor():
     world_of = _world_of(LAB_NOISE)
-    model, _ = fit_transition_model(
+    model, _ = fit_table_transition_model(
         *drive(world_of, 1200, seeded(0)), C=[1.0], gamma=[2.0], grid_rows=300
     )
     quality = transition_quality(world_of, model, 1500, seeded(10))

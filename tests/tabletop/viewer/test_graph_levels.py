@@ -5,13 +5,13 @@ from pathlib import Path
 from lxml import html
 from support import custom_actions, random_skill, world
 
-from cgtorch.runs.run import last_skill
 from cgtorch.graphs import Skill
+from cgtorch.runs.run import last_skill
 from cgtorch.tabletop.viewer.choice import scenario_of
 from cgtorch.tabletop.viewer.execution import Execution, execute
 from cgtorch.tabletop.viewer.graph_levels import LIT, levels_html
 
-REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
 LIT_RULE = re.compile(rf'\[id="(node:[^"]+)"\] path {{fill: {LIT}')
 EDGE_RULE = re.compile(r'\[id="((?:edge|end):[^"]+)"\]')
 
@@ -20,7 +20,7 @@ EDGE_RULE = re.compile(r'\[id="((?:edge|end):[^"]+)"\]')
 def executions() -> list[Execution]:
     run, skill = last_skill(REFERENCE)
     scenarios = [scenario_of("perimeter", 8, 0, i) for i in (0, 3, 5)]
-    return [execute(skill, run.world_of(s)) for s in scenarios]
+    return [execute(skill, run.domain.world(s)) for s in scenarios]
 
 
 def label(skill: Skill, slot: int) -> str:

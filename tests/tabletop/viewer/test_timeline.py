@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from cgtorch.runs.run import Run, last_skill
 from cgtorch.graphs import Skill
+from cgtorch.runs.run import Run, last_skill
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.viewer.execution import execute
@@ -24,7 +24,7 @@ from cgtorch.tabletop.viewer.timeline import (
 from cgtorch.tabletop.world import draw_of
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate, wrap
 
-REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
 COUNT = 4
 
 
@@ -35,15 +35,15 @@ def opened() -> tuple[Run, Skill]:
 
 @cache
 def rest() -> tuple[Tensor, ...]:
-    return rest_postures(opened()[0].robot)
+    return rest_postures(opened()[0].domain.robot)
 
 
 @cache
 def timeline(number: int) -> Timeline:
     run, skill = opened()
     scenarios = draw_of("perimeter")(COUNT, torch.Generator().manual_seed(0))
-    execution = execute(skill, run.world_of(scenarios), number)
-    return timeline_of(execution, run.robot, rest())
+    execution = execute(skill, run.domain.world(scenarios), number)
+    return timeline_of(execution, run.domain.robot, rest())
 
 
 @pytest.mark.parametrize("number", range(COUNT))
@@ -78,7 +78,7 @@ def test_nothing_jumps(number: int) -> None:
 
 def tool_at(one: Timeline, frame: int, which: int) -> Tensor:
     """Where an arm's tool is in the world, by yourdfpy's own kinematics of all joints."""
-    robot = opened()[0].robot
+    robot = opened()[0].domain.robot
     model = robot.urdf.model
     words = robot.description
     model.update_cfg(
@@ -109,7 +109,7 @@ def test_the_arm_really_reaches_and_lifts_the_object(number: int) -> None:
 @pytest.mark.parametrize("number", range(COUNT))
 def test_the_arms_touch_nothing_on_their_way(number: int) -> None:
     one = timeline(number)
-    robot, scene = opened()[0].robot, one.execution.scenario
+    robot, scene = opened()[0].domain.robot, one.execution.scenario
     last = one.step == one.step[-1]
     pose, joints = one.pose[last].double(), one.joints[last].double()
     seen = rectangle_in_frame(pose, scene.table[0, :5].double().expand(len(pose), 5))
@@ -126,10 +126,10 @@ def test_what_fails_moves_no_arm() -> None:
     run, _ = opened()
     _, early = last_skill(REFERENCE / "S0")
     scenarios = draw_of("far")(20, torch.Generator().manual_seed(1))
-    world = run.world_of(scenarios)
+    world = run.domain.world(scenarios)
     runs = (execute(early, world, i) for i in range(20))
     failed = next(x for x in runs if x.end != "success")
-    one = timeline_of(failed, run.robot, rest())
+    one = timeline_of(failed, run.domain.robot, rest())
     assert torch.equal(one.joints, one.joints[:1].expand_as(one.joints))
     assert torch.equal(one.object, one.object[:1].expand_as(one.object))
     assert any(step.name == "Grasp" for step in failed.steps)

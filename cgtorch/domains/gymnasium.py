@@ -1,0 +1,201 @@
+"""Any Gymnasium environment with vector observations as a domain.
+
+Scenarios are seeds of `reset`. A percept is the observation, scaled to numbers around 1; a control
+is an action, or one number for each discrete action, of which the largest counts. Skills are
+evolved in the environment itself, and a return is what Gymnasium says it is.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.domains.domain import Domain, Specialists
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_vector import VectorSteps, VectorWorld
+from cgtorch.domains.gymnasium_world import Episodes, GymnasiumWorld, PlayedWorld, Scaling
+from cgtorch.domains.settings import DomainSettings
+from cgtorch.environment import ScenarioBatch
+from cgtorch.environment.fields import Field
+from cgtorch.errors import DomainError
+from cgtorch.files import read_json, write_json
+
+FILE = "gymnasium.json"
+LOOKS = 20  # random episodes that tell the scale of numbers without bounds
+STEPS = 200  # of each at most
+
+
+@dataclass(frozen=True)
+class Starts(ScenarioBatch):
+    """Starts of episodes.
+
+    Attributes:
+        seed: (B,) long, that `reset` is given.
+    """
+
+    seed: Tensor
+
+
+class Gymnasium(Domain[Starts]):
+    """A Gymnasium environment, such as gymnasium:CartPole-v1."""
+
+    settings: GymnasiumSettings
+    settings_type = GymnasiumSettings
+    models = "none"
+    kinds = ("starts",)
+    specialists = Specialists(group=8, stall=20)
+    solved: ClassVar[tuple[str, str]] = ("solved", "Episodes solved")
+
+    def __init__(
+        self,
+        settings: GymnasiumSettings | None = None,
+        scaling: Scaling | None = None,
+        target: float | None = None,
+    ) -> None:
+        """The environment of the settings.
+
+        Args:
+            settings: of the domain.
+            scaling: of observations; found in random episodes if not given.
+            target: return from which an episode is solved; that of the settings if not given.
+
+        Raises:
+            DomainError: Gymnasium is not installed or knows no such environment, or it is of a
+                sort that is no domain.
+        """
+        super().__init__(settings)
+        self.episodes = _episodes(self.settings.environment)
+        space, action = self.episodes.spaces.observation, self.episodes.spaces.action
+        self.vector = _vector_steps(self.settings.environment)
+        self.percept = _percept(space, self.settings.environment)
+        self.control = _control(action, self.settings.environment)
+        self.target_return = self._target() if target is None else target
+        self.scaling = scaling or _explored(self.episodes, space)
+
+    def draw(self, kind: str, count: int, generator: Generator) -> Starts:
+        """See `Domain.draw`."""
+        return Starts(torch.randint(2**31, (count,), generator=generator))
+
+    def world(self, scenarios: Starts) -> GymnasiumWorld:
+        """See `Domain.world`."""
+        common = scenarios.seed, self.episodes.spaces, self.scaling, len(self.control)
+        if self.vector is not None:
+            return VectorWorld(self.vector, self.episodes, *common, self.target_return)
+        return PlayedWorld(self.episodes, *common, self.target_return)
+
+    def write(self, folder: Path) -> None:
+        """See `Domain.write`: the scaling of observations, and what counts as solved."""
+        about = {"centre": self.scaling.centre.tolist(), "scale": self.scaling.scale.tolist()}
+        write_json(folder / FILE, {**about, "target_return": self.target_return})
+
+    @classmethod
+    def read(cls, settings: DomainSettings, folder: Path) -> "Gymnasium":
+        """See `Domain.read`."""
+        assert isinstance(settings, GymnasiumSettings)  # noqa: S101  as the class says
+        data = read_json(folder / FILE)
+        try:
+            scaling = Scaling(*(torch.tensor(data[name]).double() for name in ("centre", "scale")))
+            target = float(data["target_return"])
+            if not (scaling.scale > 0).all() or not scaling.centre.isfinite().all():
+                raise ValueError("a scale is not above 0")
+        except (KeyError, TypeError, ValueError, RuntimeError) as e:
+            raise DomainError(f"{str(folder / FILE)!r} is damaged ({e}); restore the file") from e
+        made = cls(settings, scaling, target)
+        if scaling.scale.shape != scaling.centre.shape or len(scaling.scale) != len(made.percept):
+            raise DomainError(f"{str(folder / FILE)!r} is of another environment; restore the file")
+        return made
+
+    def made_with(self) -> Mapping[str, str]:
+        """See `Domain.made_with`."""
+        import gymnasium
+
+        return {"gymnasium": gymnasium.__version__}
+
+    def about(self) -> list[tuple[str, str]]:
+        """See `Domain.about`."""
+        return [
+            ("Environment", self.settings.environment),
+            ("Solved from a return of", f"{self.target_return:g}"),
+        ]
+
+    def _target(self) -> float:
+        given, own = self.settings.target_return, self.episodes.spaces.threshold
+        if given != float("inf"):
+            return given
+        if own is None:
+            raise DomainError(
+                f"environment {self.settings.environment!r} says no return from which it is "
+                "solved; give one with --target"
+            )
+        return own
+
+
+def _episodes(environment: str) -> Episodes:
+    """The environment by its id.
+
+    Raises:
+        DomainError: Gymnasium is not installed, or knows no such environment.
+    """
+    try:
+        import gymnasium
+    except ImportError as e:
+        raise DomainError(
+            "domain 'gymnasium' needs package gymnasium; pip install 'cgtorch[gymnasium]'"
+        ) from e
+    try:
+        return Episodes(environment)
+    except (gymnasium.error.Error, ImportError, TypeError, ValueError) as e:
+        reason = " ".join(str(e).split())[:200]
+        raise DomainError(
+            f"Gymnasium cannot make environment {environment!r} ({reason}); is it spelt right and "
+            "its package installed?"
+        ) from e
+
+
+def _vector_steps(environment: str) -> VectorSteps | None:
+    """Gymnasium's own vectorised environment of that id, if it has one that suits lanes."""
+    try:
+        return VectorSteps(environment)
+    except LookupError:
+        return None
+
+
+def _percept(space: Any, environment: str) -> tuple[Field, ...]:
+    """The numbers of an observation."""
+    from gymnasium.spaces import Box
+
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise DomainError(
+            f"environment {environment!r} has observations {space}; only vectors of numbers can be "
+            "percepts"
+        )
+    return tuple(Field(f"observation {i + 1}") for i in range(space.shape[0]))
+
+
+def _control(space: Any, environment: str) -> tuple[Field, ...]:
+    """The numbers of an action, or one for each discrete action."""
+    from gymnasium.spaces import Box, Discrete
+
+    if isinstance(space, Discrete):
+        count = int(space.n)
+        return tuple(Field(f"preference for action {i + 1}", low=-1, high=1) for i in range(count))
+    if isinstance(space, Box) and len(space.shape) == 1:
+        bounds = zip(space.low.tolist(), space.high.tolist(), strict=True)
+        return tuple(Field(f"action {i + 1}", low=a, high=b) for i, (a, b) in enumerate(bounds))
+    raise DomainError(
+        f"environment {environment!r} has actions {space}; only vectors of numbers and discrete "
+        "ones can be controls"
+    )
+
+
+def _explored(episodes: Episodes, space: Any) -> Scaling:
+    """The scaling of observations: by their bounds if they have some, else by random episodes."""
+    low, high = (torch.from_numpy(bound).double() for bound in (space.low, space.high))
+    bounded = (low > -1e6) & (high < 1e6)
+    seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()
+    centre = torch.where(bounded, (low + high) / 2, seen.mean(0))
+    scale = torch.where(bounded, (high - low) / 4, seen.std(0))
+    return Scaling(centre, scale.clamp_min(1e-3))

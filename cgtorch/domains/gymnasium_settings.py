@@ -1,0 +1,35 @@
+"""The settings of a Gymnasium environment as a domain."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from cgtorch.domains.settings import DomainSettings, option
+
+
+@dataclass(frozen=True)
+class GymnasiumSettings(DomainSettings):
+    """Which environment it is, and from which return on an episode is solved.
+
+    Raises:
+        SettingsError: a value that cannot work.
+    """
+
+    run_defaults: ClassVar[Mapping[str, Any]] = {
+        "population": 80,
+        "generations": 60,
+        # Episodes end by themselves; this ends only graphs that never act.
+        "max_transitions": 100_000,
+    }
+
+    environment: str = option(
+        "CartPole-v1", "Id of the environment, as in the domain's name.", "the run is about it"
+    )
+    target_return: float = option(
+        math.inf,
+        "Return from which an episode is solved; the environment's own threshold if not given.",
+        "W is what has that return",
+        least=-math.inf,
+        most=math.inf,
+    )

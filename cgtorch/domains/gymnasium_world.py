@@ -1,0 +1,287 @@
+"""Gymnasium environments as a world of lanes.
+
+An environment of Gymnasium keeps its state to itself and goes on step by step; lanes are data that
+can be asked to go on from anywhere. So each lane has an environment of its own, and its actions are
+noted: a lane that goes on from an earlier step plays its episode again up to there.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from cgtorch.environment import Lanes
+from cgtorch.errors import WorldError
+
+STEPS, RETURN, OVER, SLOT, BATCH, KEY = range(6)  # columns of a lane's state
+_PRIME = 1_000_003
+_KEYS = 2**48  # so that keys are whole numbers in float64
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """How observations become percepts: what is subtracted (D,), and by what is divided (D,)."""
+
+    centre: Tensor
+    scale: Tensor
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """The spaces of an environment, and the return from which it says that it is solved, if any."""
+
+    observation: Any
+    action: Any
+    threshold: float | None
+
+
+@dataclass
+class Episode:
+    """One episode that is being played.
+
+    Attributes:
+        environment: that plays it.
+        limit: steps after which it is over.
+        seed: it was begun with.
+        actions: so far.
+        keys: what tells apart ways to get to each step; the first is that of the start.
+    """
+
+    environment: Any
+    limit: float = float("inf")
+    seed: int = 0
+    actions: list[Any] = field(default_factory=list)
+    keys: list[int] = field(default_factory=list)
+
+    def begin(self, seed: int) -> NDArray[np.float64]:
+        """Begin with a seed; the first observation."""
+        self.seed, self.actions, self.keys = seed, [], [seed % _KEYS]
+        observation: NDArray[np.float64] = self.environment.reset(seed=seed)[0]
+        return observation
+
+    def play(self, action: Any) -> tuple[NDArray[np.float64], float, bool]:
+        """The observation and the reward after an action, and whether the episode is over."""
+        seen, reward, terminated, truncated, _ = self.environment.step(action)
+        self.actions.append(action)
+        own = crc32(action.tobytes())
+        self.keys.append((self.keys[-1] * _PRIME + own) % _KEYS)
+        return seen, float(reward), bool(terminated or truncated or len(self.actions) >= self.limit)
+
+    def return_to(self, step: int, key: int) -> None:
+        """Go on from an earlier step.
+
+        Raises:
+            WorldError: it came to that step in another way.
+        """
+        if step >= len(self.keys) or self.keys[step] != key:
+            raise WorldError(
+                "a lane cannot go on from where it is, as its Gymnasium environment has gone "
+                "another way since; run each lane from its start"
+            )
+        if step < len(self.actions):
+            before = self.actions[:step]
+            self.begin(self.seed)
+            for action in before:
+                self.play(action)
+
+
+class Episodes:
+    """As many environments of one id as there are lanes, used again for each batch of lanes.
+
+    Attributes:
+        spaces: of the environment.
+        batch: how often lanes have begun; only those of the last batch can go on.
+    """
+
+    def __init__(self, environment: str) -> None:
+        """Make the first environment of that id; Gymnasium's errors are passed on."""
+        self._id = environment
+        self._played = [self._made()]
+        first = self._played[0].environment
+        own = first.spec.reward_threshold
+        threshold = None if own is None else float(own)
+        self.spaces = Spaces(first.observation_space, first.action_space, threshold)
+        self.batch = 0
+        self._starts: dict[int, tuple[Any, NDArray[np.float64]]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Environments stay in the process that made them."""
+        return {"_id": self._id}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make environments anew."""
+        self.__init__(state["_id"])  # type: ignore[misc]
+
+    def begin(self, seeds: list[int]) -> list[NDArray[np.float64]]:
+        """First observations of a batch of episodes with these seeds."""
+        self.batch += 1
+        while len(self._played) < len(seeds):
+            self._played.append(self._made())
+        return [self._played[i].begin(seed) for i, seed in enumerate(seeds)]
+
+    def first(self, seed: int) -> tuple[Any, NDArray[np.float64]]:
+        """The environment's own state and the observation at a start."""
+        known = self._starts.get(seed)
+        if known is None:
+            observation = self._played[0].begin(seed)
+            known = np.array(self._played[0].environment.unwrapped.state), observation
+            self._starts[seed] = known
+        return known
+
+    def at(self, slot: int, batch: int, step: int, key: int) -> Episode:
+        """An episode at a step; see `Episode.return_to`."""
+        if batch != self.batch:
+            raise WorldError(
+                "a lane cannot go on after other lanes have begun in the same Gymnasium "
+                "environment; run one batch after the other"
+            )
+        found = self._played[slot]
+        if len(found.actions) != step or found.keys[step] != key:
+            found.return_to(step, key)
+        return found
+
+    def random_observations(self, count: int, most: int) -> NDArray[np.float64]:
+        """(N, D) observations in `count` episodes of random actions, `most` in each at most."""
+        episode, seen = self._played[0], []
+        self.spaces.action.seed(0)
+        for seed in range(count):
+            seen.append(episode.begin(seed))
+            for _ in range(most):
+                action = np.asarray(self.spaces.action.sample())
+                observation, _, over = episode.play(action)
+                seen.append(observation)
+                if over:
+                    break
+        return np.stack(seen)
+
+    def _made(self) -> Episode:
+        """A new environment, without the wrappers that only count steps and watch their order."""
+        import gymnasium
+        from gymnasium.wrappers import OrderEnforcing, TimeLimit
+
+        made: Any = gymnasium.make(self._id, disable_env_checker=True)
+        limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
+        while type(made) in (OrderEnforcing, TimeLimit):
+            made = made.env
+        return Episode(made, limit)
+
+
+class GymnasiumWorld(ABC):
+    """A rewarded `Environment` of B starts.
+
+    The first three columns of a lane's state are steps, the return so far, and whether the episode
+    is over.
+    """
+
+    def __init__(
+        self, seeds: Tensor, spaces: Spaces, scaling: Scaling, control_size: int, target: float
+    ) -> None:
+        """Set up the world.
+
+        Args:
+            seeds: (B,) long.
+            spaces: of observations and actions.
+            scaling: of observations.
+            control_size: U.
+            target: return from which an episode is solved.
+        """
+        self.seeds, self._spaces, self._scaling = seeds, spaces, scaling
+        self.control_size, self._target = control_size, target
+
+    @abstractmethod
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Environment.start`."""
+
+    @abstractmethod
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """See `Environment.step`; an episode that is over goes no further."""
+
+    @property
+    def num_scenarios(self) -> int:
+        """B."""
+        return len(self.seeds)
+
+    @property
+    def percept_size(self) -> int:
+        """D."""
+        return len(self._scaling.centre)
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        """See `Environment.observe`."""
+        return lanes
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """See `Environment.success`: whether a finished episode has the return that is wanted."""
+        solved = self.over(lanes) & (lanes.state[:, RETURN] >= self._target)
+        return lanes, solved.to(lanes.percept)
+
+    def over(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.over`."""
+        return lanes.state[:, OVER] > 0
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.returns`."""
+        return lanes.state[:, RETURN]
+
+    def _going_on(self, lanes: Lanes, control: Tensor) -> Tensor:
+        """(n,) bool, the lanes that are to act and can."""
+        return control.isfinite().all(1) & (lanes.state[:, OVER] == 0)
+
+    def _percepts(self, observations: NDArray[np.floating[Any]]) -> Tensor:
+        """Percepts (n, D) of observations (n, D)."""
+        seen = torch.from_numpy(observations).double().view(-1, self.percept_size)
+        return ((seen - self._scaling.centre) / self._scaling.scale).float()
+
+    def _actions(self, control: Tensor) -> NDArray[Any]:
+        """Actions (n, ...) as Gymnasium wants them."""
+        space = self._spaces.action
+        if not hasattr(space, "low"):
+            return control.argmax(1).numpy() + int(getattr(space, "start", 0))
+        within: NDArray[Any] = control.numpy().clip(space.low, space.high).astype(space.dtype)
+        return within
+
+
+class PlayedWorld(GymnasiumWorld):
+    """A world in which every lane has an environment of its own.
+
+    Further columns of a state are the number of that environment, that of the batch of lanes it
+    began in, and what tells apart ways to get there.
+    """
+
+    def __init__(self, episodes: Episodes, *common: Any) -> None:
+        """The world of these episodes; the other arguments are those of `GymnasiumWorld`."""
+        super().__init__(*common)
+        self._episodes = episodes
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Environment.start`."""
+        seeds = self.seeds[scenario].tolist()
+        observations = self._episodes.begin(seeds)
+        state = torch.zeros(len(seeds), 6, dtype=torch.float64)
+        state[:, SLOT] = torch.arange(len(seeds))
+        state[:, BATCH] = self._episodes.batch
+        state[:, KEY] = torch.tensor(seeds, dtype=torch.float64) % _KEYS
+        return state, self._percepts(np.array(observations))
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """See `Environment.step`."""
+        done = self._going_on(lanes, control)
+        rows = done.nonzero()[:, 0]
+        if not len(rows):
+            return lanes, done
+        state, actions = lanes.state.clone(), self._actions(control[rows])
+        observations, after = [], []
+        for old, action in zip(state[rows].tolist(), actions, strict=True):
+            steps, gained, _, slot, batch, key = old
+            episode = self._episodes.at(int(slot), int(batch), int(steps), int(key))
+            seen, reward, over = episode.play(action)
+            observations.append(seen)
+            after.append([steps + 1, gained + reward, over, slot, batch, episode.keys[-1]])
+        state[rows] = torch.tensor(after, dtype=torch.float64)
+        percept = lanes.percept.index_copy(0, rows, self._percepts(np.array(observations)))
+        return replace(lanes, state=state, percept=percept), done

@@ -1,0 +1,83 @@
+"""Gymnasium's MountainCarContinuous-v0 in a Γ that is learned from a few hundred pushes.
+
+cgtorch-train --domain examples.mountain_car:MountainCar --run-dir runs/car
+
+A car in a valley is to swing itself up to a flag. A push is a force that is held for ten steps, and
+costs what Gymnasium takes off the 100 points that the flag is worth. A start is solved at the flag
+with 90 points, from which Gymnasium calls the environment solved.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch import Domain, Field, ScenarioBatch, World
+
+HELD, STEPS = 10, 999  # steps that a push is held, and of an episode
+POWER, GRAVITY, FASTEST = 0.0015, 0.0025, 0.07
+LEFT, FLAG = -1.2, 0.45
+SOLVED = 90.0
+STARTS = {"valley": (-0.6, -0.4), "anywhere": (-1.1, 0.4)}
+"""Positions to start at: Gymnasium's own, and nearly all there are."""
+
+
+@dataclass(frozen=True)
+class Starts(ScenarioBatch):
+    """Where the car stands at first."""
+
+    position: Tensor  # (B,)
+
+
+class Valley(World):
+    """A state (n, 4) is position, velocity, steps and the points that pushing has cost."""
+
+    control_size = 1
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        """See `World.first_state`."""
+        position = self.scenarios.position[scenario].double()
+        return torch.nn.functional.pad(position[:, None], (0, 3))
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.next_state`; these are Gymnasium's own lines, for many cars at once."""
+        position, velocity, steps, spent = state.unbind(1)
+        force = control[:, 0].double().clamp(-1, 1)
+        for _ in range(HELD):
+            rolls = (position < FLAG) & (steps < STEPS)
+            pushed = velocity + force * POWER - GRAVITY * (3 * position).cos()
+            faster = pushed.clamp(-FASTEST, FASTEST)
+            further = (position + faster).clamp(LEFT, 0.6)
+            faster = torch.where((further == LEFT) & (faster < 0), 0.0, faster)
+            position = torch.where(rolls, further, position)
+            velocity = torch.where(rolls, faster, velocity)
+            steps, spent = steps + rolls, spent + 0.1 * force.square() * rolls
+        return torch.stack([position, velocity, steps, spent], 1)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`; speed is how far the car rolls during a push."""
+        position, velocity, _, spent = state.unbind(1)
+        return torch.stack([position, HELD * velocity, spent / 100], 1)
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        """See `World.succeeded`."""
+        return (state[:, 0] >= FLAG) & (100 - state[:, 3] >= SOLVED)
+
+
+class MountainCar(Domain[Starts]):
+    """The valley, in two stages: Gymnasium's own starts, then starts anywhere."""
+
+    percept = (Field("position"), Field("speed"), Field("spent", low=0))
+    control = (Field("force", low=-1, high=1),)
+    kinds = ("anywhere", "valley")
+    stages: Mapping[str, str] = {"S0": "valley", "S1": "anywhere"}
+
+    def draw(self, kind: str, count: int, generator: Generator) -> Starts:
+        """See `Domain.draw`."""
+        low, high = STARTS[kind]
+        return Starts(low + (high - low) * torch.rand(count, generator=generator))
+
+    def world(self, scenarios: Starts) -> Valley:
+        """See `Domain.world`."""
+        return Valley(scenarios)

@@ -1,1 +1,0 @@
-"""Gymnasium's MountainCarContinuous-v0: a domain without a table, a robot or a grasp."""

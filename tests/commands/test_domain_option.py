@@ -1,0 +1,278 @@
+"""`--domain`: a domain of one's own from its settings to its report, and what is no domain."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Shell, in_a_shell, listing
+from own_domains import EXAMPLE, IMPORTED, OWN_CART
+from trained import Trained, copied
+
+TRAIN, EVALUATE, VIEW = "cgtorch-train", "cgtorch-evaluate", "cgtorch-view"
+EXPORT, REPORT = "cgtorch-export", "cgtorch-report"
+CART = ["--domain", "own_cart:Cart"]
+SMALL = [
+    *("--population=40", "--generations=10", "--attempts=4", "--practice=10"),
+    *("--transitions=100", "--labels=120"),
+]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the module of a domain, and a run about it up to its first stage."""
+    folder = tmp_path_factory.mktemp("carts")
+    (folder / "own_cart.py").write_text(OWN_CART + IMPORTED)
+    words = ["--stage", "up", "--run-dir", "run", "--wind", "0.1", *SMALL]
+    ended = in_a_shell(TRAIN, *CART, *words, folder=folder)
+    assert ended.code == 0, ended.err
+    (folder / "imported").unlink()
+    shutil.rmtree(folder / "__pycache__", ignore_errors=True)
+    return folder
+
+
+@pytest.fixture
+def carts(made: Path, tmp_path: Path) -> Path:
+    """A copy of that, to be changed."""
+    return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
+
+
+def about(run: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((run / "run.json").read_text())
+    return found
+
+
+def edited(run: Path, **values: Any) -> None:
+    (run / "run.json").write_text(json.dumps({**about(run), **values}))
+
+
+def test_settings_of_the_domain_are_kept(made: Path) -> None:
+    found = about(made / "run")
+    assert found["settings"]["domain"] == "own_cart:Cart"
+    assert found["domain_settings"] == {"wind": 0.1, "colour": "red"}
+    assert found["goes_on_to"] == {"stage": "up"}
+    result = json.loads((made / "run" / "up" / "result.json").read_text())
+    assert (result["stage"], result["scenarios"]) == ("up", "calm")
+    assert result["fresh"]["succeeded"] > 20
+
+
+def test_every_command_knows_what_it_is_about(carts: Path) -> None:
+    words = [*CART, "--scenarios", "windy", "--count", "20", "--json"]
+    tried = in_a_shell(EVALUATE, "run", *words, folder=carts)
+    assert (tried.code, tried.err) == (0, "")
+    found = json.loads(tried.out)
+    assert (found["skill"], found["scenarios"], found["tried"]) == ("up", "windy", 20)
+    lone = in_a_shell(EVALUATE, "run/up/skill.json", *words, folder=carts)
+    assert lone.code == 0, lone.err
+    words = [*CART, "--format", "json", "--output", "up.json"]
+    assert in_a_shell(EXPORT, "run", *words, folder=carts).code == 0
+    assert (carts / "up.json").read_bytes() == (carts / "run/up/skill.json").read_bytes()
+    ended = in_a_shell(REPORT, "run", *CART, "--output", "page.html", folder=carts)
+    assert (ended.code, ended.err) == (0, "")
+    assert "own_cart:Cart" in (carts / "page.html").read_text()
+    ended = in_a_shell(TRAIN, "--resume", "run", *CART, folder=carts)
+    assert ended.code == 0, ended.err
+    assert "run run is complete up to up" in ended.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (TRAIN, "--resume", "run"),
+        (EVALUATE, "run"),
+        (EVALUATE, "run/up"),
+        (EVALUATE, "run", "--skill", "up"),
+        (EXPORT, "run", "--format", "json", "--output", "x"),
+        (REPORT, "run", "--output", "x"),
+    ],
+)
+def test_code_is_not_imported_because_a_run_names_it(
+    shell: Shell, carts: Path, words: tuple[str, ...]
+) -> None:
+    before = listing(carts)
+    assert (
+        "run 'run' is about domain 'own_cart:Cart', which is code of its own; if you trust it, "
+        "add --domain own_cart:Cart"
+    ) in shell.refuses(*words).replace(str(carts) + "/", "")
+    assert "is about domain 'own_cart:Cart', not 'tabletop'" in shell.refuses(
+        *words, "--domain", "tabletop"
+    )
+    assert listing(carts) == before
+
+
+def test_only_a_tabletop_can_be_watched(shell: Shell, carts: Path) -> None:
+    for place in ("run", "run/up"):
+        message = shell.refuses(VIEW, place)
+        assert f"'{place}' is about domain 'own_cart:Cart', and only the tabletop can" in message
+    assert not (carts / "imported").exists()
+
+
+def test_a_run_that_begun_about_another_domain(shell: Shell, carts: Path) -> None:
+    before = (carts / "run" / "run.json").read_bytes()
+    assert "is about domain 'own_cart:Cart', not 'tabletop'" in shell.refuses(
+        TRAIN, "--run-dir", "run"
+    )
+    message = shell.refuses(TRAIN, *CART, "--run-dir", "run", "--wind", "0.3", *SMALL)
+    assert "has --wind 0.1, not 0.3, and cannot change it, as the domain was made with" in message
+    message = shell.refuses(TRAIN, *CART, "--resume", "run", "--override", "wind=0.3")
+    assert "--wind 0.1 of run 'run' cannot become 0.3, as the domain was made with it" in message
+    assert (carts / "run" / "run.json").read_bytes() == before
+
+
+DAMAGED: list[Any] = [
+    None,
+    3,
+    [],
+    {},
+    {"wind": 0.1},
+    {"wind": 0.1, "colour": "red", "size": 1},
+    {"wind": "much", "colour": "red"},
+    {"wind": 7, "colour": "red"},
+    {"wind": 0.1, "colour": "green"},
+    {"wind": 0.1, "colour": ["red"]},
+]
+
+
+@pytest.mark.parametrize("value", DAMAGED)
+def test_damaged_settings_of_a_domain(shell: Shell, carts: Path, value: Any) -> None:
+    edited(carts / "run", domain_settings=value)
+    for words in ((TRAIN, "--resume", "run"), (EVALUATE, "run")):
+        message = shell.refuses(*words, *CART)
+        assert "is unknown or missing" in message or "wind is" in message or "colour is" in message
+
+
+def test_damaged_settings_of_a_tabletop(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    right = about(run)["domain_settings"]
+    for value, says in (
+        (None, "is unknown or missing"),
+        ({**right, "colour": "red"}, "'colour' is unknown or missing"),
+        ({**right, "position_noise": -1}, "position_noise is -1; give a number from 0 to 10"),
+        ({**right, "position_noise": 10**400}, "give a number from 0 to 10"),
+        ({**right, "percept": "nose"}, "percept is 'nose'; use one of auto, box, yaw"),
+        ({**right, "robot": 3}, "robot is 3; give a text"),
+    ):
+        edited(run, domain_settings=value)
+        for words in ((TRAIN, "--resume", run), (EVALUATE, run), (VIEW, run)):
+            assert says in shell.refuses(*words)
+
+
+@pytest.mark.parametrize("domain", [3, None, "", "fly", "tabletop:x", ":", "a:b:c", "gymnasium"])
+def test_a_damaged_name_of_a_domain(
+    shell: Shell, trained: Trained, tmp_path: Path, domain: object
+) -> None:
+    run = copied(trained, tmp_path / "run")
+    edited(run, settings={**about(run)["settings"], "domain": domain})
+    for words in ((TRAIN, "--resume", run), (EVALUATE, run), (VIEW, run)):
+        message = shell.refuses(*words)
+        assert "domain" in message or "setting" in message
+
+
+OTHERS = """
+from cgtorch import Domain, DomainSettings, option
+from dataclasses import dataclass
+from own_cart import Cart
+
+@dataclass(frozen=True)
+class Seeded(DomainSettings):
+    seed: int = option(3, "A seed.")
+
+@dataclass(frozen=True)
+class Timed(DomainSettings):
+    minutes: float = option(3.0, "Some minutes.")
+
+@dataclass(frozen=True)
+class Staged(DomainSettings):
+    stage: str = option("x", "A stage.")
+
+class SeededCart(Cart):
+    settings_type = Seeded
+
+class TimedCart(Cart):
+    settings_type = Timed
+
+class StagedCart(Cart):
+    settings_type = Staged
+
+class Broken(Cart):
+    def __init__(self, settings=None):
+        raise ValueError("no cart today")
+
+class Incomplete(Domain):
+    percept = ()
+
+class Still(Cart):
+    def draw(self, kind, count, generator):
+        return None
+
+nothing = 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ("fly", "unknown domain 'fly'; known are gymnasium, tabletop, or give 'package.module"),
+        ("", "unknown domain ''"),
+        ("no_such_package:Fly", "cannot import domain 'no_such_package:Fly'"),
+        ("own_cart:Fly", "cannot import domain 'own_cart:Fly'"),
+        ("json:loads", "give a subclass of cgtorch.Domain"),
+        ("others:nothing", "domain 'others:nothing' is 3; give a subclass of cgtorch.Domain"),
+        ("cgtorch.actions:Grasp", "give a subclass of cgtorch.Domain"),
+        ("others:SeededCart", "has a setting 'seed', which every run has; rename it"),
+        ("others:TimedCart", "has a setting 'minutes', which every run has; rename it"),
+        ("others:StagedCart", "has a setting 'stage', which every run has; rename it"),
+        ("others:Broken", "cannot be made as Broken(settings) (ValueError: no cart today)"),
+        ("others:Incomplete", "cannot be made as Incomplete(settings)"),
+        ("others:Still", "Still.draw returned"),
+        ("gymnasium", "names no environment; give gymnasium:ENV_ID"),
+        (":", "domain ':'"),
+        ("..:x", "domain '..:x'"),
+    ],
+)
+def test_what_is_no_domain(shell: Shell, tmp_path: Path, spec: str, says: str) -> None:
+    (tmp_path / "own_cart.py").write_text(EXAMPLE)
+    (tmp_path / "others.py").write_text(OTHERS)
+    message = shell.refuses(TRAIN, "--domain", spec, "--run-dir", "run")
+    assert says in message
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_skill_file_for_no_domain(shell: Shell, trained: Trained) -> None:
+    path = trained.folder / "S0" / "skill.json"
+    for words in ((EVALUATE, path), (EXPORT, path, "--format", "json", "--output", "x")):
+        assert "unknown domain 'fly'" in shell.refuses(*words, "--domain", "fly")
+        message = shell.refuses(*words, "--domain", "json:loads")
+        assert "give a subclass of cgtorch.Domain" in message
+
+
+@pytest.mark.parametrize(
+    ("domain", "has", "lacks"),
+    [
+        ("tabletop", ["--position-noise", "--percept", "--robot", "[default: 5500]"], ["--wind"]),
+        ("own_cart:Cart", ["--wind", "--colour", "[default: 0.25]"], ["--robot", "5500"]),
+    ],
+)
+def test_help_has_the_settings_of_the_domain(
+    shell: Shell, tmp_path: Path, domain: str, has: list[str], lacks: list[str]
+) -> None:
+    (tmp_path / "own_cart.py").write_text(OWN_CART)
+    ended = shell(TRAIN, "--domain", domain, "--help")
+    assert (ended.code, ended.err) == (0, "")
+    assert all(word in ended.out for word in [*has, "--seed", "--target"])
+    options = ended.out.partition("Examples:")[0]
+    assert not any(word in options for word in lacks)
+
+
+@pytest.mark.parametrize("words", [[], ["--domain", "tabletop"], ["--resume", "none"]])
+def test_help_does_not_wait_for_torch(words: list[str]) -> None:
+    code = (
+        "import sys\nfrom cgtorch.commands.train import command\n"
+        f"command.main([*{words!r}, '--help'], standalone_mode=False)\n"
+        "print({'torch', 'numpy'} & set(sys.modules))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.endswith("set()\n")

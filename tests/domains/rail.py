@@ -1,0 +1,89 @@
+"""A small domain: a cart on a rail, blown by the wind, whose lamp turns and whose gear shifts."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.domains import Domain, DomainSettings, Field, ScenarioBatch, World, option
+
+END = 3.0  # m from the middle of the rail to either end
+PLACE, WIND, LAMP, GEAR = range(4)
+
+
+@dataclass(frozen=True)
+class Carts(ScenarioBatch):
+    """Where carts begin."""
+
+    place: Tensor  # (B,) m from the middle
+    wind: Tensor  # (B,) m by which a push goes further
+    lamp: Tensor  # (B,) rad
+    gear: Tensor  # (B,) 0, 1 or 2; a push goes as far as this times half its length
+
+
+class Rail(World):
+    """A state is place, wind, lamp and gear, and all are seen."""
+
+    control_size = 3
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        s = self.scenarios
+        return torch.stack([s.place, s.wind, s.lamp, s.gear], 1)[scenario]
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        place, wind, lamp, gear = state.unbind(1)
+        push, turn, shift = control.unbind(1)
+        place = place + push.clamp(-1, 1) * gear / 2 + wind
+        lamp = torch.remainder(lamp + turn + torch.pi, 2 * torch.pi) - torch.pi
+        gear = (gear + shift.round()).clamp(0, 2)
+        return torch.stack([place.clamp(-END, END), wind, lamp, gear], 1)
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        return (state[:, PLACE].abs() < 0.5) & (state[:, LAMP].cos() > -0.5)
+
+
+@dataclass(frozen=True)
+class RailSettings(DomainSettings):
+    """How strong the wind may be, and more that is of no use."""
+
+    wind: float = option(0.25, "Strongest wind, m.", least=0, most=2)
+    carts: int = option(1, "Carts on the rail.", "there are as many")
+    colour: str = option("red", "Of the carts.", choices=("red", "blue"))
+    stops: tuple[str, ...] = option((), "Names of the stops.")
+
+
+class Cart(Domain[Carts]):
+    """The cart is to stop in the middle, its lamp not turned back."""
+
+    settings: RailSettings
+    settings_type = RailSettings
+    percept = (
+        Field("place", "m", -END, END),
+        Field("wind", "m"),
+        Field("lamp", "rad", kind="angle"),
+        Field("gear", low=0, high=2, kind="discrete"),
+    )
+    control = (
+        Field("push", "m", -1, 1),
+        Field("turn", "rad", -torch.pi, torch.pi, "angle"),
+        Field("shift", low=-1, high=1, kind="discrete"),
+    )
+
+    def draw(self, kind: str, count: int, generator: Generator) -> Carts:
+        drawn = torch.rand(count, 4, generator=generator)
+        place, wind, lamp = (2 * drawn[:, :3] - 1).unbind(1)
+        gear = (3 * drawn[:, 3]).floor()
+        return Carts(2 * place, self.settings.wind * wind, torch.pi * lamp, gear)
+
+    def world(self, scenarios: Carts) -> Rail:
+        return Rail(scenarios)
+
+
+class SeeingCart(Cart):
+    """One that says what matters: how far a push leads, and how far the middle is."""
+
+    def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
+        return percept[..., GEAR:] * control[..., :1].clamp(-1, 1)
+
+    def success_features(self, percept: Tensor) -> Tensor:
+        return percept[..., :1].abs()

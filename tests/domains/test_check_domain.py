@@ -1,0 +1,233 @@
+"""A domain is tried at the door, and the error says which method returned what."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from rail import Cart, Carts, Rail, SeeingCart
+from support import seeded
+from torch import Tensor
+
+from cgtorch.domains import Field
+from cgtorch.domains.check import check_domain
+from cgtorch.environment import Environment, Lanes, Rewarded, ScenarioBatch
+from cgtorch.errors import DomainError, WorldError
+
+
+def cart_with(**parts: Any) -> Cart:
+    """A cart of which some attributes or methods are others."""
+    return type("Own", (Cart,), parts)()
+
+
+def rail_with(**parts: Any) -> Cart:
+    """A cart in whose world some methods are others."""
+    kind = type("Track", (Rail,), parts)
+    return cart_with(world=lambda self, scenarios: kind(scenarios))
+
+
+def refused(domain: Cart, scenarios: str = "any") -> str:
+    with pytest.raises(DomainError) as caught:
+        check_domain(domain, scenarios)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [Cart, SeeingCart])
+def test_good_domains_pass(kind: type[Cart]) -> None:
+    check_domain(kind(), "any")
+
+
+@pytest.mark.parametrize("name", ["percept", "control"])
+@pytest.mark.parametrize("bad", [(), ("place", "wind"), None, 4, (Field("place"), "wind")])
+def test_each_number_has_a_field(name: str, bad: object) -> None:
+    message = refused(cart_with(**{name: bad}))
+    assert message == f"Own.{name} is {bad!r:.60}; give a Field for each number"
+
+
+def test_a_class_that_forgot_its_fields_is_told_so() -> None:
+    class Blind(Cart):
+        def __getattribute__(self, name: str) -> Any:
+            if name == "percept":
+                raise AttributeError(name)
+            return super().__getattribute__(name)
+
+    assert refused(Blind()) == "Blind.percept is None; give a Field for each number"
+
+
+@pytest.mark.parametrize("name", ["percept", "control"])
+def test_as_many_fields_as_the_world_has_numbers(name: str) -> None:
+    fields = getattr(Cart, name)
+    given, has = len(fields) - 1, len(fields)
+    assert refused(cart_with(**{name: fields[1:]})) == (
+        f"Own.{name} names {given} numbers, its world has {has}; give one Field for each"
+    )
+
+
+@pytest.mark.parametrize("name", ["kinds", "trained_kinds"])
+@pytest.mark.parametrize("bad", ["any", ["any"], ("any", 1), None])
+def test_kinds_are_names_in_a_tuple(name: str, bad: object) -> None:
+    assert refused(cart_with(**{name: bad})) == f"Own.{name} is {bad!r}; give names in a tuple"
+
+
+def test_there_is_a_kind() -> None:
+    assert refused(cart_with(kinds=())) == (
+        "Own.kinds is empty; name at least one kind of scenarios"
+    )
+
+
+def test_stages_are_about_kinds_that_there_are() -> None:
+    check_domain(cart_with(stages={"one": "any"}), "any")
+    message = refused(cart_with(stages={"one": "any", "two": "storm"}))
+    assert message.startswith("Own.stages has 'two' about 'storm', which is none of its kinds")
+
+
+def test_a_run_is_about_a_kind_that_can_be_trained() -> None:
+    assert refused(Cart(), "storm") == "Cart has no scenarios 'storm'; use one of any"
+    some = cart_with(kinds=("any", "calm"), trained_kinds=("calm",))
+    check_domain(some, "calm")
+    assert refused(some) == "Own has no scenarios 'any'; use one of calm"
+
+
+class Alike(ScenarioBatch):
+    """No dataclass, and not one scenario."""
+
+    def __len__(self) -> int:
+        return 1
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (
+            lambda count, generator: torch.rand(count, 4, generator=generator),
+            r"Own.draw returned a tensor \(0, 4\) of float32; return a ScenarioBatch of 0",
+        ),
+        (lambda count, generator: None, "Own.draw returned a NoneType; return a ScenarioBatch of"),
+        (
+            lambda count, generator: Cart().draw("any", max(count, 1), generator),
+            "Own.draw returned 1 scenarios; return a ScenarioBatch of 0",
+        ),
+        (
+            lambda count, generator: Cart().draw("any", 3 * count, generator),
+            "Own.draw returned 6 scenarios; return a ScenarioBatch of 2",
+        ),
+        (lambda count, generator: Alike(), "Own.draw returned 1 scenarios; return"),
+        (
+            lambda count, generator: Cart().draw("any", count, torch.default_generator),
+            "Own.draw gave other scenarios for the same generator; draw all numbers from it",
+        ),
+        (lambda count, generator: [][count], "Own.draw raised IndexError: .* on two rows"),
+    ],
+)
+def test_what_draw_returns_wrongly_is_named(draw: Callable[..., Any], message: str) -> None:
+    own = cart_with(draw=lambda self, kind, count, generator: draw(count, generator))
+    assert re.fullmatch(f"{message}.*", refused(own))
+
+
+def test_a_generator_that_is_left_alone_is_no_error() -> None:
+    """Scenarios that are always the same are drawn from nothing."""
+    same = Cart().draw("any", 2, seeded(0))
+    check_domain(cart_with(draw=lambda self, kind, count, generator: same[:count]), "any")
+
+
+def test_a_world_that_cannot_be_made_is_named() -> None:
+    own = cart_with(world=lambda self, scenarios: Rail(scenarios.track))
+    assert refused(own).startswith("Own.world raised AttributeError: ")
+
+
+@pytest.mark.parametrize(
+    ("method", "result", "message"),
+    [
+        ("start", lambda s: s, r"Track.start returned a tensor \(2,\) of int64; return \(states"),
+        ("step", lambda lanes, u: lanes, r"Track.step returned a Lanes; return \(lanes, whether"),
+        ("success", lambda lanes: None, r"Track.success returned a NoneType; return \(lanes"),
+        ("first_state", lambda s: [][1], "Track.start raised IndexError"),
+        (
+            "first_state",
+            lambda s: s,
+            r"Track.start returned percepts as a tensor \(2,\) of float32; return .*\(2, 1\)",
+        ),
+        (
+            "perceived",
+            lambda state, s: state[:, None],
+            r"Track.start returned percepts as a tensor \(2, 1, 4\) of float32; return .*\(2, 4\)",
+        ),
+        ("next_state", lambda state, u, s: state[:1, :2] @ u, "Track.step raised RuntimeError"),
+        (
+            "succeeded",
+            lambda state: state.abs() < 0.5,
+            r"Track.success returned probabilities as a tensor \(2, 4\)",
+        ),
+    ],
+)
+def test_what_a_world_returns_wrongly_is_named(
+    method: str, result: Callable[..., Any], message: str
+) -> None:
+    own = rail_with(**{method: lambda self, *given: result(*given)})
+    with pytest.raises((WorldError, DomainError), match=message):
+        check_domain(own, "any")
+
+
+def test_what_is_no_environment_is_refused() -> None:
+    own = cart_with(world=lambda self, scenarios: scenarios)
+    with pytest.raises(WorldError, match="Carts: num_scenarios is None; give a whole number"):
+        check_domain(own, "any")
+
+
+def test_actions_are_a_set() -> None:
+    assert refused(cart_with(actions=lambda self: ("Aim",))) == (
+        "Own.actions returned (a str); return an ActionSet"
+    )
+    assert "Own.actions raised KeyError" in refused(cart_with(actions=lambda self: {}["x"]))
+
+
+def over(self: Environment, lanes: Lanes) -> Tensor:
+    return lanes.step > 5
+
+
+def returns(self: Environment, lanes: Lanes) -> Tensor:
+    return -lanes.state[:, 0].abs()
+
+
+def test_rewards_are_tried() -> None:
+    rewarded = rail_with(over=over, returns=returns)
+    assert isinstance(rewarded.world(rewarded.draw("any", 1, seeded(0))), Rewarded)
+    assert rewarded.rewarded
+    assert "Test" not in rewarded.actions().names
+    check_domain(rewarded, "any")
+    bad = rail_with(over=lambda self, lanes: lanes.step, returns=returns)
+    assert refused(bad) == (
+        "Own's world.over returned a tensor (2,) of int64; return a tensor (2,) of bool"
+    )
+    bad = rail_with(over=over, returns=lambda self, lanes: lanes.state)
+    assert refused(bad) == (
+        "Own's world.returns returned a tensor (2, 4) of float32; return a tensor (2,) of floats"
+    )
+    bad = rail_with(over=over, returns=lambda self, lanes: 0.5)
+    assert "world.returns returned a float; return a tensor (2,)" in refused(bad)
+    bad = rail_with(over=lambda self, lanes: {}[0], returns=returns)
+    assert "Own's world.over raised KeyError: 0 on two rows" in refused(bad)
+
+
+def test_rows_that_were_changed_in_place_are_told() -> None:
+    def next_state(self: Rail, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        state[:, 0] += 1
+        return state
+
+    with pytest.raises(WorldError, match=r"Track.step changed lanes\.\w+ in place"):
+        check_domain(rail_with(next_state=next_state), "any")
+
+
+def test_noise_is_known_by_its_method() -> None:
+    class Gusts(Carts):
+        def with_noise(self, copy: int) -> Any:
+            return replace(self, wind=self.wind + copy)
+
+    def draw(self: Cart, kind: str, count: int, generator: torch.Generator) -> Gusts:
+        return Gusts(*vars(Cart.draw(self, kind, count, generator)).values())
+
+    assert not Cart().noisy_world
+    assert cart_with(draw=draw).noisy_world

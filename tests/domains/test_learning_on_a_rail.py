@@ -1,0 +1,138 @@
+"""Γ and C of any domain learn on: from more data, from a coreset of them, with fewer centres."""
+
+from typing import Any
+
+import pytest
+import torch
+from rail import Cart, SeeingCart
+from support import seeded
+from torch import Tensor
+
+from cgtorch.domains.learning_on import (
+    compact_success_classifier,
+    compact_transition_model,
+    label_coreset,
+    transition_coreset,
+    update_success_classifier,
+    update_transition_model,
+)
+from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
+from cgtorch.domains.transition import TransitionModel
+from cgtorch.domains.transition_fit import fit_transition_model
+from cgtorch.environment import Dataset
+from cgtorch.errors import DataError
+
+GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
+DATA = Cart().explore("any", 300, 300, seeded(0))
+FRESH = Cart().explore("any", 400, 400, seeded(1))
+MOVES = DATA.percept, DATA.control, DATA.next_percept
+TESTS = DATA.tested, DATA.succeeded
+
+
+def gamma_of(rows: int, domain: Cart | None = None) -> TransitionModel:
+    model = (domain or Cart())._transition_model()
+    some = (a[:rows] for a in MOVES)
+    return fit_transition_model(model, *some, **GRID, epsilon=[0.05], dtype=torch.float64)[0]
+
+
+def classifier_of(rows: int, domain: Cart | None = None) -> SuccessClassifier:
+    model = (domain or Cart())._success_classifier()
+    some = (a[:rows] for a in TESTS)
+    return fit_success_classifier(model, *some, **GRID, dtype=torch.float64)[0]
+
+
+def error(model: TransitionModel, data: Dataset = FRESH) -> float:
+    with torch.no_grad():
+        return float(model.errors(model(data.percept, data.control), data.next_percept).mean())
+
+
+def wrong(model: SuccessClassifier, data: Dataset = FRESH) -> float:
+    with torch.no_grad():
+        return float((model(data.tested) - data.succeeded.float()).square().mean())
+
+
+def state(model: torch.nn.Module) -> dict[str, Tensor]:
+    return {name: value.clone() for name, value in model.state_dict().items()}
+
+
+@pytest.mark.parametrize("domain", [Cart(), SeeingCart()])
+def test_more_transitions_make_gamma_better(domain: Cart) -> None:
+    start = gamma_of(60, domain)
+    before = state(start)
+    grown = update_transition_model(start, *MOVES)
+    assert error(grown) < 0.85 * error(start)
+    assert error(grown, DATA) < error(start, DATA)
+    assert type(grown) is type(start)
+    assert all(torch.equal(value, before[name]) for name, value in state(start).items())
+    for name in ("mean", "scale", "shift", "spread", "learnt"):
+        assert torch.equal(getattr(grown, name), getattr(start, name))
+    assert (grown.most >= start.most).all()
+
+
+def test_more_tests_make_c_better() -> None:
+    start = classifier_of(60)
+    before = state(start)
+    grown = update_success_classifier(start, *TESTS)
+    assert wrong(grown) < wrong(start)
+    assert torch.equal(grown.machine.platt, start.machine.platt)
+    assert all(torch.equal(value, before[name]) for name, value in state(start).items())
+
+
+def test_the_same_data_change_hardly_anything() -> None:
+    gamma, classifier = gamma_of(200), classifier_of(200)
+    again = update_transition_model(gamma, *(a[:200] for a in MOVES))
+    off = again(FRESH.percept, FRESH.control) - gamma(FRESH.percept, FRESH.control)
+    assert float(off.abs().mean()) < 0.02
+    other = update_success_classifier(classifier, *(a[:200] for a in TESTS))
+    assert float((other(FRESH.tested) - classifier(FRESH.tested)).abs().mean()) < 0.02
+
+
+def test_rows_that_were_there_have_to_come_first() -> None:
+    with pytest.raises(DataError, match="do not begin with"):
+        update_transition_model(gamma_of(60), *(a[:20] for a in MOVES))
+    with pytest.raises(DataError, match="do not begin with"):
+        update_success_classifier(classifier_of(60), *(a[:20] for a in TESTS))
+
+
+def test_few_rows_are_their_own_coreset() -> None:
+    gamma, classifier = gamma_of(60), classifier_of(60)
+    rows, start = transition_coreset(gamma, *(a[:60] for a in MOVES), 60)
+    assert rows.tolist() == [*range(60)]
+    assert start is gamma
+    rows, same = label_coreset(classifier, TESTS[0][:60], 60)
+    assert rows.tolist() == [*range(60)]
+    assert same is classifier
+
+
+@pytest.mark.parametrize(("limit", "worse"), [(40, 3), (150, 1.5), (290, 1.15)])
+def test_a_coreset_is_small_and_knows_what_it_stands_for(limit: int, worse: float) -> None:
+    gamma = gamma_of(300)
+    rows, start = transition_coreset(gamma, *MOVES, limit)
+    assert len(rows) == limit
+    assert torch.equal(rows, rows.unique())
+    smaller = update_transition_model(start, *(a[rows] for a in MOVES))
+    assert error(smaller) < worse * error(gamma)
+    classifier = classifier_of(300)
+    rows, first = label_coreset(classifier, TESTS[0], limit)
+    assert len(rows) == limit
+    assert torch.equal(rows, rows.unique())
+    less = update_success_classifier(first, *(a[rows] for a in TESTS))
+    assert wrong(less) < worse * wrong(classifier)
+
+
+def test_what_is_compact_says_nearly_the_same() -> None:
+    gamma, classifier = gamma_of(300), classifier_of(300)
+    small, report = compact_transition_model(gamma, 100, *MOVES[:2])
+    assert report.centres == len(small.machine.centres) == 100 < report.before
+    assert error(small) < 1.3 * error(gamma)
+    tiny, _ = compact_transition_model(gamma, 12, *MOVES[:2])
+    known = float((tiny.novelty(*MOVES[:2]) <= 0.5).float().mean())
+    assert known == pytest.approx(0.95, abs=0.03)  # whatever few centres there are
+    lost = []
+    for centres in (20, 100, 300):
+        less, report = compact_success_classifier(classifier, centres, TESTS[0])
+        assert report.centres == len(less.machine.centres) <= centres
+        change = float((less(FRESH.tested) - classifier(FRESH.tested)).abs().mean())
+        lost.append((report.mean_loss, change))
+    assert lost == sorted(lost, reverse=True)
+    assert lost[-1][1] < 1e-6  # it keeps all that there are

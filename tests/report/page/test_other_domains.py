@@ -1,0 +1,144 @@
+"""Reports of a domain that gives rewards, has no pictures, and of which nobody has published."""
+
+import json
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lxml import html
+from report_pages import words
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.report import TensorBoardWatch, final_text
+from cgtorch.report.page import report_page
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.run import Run, create_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.training.auto import train_until
+from cgtorch.training.context import Training
+from cgtorch.training.train import train
+
+
+def trained(folder: Path, domain: str, make: Callable[[Training], object]) -> Run:
+    """A small run, really trained."""
+    settings = RunSettings(
+        domain=domain, seed=2, population=40, generations=8, attempts=2, practice=12
+    )
+    run = create_run(folder, settings)
+    watch = TensorBoardWatch(
+        folder, run.all_settings(), actions=run.actions, draw_scenarios=run.domain.draw_scenarios
+    )
+    with watch:
+        make(Training(run, watch, lambda message: nullcontext()))
+    return run
+
+
+def page_of(run: Run) -> html.HtmlElement:
+    page = report_page(run.folder, domain=run.settings.domain)
+    return html.document_fromstring(page.decode())
+
+
+@pytest.fixture(scope="module")
+def rounds(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("rounds") / "walks"
+    return trained(folder, "walking:Walking", lambda t: train_until(t, Goal(rounds=1)))
+
+
+@pytest.fixture(scope="module")
+def page(rounds: Run) -> html.HtmlElement:
+    return page_of(rounds)
+
+
+@pytest.fixture(scope="module")
+def result(rounds: Run) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((rounds.folder / "auto-1" / "result.json").read_text())
+    return found
+
+
+def test_nobody_else_is_beside_the_run(page: html.HtmlElement, result: dict[str, Any]) -> None:
+    head, row = ([words(c) for c in line.iter("th", "td")] for line in
+                 page.get_element_by_id("results").find(".//table").iter("tr"))  # fmt: skip
+    assert head[:6] == ["stage", "on", "solved", "W kept", "fresh", "overall"]
+    assert len(head) == len(row)
+    assert row[:2] == ["auto-1", "any"]
+    assert page.find_class("paper") == []
+    assert "beside" not in page.xpath("//section[@id='stages']//div/@class")
+    assert "overall" not in page.xpath("//@id")
+    said = " ".join(words(page.get_element_by_id(name)) for name in ("results", "stages"))
+    assert "published" not in said
+    assert f"{result['targets_succeeded']} of {result['targets']} missed before, solved now" in said
+
+
+def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: Run) -> None:
+    stage = page.get_element_by_id("stage-1")
+    known = json.loads((rounds.folder / "auto-1" / "scenarios.json").read_text())
+    counts = f"{len(known['W'])} scenarios solved, {len(known['M'])} missed."
+    assert counts in words(stage)
+    labels = stage.xpath(".//svg/@aria-label")
+    assert len(labels) == 1
+    assert labels[0].startswith("Graph of auto-1: ")
+
+
+def test_returns_are_told(page: html.HtmlElement, result: dict[str, Any]) -> None:
+    cards = {words(e.find("dt")): words(e.find("dd")) for e in page.find_class("cards")[0]}
+    mean = result["overall"]["mean_return"]
+    assert cards["Mean return"] == f"{mean:.5g} of fresh episodes"
+    facts = words(page.get_element_by_id("stage-1"))
+    assert f"mean return {result['fresh']['mean_return']:.5g}" in facts
+
+
+def test_it_was_searched_in_the_world(page: html.HtmlElement) -> None:
+    assert "searched in the world itself" in words(page.find(".//header"))
+    assert "Actions tried in the world" in words(page.get_element_by_id("stage-1"))
+    assert "models" not in page.xpath("//@id")
+    assert "There are no models" not in words(page)
+
+
+def test_the_course_is_one_of_returns(page: html.HtmlElement, rounds: Run) -> None:
+    """What an unfinished episode is worth is on no axis."""
+    evolution = page.get_element_by_id("evolution")
+    said = [words(text) for text in evolution.iter("text")]
+    assert "mean return" in said
+    assert "fitness (eq. 3)" not in said
+    assert "no return" in " ".join(said)
+    events = EventAccumulator(str(rounds.folder))
+    events.Reload()
+    values = [e.value for tag in ("fitness/best", "fitness/mean") for e in events.Scalars(tag)]
+    assert values
+    assert all(value > WORTHLESS or value != value for value in values)
+    assert min(value for value in values if value == value) < 0
+    assert any(0 < e.value < 1 for e in events.Scalars("population/unsolved"))
+    assert "1e" not in " ".join(said)
+
+
+def test_the_commands_name_the_domain(page: html.HtmlElement) -> None:
+    text = words(page.get_element_by_id("reproduce"))
+    assert "--domain walking:Walking" in text.split("runs/again")[0]
+    assert text.count("--domain walking:Walking") >= 3
+    assert "gymnasium" not in text
+
+
+def test_the_final_table_has_no_column_for_others(rounds: Run, result: dict[str, Any]) -> None:
+    title, head, *_, last = final_text([result], rounds.domain).splitlines()
+    assert title == "Scenarios solved"
+    assert head.split() == [
+        "stage", "scenarios", "ours", "W", "kept", "fresh", "nodes", "gens", "time",
+    ]  # fmt: skip
+    assert f"mean return {result['overall']['mean_return']:.5g}" in last
+
+
+def test_a_stage_without_tests_has_a_drawing_and_tells_of_fresh_scenarios(tmp_path: Path) -> None:
+    run = trained(tmp_path / "run", "walking:StagedWalking", lambda t: train(t, "first"))
+    page = page_of(run)
+    stage = page.get_element_by_id("stage-1")
+    assert words(stage.find("h3")) == "first: short"
+    assert len(stage.find_class("stage-drawing")) == 1
+    result = json.loads((run.folder / "first" / "result.json").read_text())
+    assert result["targets"] == 0
+    fresh = f"{result['fresh']['succeeded']} of {result['fresh']['tried']} fresh ones solved"
+    assert words(stage.find_class("score")[0]) == fresh
+    lines = final_text([result], run.domain).splitlines()
+    assert lines[2].split()[:3] == ["first", "short", "–"]

@@ -1,0 +1,48 @@
+"""Which centres a smaller machine keeps, and what it says of its loss."""
+
+import pytest
+import torch
+
+from cgtorch.errors import SettingsError
+from cgtorch.svm import SVR, compact
+from cgtorch.svm.kernels import make_kernel
+from cgtorch.svm.reduced_set import pivots
+
+
+def _rows(count: int) -> torch.Tensor:
+    return torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+
+
+def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
+    x, kernel = _rows(200), make_kernel("rbf", 0.05)
+    matrix = kernel(x, x)
+    chosen = pivots(kernel, x, 40).tolist()
+    assert len(set(chosen)) == 40
+    for count in range(1, 40):
+        some = matrix[chosen[:count]]
+        rest = matrix - some.T @ torch.linalg.solve(some[:, chosen[:count]], some)
+        left = rest.diagonal()
+        assert float(left[chosen[count]]) >= float(left.max()) - 1e-9
+        assert float(torch.linalg.eigvalsh(rest).min()) > -1e-9
+
+
+def test_what_is_explained_already_is_not_chosen() -> None:
+    x = _rows(10)[torch.arange(60) % 10]
+    assert len(pivots(make_kernel("rbf", 0.5), x, 60)) == 10
+
+
+def test_more_centres_lose_less_and_the_loss_is_said() -> None:
+    x = _rows(400)
+    machine = SVR(5.0, gamma=0.3, epsilon=0.01).fit(x[:300], (2 * x[:300, 0]).sin())
+    losses = []
+    for centres in (10, 30, 90):
+        small, report = compact(machine, centres, x)
+        assert len(small.centres) == report.centres == centres
+        assert report.before == len(machine.centres)
+        error = (small.predict(x) - machine.predict(x)).abs()
+        assert float(error[3::4].mean()) == pytest.approx(report.mean_loss[0])
+        assert float(error[3::4].max()) == pytest.approx(report.largest_loss[0])
+        losses.append(report.mean_loss[0])
+    assert losses == sorted(losses, reverse=True)
+    with pytest.raises(SettingsError, match="8 rows"):
+        compact(machine, 4, x[:7])

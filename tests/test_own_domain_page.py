@@ -1,0 +1,74 @@
+"""docs/own-domain.md runs from top to bottom and does what it says."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support import seeded
+
+from cgtorch.domains.check import check_domain
+from cgtorch.environment import ScenarioBatch
+from cgtorch.evolution import episode_return, evolve
+from cgtorch.evolution.evolution import EvolutionSettings
+from cgtorch.simulation import Rollouts, rollout
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "own-domain.md"
+
+
+@pytest.fixture(scope="module")
+def page() -> dict[str, Any]:
+    """What the page's code has defined at its end."""
+    names: dict[str, Any] = {"__name__": "own_domain"}
+    text = PAGE.read_text()
+    for found in re.finditer(r"```python\n(.*?)```", text, re.DOTALL):
+        line = text[: found.start(1)].count("\n")  # so that an error names the page's line
+        exec(compile("\n" * line + found.group(1), str(PAGE), "exec"), names)  # noqa: S102
+    return names
+
+
+def share(runs: Rollouts) -> float:
+    return float(runs.succeeded.float().mean())
+
+
+def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
+    assert share(page["tried"]) > 0.95
+    assert share(page["hasty"]) > 0.95
+    actions = {name: float(page[name].transitions.float().mean()) for name in ("tried", "hasty")}
+    assert actions["hasty"] < actions["tried"]
+
+
+@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced"])
+def test_its_domains_keep_the_interface(page: dict[str, Any], name: str) -> None:
+    check_domain(page[name](), "any")
+
+
+def test_settings_are_heeded(page: dict[str, Any]) -> None:
+    calm = page["Windy"](page["WindySettings"](gusts=0.0))
+    assert not calm.draw("any", 20, seeded(0)).wind.any()
+
+
+def test_rewards_are_evolved_for(page: dict[str, Any]) -> None:
+    domain, generator = page["Balanced"](), seeded(1)
+    world = domain.world(domain.draw("any", 8, generator))
+    settings = EvolutionSettings(population=60, fitness=episode_return)
+    for generation in evolve(world, domain.actions(), settings, generator):
+        if generation.number == 12:
+            break
+    runs = rollout(generation.champion.graphs, domain.actions(), world)
+    assert runs.returns is not None
+    assert generation.best == pytest.approx(float(runs.returns.mean()), abs=1e-5)
+    assert generation.best > 3
+
+
+def test_scenarios_are_any_tensors(page: dict[str, Any]) -> None:
+    carts: ScenarioBatch = page["Cart"]().draw("any", 5, seeded(0))
+    assert len(carts) == 5
+    rows = torch.tensor([3, 0])
+    some: Any = carts[rows]
+    assert type(some) is page["Carts"]
+    joined: Any = some.joined(carts[:1], carts[:0])
+    assert len(joined) == 3
+    assert torch.equal(joined.place, torch.cat([some.place, vars(carts)["place"][:1]]))
+    assert some.with_noise(4) is some
