@@ -7,6 +7,8 @@ else is in the folder that it belongs to.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cgtorch.ground.version import VERSION
+
 if TYPE_CHECKING:
     from cgtorch.actions import Action as Action
     from cgtorch.actions import ActionSet as ActionSet
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from cgtorch.tabletop.world import random_scenarios as random_scenarios
     from cgtorch.tabletop.world import stage_scenarios as stage_scenarios
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {

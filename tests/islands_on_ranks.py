@@ -17,10 +17,10 @@ import torch
 from support import model, seeded, stochastic_actions
 
 from cgtorch.evolution import EvolutionSettings
+from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.events import Event, GenerationDone
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
-from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.journal import FileJournal
 from cgtorch.svm.storage import notes_of
 

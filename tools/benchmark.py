@@ -36,7 +36,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cgtorch.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError
 
 LINES: dict[str, Callable[[Effort], Line]] = {
     "inference_vs_sklearn": inference_vs_sklearn,

@@ -23,7 +23,7 @@ import torch
 from comparison.table import summary, table
 
 from cgtorch.evolution import EvolutionSettings, tournament
-from cgtorch.files import read_json, write_bytes, write_json
+from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup

@@ -18,7 +18,7 @@ from searches.table import table
 from searches.trial import tried
 from searches.variants import VARIANTS
 
-from cgtorch.files import read_json, write_json
+from cgtorch.ground.files import read_json, write_json
 
 BASE = next(iter(VARIANTS))
 

@@ -25,7 +25,7 @@ from kill_and_resume import SMALL, told
 from measure_ranks import torchrun
 
 from cgtorch import native
-from cgtorch.files import write_json
+from cgtorch.ground.files import write_json
 
 KNOWN = Path(__file__).parent / "fingerprints.json"
 

@@ -19,7 +19,7 @@ from typing import Any
 import click
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from cgtorch.files import read_json
+from cgtorch.ground.files import read_json
 
 SMALL = [
     *("--population", "60", "--generations", "30", "--attempts", "6", "--practice", "10"),

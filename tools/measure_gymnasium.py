@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from cgtorch.files import read_json, write_json
+from cgtorch.ground.files import read_json, write_json
 
 TASKS: dict[str, list[str]] = {
     "CartPole-v1": [],

@@ -22,8 +22,8 @@ import torch
 
 from cgtorch.evolution import EvolutionSettings, evaluate
 from cgtorch.evolution.population import random_population
+from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
 

@@ -19,8 +19,8 @@ from typing import Any
 import click
 import torch
 
-from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill
+from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.runs.ledger import read_index
 from cgtorch.runs.run import last_skill
 from cgtorch.training.evaluate import evaluate_skill

@@ -9,8 +9,8 @@ import torch
 from torch import Generator, Tensor, nn
 
 from cgtorch.environment import Environment, Lanes, seeds_of
-from cgtorch.errors import ActionError
-from cgtorch.numerics import counter_rng as chance
+from cgtorch.ground import counter_rng as chance
+from cgtorch.ground.errors import ActionError
 
 
 class Action(nn.Module, ABC):
@@ -67,7 +67,7 @@ class Action(nn.Module, ABC):
         return torch.randn(n, self.num_parameters, generator=generator)
 
     def uniform(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
-        """Random numbers, for an action that is stochastic (`cgtorch.numerics.counter_rng`).
+        """Random numbers, for an action that is stochastic (`cgtorch.ground.counter_rng`).
 
         They depend on the seed of a lane's scenario, the name of the action's class, and how often
         the lane has drawn with it, which the last number of the action's memory counts. So they

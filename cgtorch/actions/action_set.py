@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from cgtorch.actions.action import Action
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
 from cgtorch.actions.routines import Detect, Grasp, MoveBase
-from cgtorch.errors import ActionError
+from cgtorch.ground.errors import ActionError
 
 
 @dataclass(frozen=True)

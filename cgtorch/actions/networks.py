@@ -7,7 +7,7 @@ from torch import Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.environment import Environment, Lanes
-from cgtorch.numerics import sigmoid
+from cgtorch.ground.numerics import sigmoid
 
 
 def network_parameters(inputs: int, hidden: int, outputs: int) -> int:

@@ -19,7 +19,7 @@ from cgtorch.environment.dry_run import (
     returned,
     two_rows,
 )
-from cgtorch.errors import ActionError
+from cgtorch.ground.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
 

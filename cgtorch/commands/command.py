@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from cgtorch.commands.completion import Completer, one_of
-from cgtorch.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError
 
 F = TypeVar("F", bound=Callable[..., Any])
 

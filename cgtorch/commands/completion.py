@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from click import Command, Context, Parameter
 from click.shell_completion import CompletionItem, get_completion_class
 
-from cgtorch.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
 
+DOMAIN = "cgtorch.domain"
+"""Where a command line's context has the name of the domain that it is about."""
 SHELLS = ("bash", "zsh", "fish")
 TRAINED = ("perimeter", "general", "general-clutter")
 SCENARIOS = ("near", "left", "right", "far", *TRAINED)
@@ -72,10 +74,9 @@ def _of_domain(
     context: Context, of_tabletop: Iterable[str], of: Callable[["type[Domain[Any]]"], Iterable[str]]
 ) -> Iterable[str]:
     """Words of the domain that a command line is about, none if there is no such domain."""
-    from cgtorch.commands.domain_command import KEY
     from cgtorch.domains.registry import TABLETOP, domain_class
 
-    spec = context.meta.get(KEY, TABLETOP)
+    spec = context.meta.get(DOMAIN, TABLETOP)
     if spec == TABLETOP:
         return of_tabletop
     try:

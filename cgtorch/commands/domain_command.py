@@ -7,12 +7,11 @@ from typing import Any
 import click
 
 from cgtorch.commands.command import import_from_here
+from cgtorch.commands.completion import DOMAIN
 from cgtorch.domains.registry import is_code
-from cgtorch.errors import CgtorchError
-from cgtorch.files import read_json
+from cgtorch.ground.errors import CgtorchError
+from cgtorch.ground.files import read_json
 from cgtorch.runs.settings import RunSettings
-
-KEY = "cgtorch.domain"
 
 
 class DomainCommand(click.Command):
@@ -25,14 +24,14 @@ class DomainCommand(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See `click.Command.parse_args`; the domain is looked for first."""
-        ctx.meta[KEY] = spec = domain_named(args)
+        ctx.meta[DOMAIN] = spec = domain_named(args)
         import_from_here([spec])
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """See `click.Command.get_params`."""
         known = super().get_params(ctx)
-        spec = ctx.meta.get(KEY, RunSettings.domain)
+        spec = ctx.meta.get(DOMAIN, RunSettings.domain)
         try:
             return [*known[:-1], *self._options(ctx, spec), known[-1]]
         except CgtorchError as e:
@@ -41,9 +40,9 @@ class DomainCommand(click.Command):
             raise click.UsageError(str(e)) from e
 
     def _options(self, ctx: click.Context, spec: str) -> list[click.Option]:
-        made: list[click.Option] | None = ctx.meta.get(f"{KEY}.options")
+        made: list[click.Option] | None = ctx.meta.get(f"{DOMAIN}.options")
         if made is None:
-            ctx.meta[f"{KEY}.options"] = made = self._add(spec)
+            ctx.meta[f"{DOMAIN}.options"] = made = self._add(spec)
         return made
 
 

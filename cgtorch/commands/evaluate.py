@@ -187,7 +187,7 @@ def _returns_as_text(score: "Score", target: float) -> str:
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:
     """A counted share with its interval, for programs."""
-    from cgtorch.numerics.interval import wilson
+    from cgtorch.ground.interval import wilson
 
     interval = list(wilson(succeeded, tried, 0.95))
     rate = succeeded / max(1, tried)
@@ -207,8 +207,8 @@ def _draw(path: Path, score: "Score", chosen: Chosen) -> None:
 
     import torch
 
-    from cgtorch.errors import SettingsError
-    from cgtorch.files import write_bytes
+    from cgtorch.ground.errors import SettingsError
+    from cgtorch.ground.files import write_bytes
 
     scenarios, succeeded = score.scenarios[:PICTURED], score.succeeded[:PICTURED]
     nothing = torch.zeros_like(succeeded)

@@ -17,7 +17,7 @@ from cgtorch.commands.options import (
     skill_option,
     waiting,
 )
-from cgtorch.errors import RunError
+from cgtorch.ground.errors import RunError
 
 if TYPE_CHECKING:
     from cgtorch.graphs import Skill
@@ -74,7 +74,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
     from cgtorch.export import FORMATS as WRITERS
-    from cgtorch.files import write_bytes
+    from cgtorch.ground.files import write_bytes
 
     import_from_here([*rest["actions"], rest["domain"] or ""])
     skill = _chosen(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])

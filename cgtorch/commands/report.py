@@ -14,7 +14,7 @@ from cgtorch.commands.options import (
     quiet_option,
     waiting,
 )
-from cgtorch.errors import RunError
+from cgtorch.ground.errors import RunError
 
 EXAMPLES = """\b
 Examples:
@@ -57,7 +57,7 @@ def command(
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
     import torch
 
-    from cgtorch.files import write_bytes
+    from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
 
     torch.set_num_threads(1)

@@ -8,11 +8,19 @@ from typing import Any
 import click
 
 from cgtorch.commands.command import import_from_here, importing, options_of, run_command
-from cgtorch.commands.completion import DEVICES, domains, kinds_of_domain, one_of, runs, stages
-from cgtorch.commands.domain_command import KEY, DomainCommand
+from cgtorch.commands.completion import (
+    DEVICES,
+    DOMAIN,
+    domains,
+    kinds_of_domain,
+    one_of,
+    runs,
+    stages,
+)
+from cgtorch.commands.domain_command import DomainCommand
 from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
 from cgtorch.domains.registry import check_options, settings_class
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import NAMES, RunSettings, defaults_of
 
@@ -108,7 +116,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
         from cgtorch.commands.training import Wish, begin, carry_on
-        from cgtorch.parallel.distributed import together
+        from cgtorch.ground.distributed import together
 
     given = {
         name
@@ -116,7 +124,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
     goal_names = {f.name for f in fields(Goal)}
-    own = settings_class(context.meta[KEY])
+    own = settings_class(context.meta[DOMAIN])
     of_domain = {f.name for f in fields(own)}
     target = options["target"] if "target" in given and "target_return" in of_domain else None
     goal = Goal(
@@ -157,7 +165,7 @@ def command(context: click.Context, /, **options: Any) -> None:
 def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
     """Settings by name from NAME=VALUE, read as their own options read them."""
     options = {option.name: option for option in context.command.get_params(context)}
-    own = {f.name for f in fields(settings_class(context.meta[KEY]))}
+    own = {f.name for f in fields(settings_class(context.meta[DOMAIN]))}
     found = {}
     for word in words:
         name, _, text = word.partition("=")

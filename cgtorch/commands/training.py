@@ -13,9 +13,9 @@ from rich.console import Console
 from cgtorch import native
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
-from cgtorch.errors import SettingsError
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import Event, Watch
-from cgtorch.parallel import distributed as ranks
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.journal import recalled_generations

@@ -18,7 +18,7 @@ from cgtorch.commands.options import (
     skill_option,
     waiting,
 )
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
     from cgtorch.tabletop.viewer.choice import Candidate

@@ -11,7 +11,7 @@ from cgtorch.domains.domain import Domain
 from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lanes
 from cgtorch.environment.dry_run import ROWS, check_environment, expect, kind, returned, two_rows
 from cgtorch.environment.fields import Field
-from cgtorch.errors import DomainError
+from cgtorch.ground.errors import DomainError
 
 
 def check_domain(domain: Domain[Any], scenarios: str) -> None:

@@ -7,7 +7,7 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import Dataset, Environment, ScenarioBatch, start_lanes
 from cgtorch.environment.fields import Field, bounds_of, columns_of
-from cgtorch.errors import DataError, DomainError
+from cgtorch.ground.errors import DataError, DomainError
 
 MOVES = 12  # random controls at most, one after the other, from each start
 RARE = 0.02  # share of either label below which there is hardly anything to learn

@@ -20,8 +20,8 @@ from cgtorch.domains.gymnasium_world import Episodes, GymnasiumWorld, PlayedWorl
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.environment import ScenarioBatch
 from cgtorch.environment.fields import Field
-from cgtorch.errors import DomainError
-from cgtorch.files import read_json, write_json
+from cgtorch.ground.errors import DomainError
+from cgtorch.ground.files import read_json, write_json
 
 FILE = "gymnasium.json"
 LOOKS = 20  # random episodes that tell the scale of numbers without bounds

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from cgtorch.environment import Lanes
-from cgtorch.errors import WorldError
+from cgtorch.ground.errors import WorldError
 
 STEPS, RETURN, OVER, SLOT, BATCH, KEY = range(6)  # columns of a lane's state
 _PRIME = 1_000_003

@@ -21,7 +21,7 @@ from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset
 from cgtorch.evolution.islands import generator_of
-from cgtorch.parallel.processes import in_processes
+from cgtorch.ground.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Compile, Possible
 from cgtorch.svm import Acceptance, accept_model

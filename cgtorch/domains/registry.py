@@ -11,7 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.domains.settings import DomainSettings
-from cgtorch.errors import CgtorchError, DomainError
+from cgtorch.ground.errors import CgtorchError, DomainError
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain

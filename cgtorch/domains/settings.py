@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar, TypeVar
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 
 T = TypeVar("T")
 MOST = 2**31 - 1

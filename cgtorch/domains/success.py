@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.environment.fields import Field, as_features
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs
 from cgtorch.svm.grid_search import Progress
 from cgtorch.svm.learning_curve import learning_values

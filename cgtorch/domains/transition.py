@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR
 from cgtorch.svm.machine import KernelMachine
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import KernelTransitionModel, rim
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR, GridResult, doubling_sizes, grid_search, inputs, learning_curve
 
 C_GRID = (1.0, 10.0, 100.0)

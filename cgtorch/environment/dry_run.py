@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.errors import CgtorchError, WorldError
+from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DomainError
+from cgtorch.ground.errors import DomainError
 
 KINDS = ("number", "angle", "discrete")
 

@@ -8,9 +8,9 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import expect, kind
-from cgtorch.errors import GraphError, SettingsError
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import check_graph, valid
+from cgtorch.ground.errors import GraphError, SettingsError
 
 Crossover: TypeAlias = Callable[[Population, Population, Generator], Population]
 """From Q first parents, Q second ones and the generator of all random choices to 2 Q children."""

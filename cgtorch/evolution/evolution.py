@@ -7,7 +7,6 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
-from cgtorch.errors import DataError, SettingsError
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.custom_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.drift import TAU
@@ -24,6 +23,7 @@ from cgtorch.evolution.population import (
 )
 from cgtorch.evolution.selection import Selection, ranking
 from cgtorch.graphs import compacted, resized
+from cgtorch.ground.errors import DataError, SettingsError
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes, Rewarded
-from cgtorch.errors import SettingsError
 from cgtorch.graphs import Graphs
-from cgtorch.numerics import row_means
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
 from cgtorch.simulation.compiled import compiled_evaluation
 from cgtorch.simulation.engine_inputs import interpreter
@@ -138,7 +138,7 @@ def evaluator(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
-        crew: the ranks that have this population (`cgtorch.parallel.distributed`), all if not
+        crew: the ranks that have this population (`cgtorch.ground.distributed`), all if not
             given. Individuals are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """

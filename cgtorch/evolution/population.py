@@ -6,7 +6,6 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import GraphError
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -18,6 +17,7 @@ from cgtorch.graphs import (
     valid,
     widened,
 )
+from cgtorch.ground.errors import GraphError
 
 STRATEGY = (
     "crossover",

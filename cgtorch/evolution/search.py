@@ -22,7 +22,7 @@ from cgtorch.evolution.islands import (
 from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
 from cgtorch.graphs import SubSkill
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
@@ -70,7 +70,7 @@ def evolve(
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
 
-    Islands are shared out among all ranks (`cgtorch.parallel.distributed`), each of which is told
+    Islands are shared out among all ranks (`cgtorch.ground.distributed`), each of which is told
     the same but for the islands that it holds itself.
 
     Args:

@@ -6,9 +6,9 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.errors import SettingsError
 from cgtorch.evolution import compiled
 from cgtorch.graphs import Graphs
+from cgtorch.ground.errors import SettingsError
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from cgtorch.actions import Action, MoveBase
 from cgtorch.environment import Lanes
-from cgtorch.errors import ActionError
 from cgtorch.graphs import NO_NODE, Skill, SubSkill
+from cgtorch.ground.errors import ActionError
 
 INSTEAD = "export the skill as state-machine, where it is a class to fill in"
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch.export import ExportedProgram
 
-from cgtorch.errors import CgtorchError, SettingsError
 from cgtorch.export.computed import refused
 from cgtorch.export.step import SkillStep
 from cgtorch.export.torch_module import exported
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import CgtorchError, SettingsError
 
 if TYPE_CHECKING:
     import onnx

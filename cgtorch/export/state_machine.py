@@ -15,10 +15,10 @@ from textwrap import fill, indent
 
 from cgtorch.actions import Action, Detect, Grasp, MoveBase
 from cgtorch.actions.memory import memory_parts
-from cgtorch.errors import ActionError
 from cgtorch.export.clusters import numbered
 from cgtorch.export.computed import control_size_of, named_primitives
 from cgtorch.graphs import Skill, SubSkill, to_networkx
+from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 
 PLAIN = Path(__file__).with_name("plain")

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.actions import Action, Detect, Grasp, MoveBase
-from cgtorch.errors import SettingsError
 from cgtorch.export.computed import Computed, Sizes, control_size_of, named_primitives
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import most_steps
 from cgtorch.simulation.action_table import SUCCESS
 from cgtorch.simulation.call_stack import TIMEOUT

@@ -7,10 +7,10 @@ import torch
 from torch import nn
 from torch.export import ExportedProgram
 
-from cgtorch.errors import SettingsError
 from cgtorch.export.computed import traced
 from cgtorch.export.step import SkillStep
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import SettingsError
 
 ABOUT = "skill.json"
 """The extra file that tells names and sizes, see `SkillStep.about`."""

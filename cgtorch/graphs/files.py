@@ -13,11 +13,11 @@ from typing import Any
 import networkx as nx
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import GraphError
-from cgtorch.files import read_json, write_json
 from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.graphs.validity import check_graph
 from cgtorch.graphs.view import View, from_networkx, to_networkx
+from cgtorch.ground.errors import GraphError
+from cgtorch.ground.files import read_json, write_json
 
 FORMAT, VERSION = "cgtorch-skill", 1
 MAX_BYTES = 32 * 2**20

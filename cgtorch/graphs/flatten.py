@@ -8,12 +8,12 @@ is a stack of frames (`cgtorch.graphs.levels`).
 import torch
 
 from cgtorch.actions import Action, ActionSet, BranchingNN
-from cgtorch.errors import GraphError
 from cgtorch.graphs.files import MAX_NODES
 from cgtorch.graphs.graphs import NO_NODE, Graphs
 from cgtorch.graphs.levels import Level, Stack, entered, followed, levels_of, settled
 from cgtorch.graphs.merge import merged
 from cgtorch.graphs.skill import Skill, SubSkill
+from cgtorch.ground.errors import GraphError
 
 
 def flattened(skill: Skill, max_transitions: int) -> Skill:

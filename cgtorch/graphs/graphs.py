@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.errors import GraphError
+from cgtorch.ground.errors import GraphError
 
 NO_NODE = -1
 

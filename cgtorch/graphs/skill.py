@@ -8,9 +8,9 @@ from torch import Tensor
 
 from cgtorch.actions import Action, ActionSet
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError
 from cgtorch.graphs.graphs import Graphs, compacted
 from cgtorch.graphs.validity import check_graph
+from cgtorch.ground.errors import ActionError
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import GraphError
 from cgtorch.graphs.graphs import NO_NODE, Graphs
+from cgtorch.ground.errors import GraphError
 
 
 def reachable(graphs: Graphs) -> Tensor:

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Dataset
-from cgtorch.errors import RunError
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.trial import Trial, run_skill, try_skill

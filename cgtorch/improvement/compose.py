@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, BranchingNN
-from cgtorch.errors import ActionError
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, same_behaviour
+from cgtorch.ground.errors import ActionError
 
 
 def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:

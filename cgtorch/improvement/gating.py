@@ -8,7 +8,7 @@ from torch.optim.adam import adam  # the class imports a compiler, which takes 2
 
 from cgtorch.actions import BranchingNN
 from cgtorch.actions.networks import one_hidden_layer
-from cgtorch.numerics import sigmoid
+from cgtorch.ground.numerics import sigmoid
 
 RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0

@@ -12,6 +12,7 @@ from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
 from cgtorch.graphs import widened
+from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
 from cgtorch.improvement.journal import Journal, NoJournal
 from cgtorch.improvement.stopping import (
@@ -23,7 +24,6 @@ from cgtorch.improvement.stopping import (
     restore,
     standing_of,
 )
-from cgtorch.parallel import distributed as ranks
 
 
 def evolve_candidate(

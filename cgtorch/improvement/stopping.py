@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionState, Generation, Island, Population, population_from
 from cgtorch.graphs import Graphs
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.journal import Standing
-from cgtorch.parallel import distributed as ranks
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.errors import printable
 from cgtorch.graphs import Skill, SubSkill, to_networkx
+from cgtorch.ground.errors import printable
 from cgtorch.report.layers import Link
 from cgtorch.report.placing import Box, Placement, Point, Route, pieces, place
 from cgtorch.report.text_size import text_width

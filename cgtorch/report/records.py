@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.errors import RunError
+from cgtorch.ground.errors import RunError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

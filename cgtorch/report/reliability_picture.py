@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from cgtorch.domains.reports import Reliability
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,10 +23,10 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import ScenarioBatch
-from cgtorch.errors import RunError
-from cgtorch.files import read_json, write_bytes, write_json
 from cgtorch.graphs import Skill
 from cgtorch.graphs.files import skill_from_dict, skill_to_dict
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.storage import scenarios_from_list, scenarios_to_list

@@ -16,9 +16,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from cgtorch.domains.settings import to_plain
-from cgtorch.errors import RunError, SettingsError
-from cgtorch.files import read_json, write_json
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.journal import FOLDER
 from cgtorch.runs.run import AUTO, Run, round_name, versions
 from cgtorch.runs.settings import RunSettings, all_fields

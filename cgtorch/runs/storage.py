@@ -16,10 +16,10 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset, ScenarioBatch
-from cgtorch.errors import GraphError, RunError
 from cgtorch.evolution import Population, population_from
-from cgtorch.files import read_bytes, read_json, tensors_of, write_bytes, write_json
 from cgtorch.graphs import Graphs
+from cgtorch.ground.errors import GraphError, RunError
+from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"

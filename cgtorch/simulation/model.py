@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cgtorch.environment import Lanes, rows_where
 from cgtorch.environment.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
-from cgtorch.errors import ModelError
+from cgtorch.ground.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """Percepts (n, D) and controls (n, U) to the next percepts (n, D) and how novel (n,) each is."""

@@ -8,8 +8,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from cgtorch.actions import Action, ActionSet
-from cgtorch.errors import GraphError
 from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.ground.errors import GraphError
 from cgtorch.simulation.action_table import FAILURE, Vocabulary, ends, vocabulary
 
 Table: TypeAlias = tuple[Tensor, Tensor, Tensor]

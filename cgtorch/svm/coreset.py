@@ -9,7 +9,7 @@ twice what the best choice of as many rows could reach.
 import torch
 from torch import Tensor
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.svm.machine import KernelMachine
 
 

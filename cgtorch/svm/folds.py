@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 
 
 def plain_folds(rows: int, count: int, generator: torch.Generator) -> Tensor:

@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from cgtorch.errors import SettingsError
-from cgtorch.parallel.processes import in_processes
+from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.processes import in_processes
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks
 from cgtorch.svm.grid_problems import Task, solve_width

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 
 MAX_MEMORY = 4 * 1024**3
 """Bytes that a fit may use for kernel matrices unless told otherwise."""

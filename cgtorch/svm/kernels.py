@@ -10,7 +10,7 @@ from math import inf, isfinite, nan
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 
 Kernel = Callable[[Tensor, Tensor], Tensor]
 

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.native import threads
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks

@@ -7,7 +7,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
-from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.ground.errors import DataError, ModelError, SettingsError
 from cgtorch.native import threads
 from cgtorch.native.structures import suits
 from cgtorch.svm import inputs

@@ -7,7 +7,7 @@ Lin & Weng, "A note on Platt's probabilistic outputs for support vector machines
 import torch
 from torch import Tensor
 
-from cgtorch.numerics import sigmoid
+from cgtorch.ground.numerics import sigmoid
 
 _MAX_STEPS = 100
 _SMALLEST_RIDGE = 1e-12

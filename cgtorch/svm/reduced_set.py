@@ -10,7 +10,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.svm.inputs import as_rows
 from cgtorch.svm.kernels import Kernel, make_kernel
 from cgtorch.svm.svc import SVC

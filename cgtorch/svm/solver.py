@@ -11,7 +11,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.errors import ModelError
+from cgtorch.ground.errors import ModelError
 from cgtorch.svm.compiled_smo import compiled_smo_steps
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.optimality import middle_bias, relative_gap

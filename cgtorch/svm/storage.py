@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from cgtorch.errors import ModelError
-from cgtorch.files import notes_of, read_bytes, tensors_of, write_bytes
+from cgtorch.ground.errors import ModelError
+from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
 from cgtorch.svm.svc import SVC
 from cgtorch.svm.svr import SVR
 

@@ -5,7 +5,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.ground.errors import DataError, ModelError, SettingsError
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import given_folds, stratified_folds, training_masks
 from cgtorch.svm.gram import Gram

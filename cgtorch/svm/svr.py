@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import inputs
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine

@@ -17,11 +17,11 @@ from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import Field, named
-from cgtorch.errors import RobotError
-from cgtorch.files import read_bytes, write_bytes
+from cgtorch.ground import distributed
+from cgtorch.ground.errors import RobotError
+from cgtorch.ground.files import read_bytes, write_bytes
 from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.specialists import broad_group
-from cgtorch.parallel import distributed
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import collect, scenes_of
 from cgtorch.tabletop.edge_networks import edge_actions

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.geometry import bounding_box, corners, rotate
 from cgtorch.tabletop.world.percepts import present

@@ -12,12 +12,12 @@ import torch
 from torch import Generator
 
 from cgtorch.domains.domain import Domain
-from cgtorch.files import write_json
 from cgtorch.graphs import Skill
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.files import write_json
 from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import FreshTested, StageStarted
 from cgtorch.improvement.setup import Progress
-from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.goal import (
     DECISIVE_EPISODES,
     EPISODES,

@@ -11,10 +11,10 @@ from cgtorch.actions import BranchingNN, ContinuousNN
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.robust_success import robust_success
-from cgtorch.errors import SettingsError
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.interval import wilson
 from cgtorch.improvement.trial import first_percepts, run_skill
-from cgtorch.numerics.interval import wilson
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
 OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again

@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
-from cgtorch.errors import RunError, SettingsError
+from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.runs.run import AUTO, Run
 
 _SEED_STRIDE = 1_000_003

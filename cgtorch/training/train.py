@@ -5,9 +5,10 @@ from typing import Any
 
 from torch import Generator
 
-from cgtorch.errors import CgtorchError
-from cgtorch.files import write_json
 from cgtorch.graphs import Skill
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import CgtorchError
+from cgtorch.ground.files import write_json
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -18,7 +19,6 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
-from cgtorch.parallel import distributed as ranks
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import Entry, enter, entry_of
 from cgtorch.runs.run import Run, whole_folder

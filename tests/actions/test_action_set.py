@@ -3,7 +3,7 @@ import torch
 from support import Counter, custom_actions, seeded
 
 from cgtorch.actions import Action, ActionSet, Detect, Grasp, paper_actions
-from cgtorch.errors import ActionError
+from cgtorch.ground.errors import ActionError
 
 
 def test_the_papers_five() -> None:

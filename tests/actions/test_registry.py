@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import check_action, paper_actions, resolve_actions
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError
+from cgtorch.ground.errors import ActionError
 
 MODULE = """
 import torch

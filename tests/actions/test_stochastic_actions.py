@@ -20,8 +20,8 @@ from torch import Tensor
 
 from cgtorch.actions import Action, ActionSet, Detect, check_action, paper_actions
 from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.errors import ActionError, ModelError
 from cgtorch.graphs import Graphs, Skill, SubSkill
+from cgtorch.ground.errors import ActionError, ModelError
 from cgtorch.simulation import ModelEnvironment, Recording, rollout
 from cgtorch.tabletop.world import Noise, TabletopWorld
 

@@ -9,7 +9,7 @@ from pretended_gpu import pretended_gpu
 from trained import SMALL
 
 from cgtorch.commands.train import command
-from cgtorch.files import read_json
+from cgtorch.ground.files import read_json
 
 OPTIONS = as_options(replace(SMALL, practice=0))
 

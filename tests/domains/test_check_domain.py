@@ -14,7 +14,7 @@ from torch import Tensor
 from cgtorch.domains import Field
 from cgtorch.domains.check import check_domain
 from cgtorch.environment import Environment, Lanes, Rewarded, ScenarioBatch
-from cgtorch.errors import DomainError, WorldError
+from cgtorch.ground.errors import DomainError, WorldError
 
 
 def cart_with(**parts: Any) -> Cart:

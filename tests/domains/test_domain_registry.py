@@ -21,7 +21,7 @@ from cgtorch.domains.registry import (
     with_name,
 )
 from cgtorch.domains.settings import DomainSettings
-from cgtorch.errors import DomainError, SettingsError
+from cgtorch.ground.errors import DomainError, SettingsError
 from cgtorch.runs.settings import NAMES
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings

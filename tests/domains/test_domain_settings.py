@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rail import RailSettings
 
 from cgtorch.domains.settings import MOST, DomainSettings, from_plain, option, to_plain
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 
 
 def refused(**values: Any) -> str:

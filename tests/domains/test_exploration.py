@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from cgtorch.domains import Field
 from cgtorch.domains.exploration import SHARE, random_controls
 from cgtorch.environment import Dataset
-from cgtorch.errors import DataError, DomainError
+from cgtorch.ground.errors import DataError, DomainError
 
 
 def explored(seed: int, transitions: int = 100, tests: int = 80, **parts: Any) -> Dataset:

@@ -17,8 +17,8 @@ from cgtorch.domains.gymnasium_vector import VectorSteps
 from cgtorch.domains.gymnasium_world import PlayedWorld
 from cgtorch.domains.registry import make_domain
 from cgtorch.environment import Lanes, start_lanes
-from cgtorch.errors import DomainError, WorldError
 from cgtorch.evolution.population import random_population
+from cgtorch.ground.errors import DomainError, WorldError
 from cgtorch.simulation import rollout
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -128,7 +128,7 @@ def test_rollouts_are_repeatable_and_carry_returns() -> None:
 
 def test_the_target_is_the_environments_own_or_given() -> None:
     assert make_domain("gymnasium:CartPole-v1").target_return == 475.0
-    with pytest.raises(DomainError, match="says no return from which it is solved.*--target"):
+    with pytest.raises(DomainError, match=r"says no return from which it is solved.*--target"):
         make_domain("gymnasium:Pendulum-v1")
     assert domain_of("Pendulum-v1").target_return == -50.0
 

@@ -17,7 +17,7 @@ from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import wrapped
-from cgtorch.errors import DataError, ModelError
+from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
 
 Fitted = tuple[TransitionModel, TransitionReport]

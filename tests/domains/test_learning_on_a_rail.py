@@ -20,7 +20,7 @@ from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 
 GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
 DATA = Cart().explore("any", 300, 300, seeded(0))

@@ -13,7 +13,7 @@ from support import seeded
 from cgtorch.domains.reports import SuccessReport
 from cgtorch.domains.success import SuccessClassifier, calibration, fit_success_classifier
 from cgtorch.environment import Dataset
-from cgtorch.errors import DataError, ModelError
+from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
 
 Fitted = tuple[SuccessClassifier, SuccessReport]

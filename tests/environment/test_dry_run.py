@@ -12,8 +12,8 @@ from torch import Tensor
 from cgtorch.actions import paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.environment.dry_run import check_environment
-from cgtorch.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.ground.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
 
 SETTINGS = EvolutionSettings(population=8, capacity=8, initial_nodes=(2, 6))

@@ -18,7 +18,7 @@ from cgtorch.environment.fields import (
     within_bounds,
     wrapped,
 )
-from cgtorch.errors import DomainError
+from cgtorch.ground.errors import DomainError
 
 KIND = st.sampled_from(KINDS)
 FINITE = st.floats(-1e6, 1e6)

@@ -9,8 +9,8 @@ from support import as_double, as_double_actions, nested_actions, random_graphs,
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.evolution.fitness import Evaluation, evaluate
+from cgtorch.ground.numerics import row_means
 from cgtorch.native import available
-from cgtorch.numerics import row_means
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.edge_networks import edge_actions
 

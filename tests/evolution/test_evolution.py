@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from support import custom_actions, judged_by, model, nested_actions, same_nodes, seeded
 from torch import Tensor
 
-from cgtorch.errors import DataError, GraphError, SettingsError
 from cgtorch.evolution import (
     EvolutionSettings,
     EvolutionState,
@@ -23,6 +22,7 @@ from cgtorch.evolution import (
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
 from cgtorch.evolution.sampling import BITS, nth_true, pick
 from cgtorch.graphs import compacted
+from cgtorch.ground.errors import DataError, GraphError, SettingsError
 from cgtorch.simulation import rollout
 
 ACTIONS = custom_actions()

@@ -10,7 +10,6 @@ from walking import Path, RewardedPath, Walks, chain, path, walking_actions
 
 from cgtorch.actions import paper_actions
 from cgtorch.environment import Lanes
-from cgtorch.errors import SettingsError
 from cgtorch.evolution import (
     EvolutionSettings,
     Population,
@@ -24,6 +23,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.fitness import WORST, WORTHLESS
 from cgtorch.evolution.lexicase import deviation
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.shrink import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout
 

@@ -10,7 +10,6 @@ from support import custom_actions, model, same, seeded
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.errors import SettingsError
 from cgtorch.evolution import (
     EvolutionSettings,
     Population,
@@ -25,6 +24,7 @@ from cgtorch.evolution import (
 from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, pruned, widened
+from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
 
 ACTIONS = custom_actions()

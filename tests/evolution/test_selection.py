@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from support import seeded
 from torch import Tensor
 
-from cgtorch.errors import SettingsError
 from cgtorch.evolution.selection import ranked, ranking, tournament
 from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.ground.errors import SettingsError
 
 
 def of_sizes(sizes: Tensor) -> Graphs:

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 import torch
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from kill_and_resume import told  # the tool that compares runs
 
@@ -23,6 +22,7 @@ from cgtorch.environment import start_lanes
 from examples.cart import Cart
 from examples.mountain_car import HELD, SOLVED, MountainCar, Starts
 
+ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 SMALL = [
     *("--population", "60", "--practice", "20", "--transitions", "300", "--labels", "300"),

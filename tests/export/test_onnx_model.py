@@ -23,9 +23,9 @@ from test_torch_module import wide
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError, SettingsError
 from cgtorch.export import to_onnx
 from cgtorch.export.onnx_model import ABOUT, INPUTS, OUTPUTS
+from cgtorch.ground.errors import ActionError, SettingsError
 
 
 def session(data: bytes) -> onnxruntime.InferenceSession:

@@ -17,9 +17,9 @@ from walking import chain, path, walking_actions
 
 from cgtorch.actions import Action, ActionSet, ContinuousNN, Detect, paper_actions
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError
 from cgtorch.export import SkillStep, to_module, to_state_machine
 from cgtorch.graphs import Skill, SubSkill
+from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 
 SQUASHING = '''"""What squashes, in plain Python."""

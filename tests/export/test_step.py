@@ -23,10 +23,10 @@ from torch import Tensor, nn
 
 from cgtorch.actions import Action, ActionSet, Grasp, MoveBase, paper_actions
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError, SettingsError
 from cgtorch.export import SkillStep
 from cgtorch.export.step import REQUESTS
 from cgtorch.graphs import Graphs, Skill
+from cgtorch.ground.errors import ActionError, SettingsError
 
 seeds = st.integers(0, 2**31 - 1)
 

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from cgtorch.actions import Action
 from cgtorch.environment import Environment, Lanes
-from cgtorch.errors import ActionError
 from cgtorch.export import to_module
 from cgtorch.export.torch_module import ABOUT
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import ActionError
 
 ELSEWHERE = """
 import json, sys

@@ -24,9 +24,9 @@ from support import (
 
 from cgtorch.actions import ActionSet, Detect, Grasp, paper_actions
 from cgtorch.environment import Environment
-from cgtorch.errors import GraphError
 from cgtorch.graphs import Skill, SubSkill, flattened, from_networkx, merged, same_behaviour
 from cgtorch.graphs.view import View
+from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import rollout
 
 limits = st.sampled_from([(2, 4, 6), (3, 5, 20), (20, 20, 20), (30, 2, 7), (60, 60, 60)])

@@ -22,7 +22,6 @@ from support import (
 from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.errors import ActionError, CgtorchError, GraphError, RunError
 from cgtorch.graphs import (
     Skill,
     SubSkill,
@@ -33,6 +32,7 @@ from cgtorch.graphs import (
     skill_to_dict,
 )
 from cgtorch.graphs.view import View
+from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError
 from cgtorch.simulation import rollout
 
 ACTIONS = stochastic_actions()

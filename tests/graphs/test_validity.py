@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, is_valid, nested_actions, random_graphs, same, seeded
 
-from cgtorch.errors import GraphError
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -24,6 +23,7 @@ from cgtorch.graphs import (
     valid,
 )
 from cgtorch.graphs.view import View
+from cgtorch.ground.errors import GraphError
 
 ACTIONS = custom_actions()
 seeds = st.integers(0, 2**31)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from cgtorch.errors import RunError
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.attempt import trial_from
 
 SIZE = 7

@@ -14,9 +14,9 @@ from told_by_runs import tensors_of
 
 from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
 from cgtorch.environment import Lanes
-from cgtorch.errors import ActionError
 from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, save_skill
 from cgtorch.graphs.view import View
+from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
 from cgtorch.improvement.gating import sent_to, train_branches
 from cgtorch.simulation import rollout

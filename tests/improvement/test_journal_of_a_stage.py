@@ -9,8 +9,8 @@ import pytest
 import torch
 from support import seeded
 
-from cgtorch.errors import RunError
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve

@@ -10,8 +10,8 @@ import torch
 from support import custom_actions, model, same, seeded
 from torch import Tensor
 
-from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.journal import Standing
 from cgtorch.improvement.stopping import (
     Found,

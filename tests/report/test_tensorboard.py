@@ -15,9 +15,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from cgtorch.actions import paper_actions
 from cgtorch.domains.summary import summary_of
-from cgtorch.errors import RunError
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import (
     AboutToKeep,
     Event,

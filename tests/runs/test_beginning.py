@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from trained import SMALL, Trained, copied
 
-from cgtorch.errors import RunError, SettingsError
+from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.runs.run import create_run, open_run, planned_run, stored_domain, write_run
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings

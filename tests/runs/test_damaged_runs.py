@@ -12,9 +12,9 @@ import torch
 from support import seeded, world
 from trained import Trained, copied
 
-from cgtorch.errors import CgtorchError, RunError
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import load_skill
+from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report import final_table
 from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.stage_files import load_progress

@@ -4,7 +4,7 @@ from math import exp, lgamma, log
 
 import pytest
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import SLACK, Goal, holds, worth_deciding
 
 

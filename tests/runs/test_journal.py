@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from cgtorch.errors import RunError
-from cgtorch.files import write_bytes
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import write_bytes
 from cgtorch.improvement.events import AboutToKeep, Event, JournalDamaged
 from cgtorch.improvement.journal import Standing
 from cgtorch.runs.journal import FileJournal, journal_of, recalled_generations

@@ -11,8 +11,8 @@ import pytest
 import torch
 from trained import Trained
 
-from cgtorch.errors import CgtorchError, RunError
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.ledger import WAS, enter, read_entry, read_index

@@ -10,7 +10,7 @@ import pytest
 import torch
 from trained import Trained, interrupted
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.journal import FileJournal
 from cgtorch.runs.resume_settings import fixed_settings, overridden, refuse_others, take_over
 from cgtorch.runs.run import open_run

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from support import seeded
 from trained import Trained
 
-from cgtorch.errors import CgtorchError, RunError
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.run import open_run
 from cgtorch.runs.stage_files import load_progress, save_progress

@@ -14,8 +14,8 @@ from support import random_skill
 from trained import SMALL, Trained, copied
 
 from cgtorch.actions import paper_actions
-from cgtorch.errors import ActionError, GraphError, RunError
 from cgtorch.graphs import save_skill, skill_to_dict
+from cgtorch.ground.errors import ActionError, GraphError, RunError
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.domains.settings import DomainSettings, from_plain, to_plain
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, defaults_of
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.tabletop.settings import TabletopSettings

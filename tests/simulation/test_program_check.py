@@ -9,10 +9,10 @@ from support import as_double, as_double_actions
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.errors import GraphError
 from cgtorch.evolution import evaluate
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
+from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import engine_inputs as interpreter
 from cgtorch.simulation import rollout
 

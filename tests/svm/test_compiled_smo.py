@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from stand_in import labelled, transitions
 from torch import Tensor
 
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.native import available
 from cgtorch.svm import SVC, SVR, compiled_smo, grid_problems, grid_search, solver
 from cgtorch.svm.compiled_smo import compiled_smo_steps

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import seeded
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.svm.coreset import coreset
 
 

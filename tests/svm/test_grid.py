@@ -7,7 +7,7 @@ import torch
 from sklearn.model_selection import GridSearchCV, PredefinedSplit
 from stand_in import labelled, transitions
 
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.svm import SVC, SVR, grid_search, solver
 
 COSTS, WIDTHS = [0.5, 8.0, 128.0], [0.01, 0.1, 1.0]

@@ -7,7 +7,7 @@ import pytest
 import sklearn.svm
 import torch
 
-from cgtorch.errors import DataError, ModelError, SettingsError
+from cgtorch.ground.errors import DataError, ModelError, SettingsError
 from cgtorch.svm import SVC, SVR
 
 RNG = np.random.default_rng(0)

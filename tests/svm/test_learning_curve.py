@@ -14,7 +14,7 @@ from sklearn.model_selection import KFold, StratifiedKFold
 from sklearn.model_selection import learning_curve as oracle
 from stand_in import labelled, transitions
 
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.svm import SVC, SVR, LearningCurve, doubling_sizes, learning_curve
 from cgtorch.svm.folds import plain_folds, stratified_folds
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from stand_in import labelled
 
-from cgtorch.errors import DataError, SettingsError
-from cgtorch.parallel.processes import in_processes
+from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.ground.processes import in_processes
 from cgtorch.svm import SVC, grid_search
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import SVR, compact
 from cgtorch.svm.kernels import make_kernel
 from cgtorch.svm.reduced_set import pivots

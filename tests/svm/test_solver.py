@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from cgtorch.errors import ModelError
+from cgtorch.ground.errors import ModelError
 from cgtorch.svm import solver
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.optimality import duality_gap, violation

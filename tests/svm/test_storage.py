@@ -13,8 +13,8 @@ from safetensors.torch import load_file, save_file
 from stand_in import labelled, transitions
 from torch import nn
 
-from cgtorch.errors import ModelError
-from cgtorch.files import tensors_of
+from cgtorch.ground.errors import ModelError
+from cgtorch.ground.files import tensors_of
 from cgtorch.svm import SVC, SVR, Choice, load_model, load_report, save_model
 from cgtorch.svm.storage import MACHINES, load_model_and_report
 

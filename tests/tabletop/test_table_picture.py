@@ -6,7 +6,7 @@ import pytest
 import torch
 from support import seeded
 
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.table_picture import SCENES, draw_placements, draw_scenes, draw_table_top
 from cgtorch.tabletop.world import (
     Scenarios,

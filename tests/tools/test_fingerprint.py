@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from fingerprint import fingerprint
 
-from cgtorch.files import read_json, write_json
+from cgtorch.ground.files import read_json, write_json
 
 REFERENCE = Path(__file__).resolve().parents[2] / "runs" / "reference"
 

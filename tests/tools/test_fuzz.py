@@ -16,7 +16,7 @@ from hostile.formats import PR2, REFERENCE
 from hostile.mutations import Mutation, damaged, damaged_json, damaged_tensors, damaged_xml
 from hostile.worker import LONGEST, said, wrong
 
-from cgtorch.errors import RunError
+from cgtorch.ground.errors import RunError
 
 
 @pytest.mark.parametrize(

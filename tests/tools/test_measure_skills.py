@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 import measure_skills
 from click.testing import CliRunner
 
-from cgtorch.files import read_json
+from cgtorch.ground.files import read_json
 
 HASTY = "--transitions 100 --labels 300 --attempts 1 --generations 8 --rounds 1 --minutes 1"
 

@@ -13,7 +13,7 @@ import torch
 from support import seeded
 from trained import SMALL, Trained, copied
 
-from cgtorch.errors import RunError, SettingsError
+from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.goal import Goal

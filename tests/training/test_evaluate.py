@@ -8,8 +8,8 @@ from reaching import TABLE
 from support import random_skill, seeded
 
 from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
-from cgtorch.errors import SettingsError
 from cgtorch.graphs import SubSkill
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import random_scenarios
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise

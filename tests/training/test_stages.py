@@ -9,7 +9,7 @@ from reaching import TABLE
 from support import seeded
 
 from cgtorch.actions import paper_actions
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.world import random_scenarios, stage_scenarios

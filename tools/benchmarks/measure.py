@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import torch
 
 from cgtorch import native
-from cgtorch.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError
 
 Work = Callable[[], object]
 Clock = Callable[[], float]

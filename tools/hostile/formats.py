@@ -17,11 +17,11 @@ from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import taken
 from cgtorch.domains.learning_on import compact_transition_model
 from cgtorch.environment import Dataset
-from cgtorch.errors import RunError
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
-from cgtorch.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.graphs import load_skill
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.improvement.attempt import trial_from, trial_tensors
 from cgtorch.improvement.journal import Standing
 from cgtorch.improvement.stopping import (

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from cgtorch import native
-from cgtorch.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError
 from hostile.formats import FORMATS, prepare
 from hostile.mutations import CANARY, damaged
 

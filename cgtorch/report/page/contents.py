@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from cgtorch.domains.reports import SuccessReport, TransitionReport
-from cgtorch.errors import RunError
-from cgtorch.files import read_json
 from cgtorch.graphs import Skill, load_skill
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import read_json
 from cgtorch.report.page.event_files import Told, read_event_files
 from cgtorch.report.tensorboard import BY_ROWS
 from cgtorch.runs.journal import FOLDER as JOURNAL

@@ -10,8 +10,8 @@ from matplotlib import rc_context
 from torch import Tensor
 
 from cgtorch.domains.domain import Domain
-from cgtorch.errors import printable
 from cgtorch.graphs import Skill, to_networkx
+from cgtorch.ground.errors import printable
 from cgtorch.report.graph_picture import draw_skill, skills_of
 from cgtorch.report.page.contents import Stage
 from cgtorch.report.page.vector import STYLE, inline_svg

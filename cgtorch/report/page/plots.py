@@ -5,7 +5,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.numerics.interval import wilson
+from cgtorch.ground.interval import wilson
 from cgtorch.report.page.course import Course
 from cgtorch.report.page.event_files import Told
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from cgtorch.numerics.interval import wilson
+from cgtorch.ground.interval import wilson
 
 
 def counted(score: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from lxml import etree
 from markupsafe import Markup
 
-from cgtorch.errors import printable
+from cgtorch.ground.errors import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import start_lanes
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.data.poses import PERIMETER, Scenes, WorldOf, poses_around, poses_at_object
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.percepts import percept_of

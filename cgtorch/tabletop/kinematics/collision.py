@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.native import function, threads
 from cgtorch.native.structures import POINTER, WHOLE, structures, suits
 

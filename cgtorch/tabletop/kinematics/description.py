@@ -28,7 +28,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.urdf import MOST
 
 Capsule = tuple[float, float, float, float, float, float, float]

@@ -3,7 +3,7 @@
 from os.path import isdir, isfile  # which take any text for a path
 from pathlib import Path
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 
 DEFAULT = "pr2"
 DESCRIPTION = "robot.json"

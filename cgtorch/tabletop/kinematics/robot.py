@@ -10,7 +10,7 @@ import torch
 from lxml import etree
 from torch import Tensor
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import CHUNK, ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description

@@ -11,7 +11,7 @@ from typing import Any
 import yourdfpy
 from lxml import etree
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 
 MAX_BYTES = 8_000_000
 MAX_LINKS = 500

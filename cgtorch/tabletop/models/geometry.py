@@ -12,8 +12,8 @@ side in memory (`columns`), where operations on some of them are several times a
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError
-from cgtorch.numerics import atan2
+from cgtorch.ground.errors import DataError
+from cgtorch.ground.numerics import atan2
 from cgtorch.tabletop.world.percepts import parted, table_seen
 
 COORDINATES = (

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.native.structures import suits
 from cgtorch.svm.compiled import Compiled
 from cgtorch.tabletop.models.compiled import classifier_structure, successes

@@ -14,7 +14,7 @@ import torch
 import viser
 from torch import Tensor
 
-from cgtorch.errors import CgtorchError, SettingsError
+from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.graph_levels import levels_html

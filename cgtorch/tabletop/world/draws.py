@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from torch import Generator
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world.general import cluttered_scenarios, general_scenarios
 from cgtorch.tabletop.world.scenarios import PLACEMENTS, Scenarios, random_scenarios
 

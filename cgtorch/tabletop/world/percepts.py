@@ -8,8 +8,8 @@ m, in the robot's base frame. A percept's length tells which of these it holds.
 import torch
 from torch import Tensor
 
-from cgtorch.errors import DataError
-from cgtorch.numerics import atan2
+from cgtorch.ground.errors import DataError
+from cgtorch.ground.numerics import atan2
 from cgtorch.tabletop.world.geometry import (
     bounding_box,
     box_rectangle,

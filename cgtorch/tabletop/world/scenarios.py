@@ -6,7 +6,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import ScenarioBatch
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 
 TABLE_DEPTH, TABLE_WIDTH, TABLE_HEIGHT = 0.8, 1.2, 0.74
 START_DISTANCE, START_SPREAD, START_SIDEWAYS = 1.0, 0.2, 0.2

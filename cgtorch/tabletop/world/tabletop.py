@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world.clear_way import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, to_frame
 from cgtorch.tabletop.world.percepts import (

@@ -4,7 +4,7 @@ import pytest
 from lxml import html
 from report_pages import HOSTILE, hostile_run, words
 
-from cgtorch.errors import printable
+from cgtorch.ground.errors import printable
 from cgtorch.report.page import report_page
 
 

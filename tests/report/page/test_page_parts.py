@@ -15,8 +15,8 @@ from torch.utils.tensorboard import SummaryWriter
 
 from cgtorch.actions import paper_actions
 from cgtorch.commands.train import command
-from cgtorch.errors import printable
 from cgtorch.graphs import Skill
+from cgtorch.ground.errors import printable
 from cgtorch.report import draw_skill
 from cgtorch.report.page.contents import read_contents
 from cgtorch.report.page.course import course_of

@@ -12,7 +12,7 @@ from report_pages import REFERENCE, changed, parsed, rewrite, thinned, words
 from safetensors.torch import load, save
 from torch.utils.tensorboard import SummaryWriter
 
-from cgtorch.errors import CgtorchError, RunError
+from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import FileJournal
 from cgtorch.svm.storage import notes_of

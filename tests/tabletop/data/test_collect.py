@@ -10,7 +10,7 @@ from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
 from cgtorch.environment import Dataset, Lanes
-from cgtorch.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.tabletop.data import collect, scenes_of
 from cgtorch.tabletop.data.collect import drive
 from cgtorch.tabletop.data.poses import ARENA, PERIMETER, in_table, poses_around

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
 
 PR2 = robots_folder() / "pr2"

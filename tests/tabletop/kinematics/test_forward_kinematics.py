@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 
 
 def test_tool_frames_agree_with_yourdfpy(robot_and_arm, random_joints, generator):

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import grasp_solution, graspable, grasping
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, waypoints
 from cgtorch.tabletop.kinematics.touching import touches

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cgtorch.errors import RobotError
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_robot, robot_files, robots_folder
 
 FETCH = robots_folder() / "fetch"

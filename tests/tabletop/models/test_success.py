@@ -7,7 +7,7 @@ from stand_in import labelled, labels, transitions
 
 from cgtorch.domains.learning_on import compact_success_classifier, update_success_classifier
 from cgtorch.domains.success import calibration, fit_success_classifier
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.models import GraspClassifier
 
 GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}

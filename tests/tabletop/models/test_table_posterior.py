@@ -16,7 +16,7 @@ from cgtorch.domains.learning_on import (
 )
 from cgtorch.domains.success import fit_success_classifier
 from cgtorch.environment import start_lanes
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.svm import load_model, save_model
 from cgtorch.svm.scores import balanced_accuracy
 from cgtorch.tabletop.data import grasp_labels, scenes_of

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from stand_in import DEPTH, WIDTH, transitions
 
 from cgtorch.domains.learning_on import compact_transition_model, update_transition_model
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.models import fit_table_transition_model, geometry
 
 GRID = {"C": [2.0], "gamma": [0.5, 1.5], "grid_rows": 400}

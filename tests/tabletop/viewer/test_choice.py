@@ -3,7 +3,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.viewer.choice import FROM_EDGE, put_object, scenario_of
 from cgtorch.tabletop.world import draw_of
 from cgtorch.tabletop.world.draws import DRAWS

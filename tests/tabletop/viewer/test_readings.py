@@ -4,7 +4,7 @@ import pytest
 import torch
 from support import custom_actions, random_skill, world
 
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.kinematics import load_robot
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.postures import rest_postures

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from shapely import Point, Polygon, affinity, box
 from support import seeded
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world import (
     DRAWS,
     PLACEMENTS,

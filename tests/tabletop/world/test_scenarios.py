@@ -4,7 +4,7 @@ import pytest
 import torch
 from support import seeded
 
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world import (
     EDGES,
     PLACEMENTS,

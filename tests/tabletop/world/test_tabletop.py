@@ -9,7 +9,7 @@ from support import FOOTPRINT, graspable, seeded, world
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.errors import SettingsError
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world import (
     LAB_NOISE,
     Noise,

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from cgtorch import Action, Environment, Lanes
-from cgtorch.numerics import atan2
+from cgtorch.ground.numerics import atan2
 
 ARRIVED, BLOCKED, THERE = range(3)
 

@@ -17,11 +17,11 @@ from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
 
 from cgtorch.domains.settings import to_plain
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
 
 GATHER = """
 import torch
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
 
 with ranks.together():
     assert ranks.count() == 5
@@ -63,7 +63,7 @@ with ranks.together():
 RESTARTED = """
 import os, signal, sys
 import torch
-from cgtorch.parallel import distributed as ranks
+from cgtorch.ground import distributed as ranks
 
 with ranks.together():
     if int(os.environ["TORCHELASTIC_RESTART_COUNT"]) < 2:

@@ -8,7 +8,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from cgtorch.errors import CgtorchError, RunError
+from cgtorch.ground.errors import CgtorchError, RunError
 
 if TYPE_CHECKING:
     from torch import Tensor

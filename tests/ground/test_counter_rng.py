@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.numerics.counter_rng import normal, threefry, uniform
+from cgtorch.ground.counter_rng import normal, threefry, uniform
 
 KNOWN = [  # "threefry2x32 20" in the file kat_vectors of Random123: counter, key, result
     ((0, 0), (0, 0), (0x6B200159, 0x99BA4EFE)),

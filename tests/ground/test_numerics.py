@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.numerics import atan2, row_means, sigmoid
+from cgtorch.ground.numerics import atan2, row_means, sigmoid
 
 
 def test_sigmoid_is_the_logistic_function() -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from cgtorch.errors import GraphError, RunError
-from cgtorch.files import read_bytes, read_json, write_bytes, write_json
+from cgtorch.ground.errors import GraphError, RunError
+from cgtorch.ground.files import read_bytes, read_json, write_bytes, write_json
 
 
 def test_round_trip_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path) -> None:

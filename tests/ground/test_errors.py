@@ -2,7 +2,7 @@
 
 import pytest
 
-from cgtorch.errors import BEGINNING, END, CgtorchError, RunError
+from cgtorch.ground.errors import BEGINNING, END, CgtorchError, RunError
 
 
 @pytest.mark.parametrize("kind", [CgtorchError, *CgtorchError.__subclasses__()])

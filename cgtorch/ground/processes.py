@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import torch
 
 from cgtorch import native
-from cgtorch.errors import DataError
+from cgtorch.ground.errors import DataError
 
 Result = TypeVar("Result")
 

@@ -1,0 +1,1 @@
+"""What everyone stands on: errors, files, numbers, random numbers, ranks and processes."""
