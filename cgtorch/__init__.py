@@ -7,7 +7,7 @@ else is in the folder that it belongs to.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.ground.version import VERSION
+from cgtorch.ground.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from cgtorch.actions import Action as Action
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from cgtorch.tabletop.world import TabletopWorld as TabletopWorld
     from cgtorch.tabletop.world import random_scenarios as random_scenarios
     from cgtorch.tabletop.world import stage_scenarios as stage_scenarios
-
-__version__ = VERSION
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {

@@ -28,7 +28,7 @@ from torch import Tensor
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
-from cgtorch.ground.version import VERSION as LIBRARY_VERSION
+from cgtorch.ground.version import __version__
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
 from cgtorch.improvement.journal import Standing
 
@@ -170,7 +170,7 @@ class FileJournal:
         except OSError as e:
             raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
         plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
-        about = {**about, "version": LIBRARY_VERSION}
+        about = {**about, "version": __version__}
         about["sha256"] = checksum(plain, about)
         data = safetensors.torch.save(plain, metadata=about)
         write_bytes(self._folder / f"{name}.safetensors", data)
@@ -224,7 +224,7 @@ class FileJournal:
             about, tensors = _load(path)
             rest = {key: value for key, value in about.items() if key != "sha256"}
             if about["sha256"] == checksum(tensors, rest) and "step" in about:
-                return (about, tensors) if about["version"] == LIBRARY_VERSION else None
+                return (about, tensors) if about["version"] == __version__ else None
         except (RunError, KeyError, ValueError):
             pass
         self.damaged.append(path)

@@ -39,7 +39,7 @@ from cgtorch.environment import ScenarioBatch
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground.errors import ActionError, DomainError, GraphError, RunError, SettingsError
 from cgtorch.ground.files import read_json, write_json
-from cgtorch.ground.version import VERSION as LIBRARY_VERSION
+from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
 FORMAT, VERSION = "cgtorch-run", 2
@@ -109,7 +109,7 @@ def kind_of(settings: RunSettings, domain: Domain[Any]) -> str:
 def versions() -> dict[str, str]:
     """What the last digits of a run's numbers depend on besides its settings, by name."""
     engine = "compiled" if native.available() else "torch"
-    return {"cgtorch": LIBRARY_VERSION, "torch": str(torch.__version__), "engine": engine}
+    return {"cgtorch": __version__, "torch": str(torch.__version__), "engine": engine}
 
 
 def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:

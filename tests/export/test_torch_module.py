@@ -68,6 +68,9 @@ def elsewhere(data: bytes, runs: list[Execution], folder: Path) -> tuple[Tensor,
 def test_a_thousand_percepts_without_cgtorch(tmp_path: Path) -> None:
     _, skill = reference()
     runs, _ = by_the_library(skill, world(12, 70))
+    hopeless = world(12, 4)
+    hopeless.graspable = lambda at, table: torch.zeros(len(at), dtype=torch.bool)
+    runs += by_the_library(skill, hopeless)[0]
     assert sum(len(run.percepts) for run in runs) >= 1000
     assert {run.end for run in runs} >= {"success", "timeout"}
     right, found, expected = elsewhere(reference_module(), runs, tmp_path)

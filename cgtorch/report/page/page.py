@@ -13,7 +13,7 @@ from matplotlib import rc_context
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.registry import is_code
 from cgtorch.ground.errors import printable
-from cgtorch.ground.version import VERSION as LIBRARY_VERSION
+from cgtorch.ground.version import __version__
 from cgtorch.report.estimate import as_time
 from cgtorch.report.page.contents import Contents, Stage, read_contents
 from cgtorch.report.page.course import course_of
@@ -72,9 +72,9 @@ def _context(contents: Contents) -> dict[str, Any]:
             ("Domain", run.settings.domain),
             *domain.about(),
             *((f"Made with {name}", version) for name, version in made_with),
-            ("This page by cgtorch", LIBRARY_VERSION),
+            ("This page by cgtorch", __version__),
         ],
-        "version": LIBRARY_VERSION,
+        "version": __version__,
         "about": ", ".join(f"{name.lower()} {value}" for name, value in domain.about()),
         "stages": stages,
         "rounds": len(run.rounds),
