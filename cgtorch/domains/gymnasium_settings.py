@@ -19,6 +19,8 @@ class GymnasiumSettings(DomainSettings):
     run_defaults: ClassVar[Mapping[str, Any]] = {
         "population": 80,
         "generations": 60,
+        # What counts is the mean of fresh episodes, so rounds are short and it is soon looked at.
+        "attempts": 4,
         # Episodes end by themselves; this ends only graphs that never act.
         "max_transitions": 100_000,
     }
