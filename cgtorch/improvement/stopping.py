@@ -130,11 +130,12 @@ def standing_of(found: Found, islands: Sequence[Island], count: int) -> Standing
         islands: those that this rank holds, with the generation that is evaluated next.
         count: how many islands there are.
     """
-    held = dict(zip(ranks.held(count), islands, strict=True))
-    own = islands[0]  # for its names and types, where the part is another rank's
+    # Looked at now: what is kept when a step is interrupted is written after more was drawn.
+    held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
+    own = held[min(held)]  # for its names and types, where the part is another rank's
 
     def part(number: int) -> dict[str, Tensor]:
-        return ranks.fetched(island_tensors(held.get(number, own)), number, count)
+        return ranks.fetched(held.get(number, own), number, count)
 
     parts = tuple(partial(part, number) for number in range(count))
     return Standing(found_tensors(found), parts, apart=len(held) < count)

@@ -60,6 +60,25 @@ def test_what_is_kept_is_what_is_read(count: int, tmp_path: Path) -> None:
         assert torch.equal(island.generator.get_state(), state)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_is_kept_when_a_step_is_interrupted_is_where_it_stood(
+    count: int, tmp_path: Path
+) -> None:
+    """An interruption comes at any moment, most of them while the next generation is drawn."""
+    generation = second_generation(count)
+    states = [island.generator.get_state() for island in generation.islands]
+    with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=99) as journal:
+        journal.record_standing("x", stands(generation))
+        for island in generation.islands:
+            torch.rand(1000, generator=island.generator)
+        raise KeyboardInterrupt
+    standing = FileJournal(tmp_path).recall_standing("x")
+    assert standing is not None
+    islands = islands_from(standing, ACTIONS, seeded(9), count)
+    for island, state in zip(islands, states, strict=True):
+        assert torch.equal(island.generator.get_state(), state)
+
+
 def test_another_count_of_islands_is_refused() -> None:
     with pytest.raises(RunError, match="is one of 3 islands, not 2; remove it"):
         islands_from(stands(second_generation(3)), ACTIONS, seeded(0), 2)
