@@ -1,22 +1,33 @@
 """Train skills for Gymnasium environments by one command each, and try them on fresh episodes.
 
-    python tools/measure_gymnasium.py FOLDER [--only CartPole-v1] [--seeds 0:5] [--json FILE]
+    python tools/measure_gymnasium.py FOLDER [--only CartPole-v1] [--seeds 0:5] [--rounds 3]
 
-Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N`, and then
-`cgtorch-evaluate --count 100 --seed 1000` of its last skill. An environment is solved if the mean
-return of these 100 fresh episodes is at least Gymnasium's own threshold (Pendulum has none: -200).
-Episodes and world steps are those that the search has executed, tests of its skills not among them.
+Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N --rounds 3`, and
+then `cgtorch-evaluate --count 100 --seed 1000` of its last skill. An environment is solved if the
+mean return of these 100 fresh episodes is at least Gymnasium's own threshold (Pendulum has none:
+-200). Episodes and world steps are counted where Gymnasium plays them, in the training with all its
+tests, but not in the 100 episodes. What FOLDER holds already is not measured again.
 """
 
 import json
+import multiprocessing
+import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import click
 
+from cgtorch.commands.train import command as train
+from cgtorch.domains.gymnasium_vector import VectorSteps
+from cgtorch.domains.gymnasium_world import Episode
 from cgtorch.ground.files import read_json, write_json
 
 TASKS: dict[str, list[str]] = {
@@ -27,81 +38,130 @@ TASKS: dict[str, list[str]] = {
     "LunarLander-v3": [],
 }
 EPISODES, FRESH_SEED = 100, 1000
-HEADER = ("environment", "seed", "mean return", "solved from", "solved", "rounds", "CPU s")
+NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "steps", "seconds")
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these only.")
 @click.option("--seeds", default="0:5", show_default=True, help="First, and one past the last.")
-@click.option("--minutes", default=10.0, show_default=True, help="Begin no round after so many.")
-@click.option("--json", "output", type=click.Path(path_type=Path), help="Write results here, too.")
-def command(
-    folder: Path, only: tuple[str, ...], seeds: str, minutes: float, output: Path | None
-) -> None:
+@click.option("--rounds", default=3, show_default=True, help="The most rounds of a run.")
+@click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
+def command(folder: Path, only: tuple[str, ...], seeds: str, rounds: int, jobs: int) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
-    first, last = map(int, seeds.split(":"))
-    click.echo("  ".join(HEADER))
-    results = []
-    for environment in only or TASKS:
-        for seed in range(first, last):
-            found = measured(folder / f"{environment}-{seed}", environment, seed, minutes)
-            results.append(found)
-            click.echo("  ".join(str(found[name]) for name in HEADER))
-            if output is not None:
-                write_json(output, results)
+    numbers = range(*map(int, seeds.split(":")))
+    work = [(environment, seed) for environment in only or TASKS for seed in numbers]
+    # One process for each run: the counters and the CPU seconds are its own.
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
+    )
+    with pool:
+        results = list(pool.map(partial(measured, folder, rounds), *zip(*work, strict=True)))
+    write_json(folder / "results.json", results)
+    click.echo(table(results))
+    click.echo(summary(results))
 
 
-def measured(run: Path, environment: str, seed: int, minutes: float) -> dict[str, Any]:
-    """One environment and seed; a run that is there already is tried only."""
-    domain = ["--domain", f"gymnasium:{environment}"]
+def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str, Any]:
+    """One environment and seed."""
+    run = folder / f"{environment}-{seed}"
+    kept = run / "measured.json"
+    if not kept.is_file():
+        about = ["--seed", str(seed), "--rounds", str(rounds), "--minutes", "1000", "--quiet"]
+        words = ["--domain", f"gymnasium:{environment}", *about, *TASKS[environment]]
+        counts = counted(partial(train, [*words, "--run-dir", str(run)], standalone_mode=False))
+        write_json(kept, {**counts, **_tried(run)})
+    wanted = read_json(run / "gymnasium.json")["target_return"]
+    found = read_json(kept)
+    solved = found["mean_return"] is not None and found["mean_return"] >= wanted
+    made = len(read_json(run / "summary.json")["stages"])
+    about = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    return {**about, "solved": solved, **found}
+
+
+def counted(training: Callable[[], Any]) -> dict[str, float]:
+    """What a training in this process costs: episodes that ended, steps, and CPU seconds."""
+    counts = Counts()
+    plain_play, plain_step = Episode.play, VectorSteps.step
+
+    def play(episode: Episode, action: Any) -> Any:
+        found = plain_play(episode, action)
+        counts.add(1, int(found[2]))
+        return found
+
+    def step(vector: VectorSteps, state: Any, *others: Any) -> Any:
+        found = plain_step(vector, state, *others)
+        counts.add(len(state), int(found[3].sum()))
+        return found
+
+    Episode.play, VectorSteps.step = play, step  # type: ignore[method-assign]
     began = time.monotonic()
-    spent = 0.0
-    if not (run / "measured.json").is_file():
-        about = ["--seed", str(seed), "--minutes", str(minutes), "--run-dir", str(run), "--quiet"]
-        spent = _cpu_seconds(["cgtorch-train", *domain, *about, *TASKS[environment]])
-        write_json(run / "measured.json", {"cpu": spent, "seconds": time.monotonic() - began})
-    kept = read_json(run / "measured.json")
-    about = read_json(run / "gymnasium.json")
-    summary, mean = {"stages": []}, None
-    if (run / "summary.json").is_file():  # else no skill has solved any episode
-        summary = read_json(run / "summary.json")
-        mean = json.loads(_output(["cgtorch-evaluate", str(run), *_test()]))["mean_return"]
+    training()
+    used = resource.getrusage(resource.RUSAGE_SELF)
     return {
-        "environment": environment,
-        "seed": seed,
-        "mean return": None if mean is None else round(mean, 1),
-        "solved from": about["target_return"],
-        "solved": mean is not None and mean >= about["target_return"],
-        "rounds": len(summary["stages"]),
-        "generations": sum(stage["generations"] for stage in summary["stages"]),
-        "CPU s": round(kept["cpu"], 1),
-        "seconds": round(kept["seconds"], 1),
+        "episodes": counts.episodes,
+        "steps": counts.steps,
+        "cpu_seconds": round(used.ru_utime + used.ru_stime, 1),
+        "seconds": round(time.monotonic() - began, 1),
     }
 
 
-def _test() -> list[str]:
-    return ["--count", str(EPISODES), "--seed", str(FRESH_SEED), "--json"]
+@dataclass
+class Counts:
+    """Steps, and episodes that ended with one of them."""
+
+    steps: int = 0
+    episodes: int = 0
+
+    def add(self, steps: int, episodes: int) -> None:
+        """Count some more."""
+        self.steps += steps
+        self.episodes += episodes
 
 
-def _program(words: list[str]) -> list[str]:
-    return [str(Path(sys.executable).with_name(words[0])), *words[1:]]
+def _tried(run: Path) -> dict[str, Any]:
+    """What the last skill does on fresh episodes."""
+    program = str(Path(sys.executable).with_name("cgtorch-evaluate"))
+    test = ["--count", str(EPISODES), "--seed", str(FRESH_SEED), "--json"]
+    words = [program, str(run), *test]
+    told = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    found = json.loads(told)
+    return {name: found[name] for name in ("mean_return", "succeeded", "tried")}
 
 
-def _output(words: list[str]) -> str:
-    return subprocess.run(_program(words), check=True, capture_output=True, text=True).stdout
+def table(results: list[dict[str, Any]]) -> str:
+    """A row for each run, as Markdown."""
+    lines = ["| " + " | ".join(NAMES) + " |", "|" + "---|" * len(NAMES)]
+    for found in results:
+        values = [found[name] for name in NAMES]
+        lines.append("| " + " | ".join(map(_plain, values)) + " |")
+    return "\n".join(lines)
 
 
-def _cpu_seconds(words: list[str]) -> float:
-    """CPU seconds of a command that ends well, or only fails to reach its goal."""
-    import resource
+def summary(results: list[dict[str, Any]]) -> str:
+    """A row for each environment: how many seeds have solved it, and medians."""
+    lines = ["", "| environment | solved | mean return | episodes | world steps | CPU s |"]
+    lines.append("|" + "---|" * 6)
+    for name in dict.fromkeys(found["environment"] for found in results):
+        rows = [found for found in results if found["environment"] == name]
+        solved = f"{sum(found['solved'] for found in rows)} of {len(rows)}"
+        keys = ("mean_return", "episodes", "steps", "cpu_seconds")
+        middle = [_plain(_median([found[key] for found in rows])) for key in keys]
+        lines.append("| " + " | ".join([name, solved, *middle]) + " |")
+    return "\n".join(lines)
 
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(_program(words), check=False, capture_output=True, text=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode and "found no skill" not in done.stderr:
-        raise click.ClickException(done.stderr)
-    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+def _median(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return median(known) if len(known) == len(values) else None
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.1f}" if abs(value) < 1000 else f"{value:,.0f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 if __name__ == "__main__":

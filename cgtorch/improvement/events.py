@@ -60,7 +60,7 @@ class EvolutionRecalled:
     """The first `generations` of an evolution are known from before an interruption.
 
     They executed `transitions` actions in the models and took `seconds`; `champion` is the best
-    individual of them, as a population of one.
+    individual of them, as a population of one, and `best` its fitness.
     """
 
     stage: str
@@ -69,6 +69,7 @@ class EvolutionRecalled:
     transitions: int
     seconds: float
     champion: Population
+    best: float
 
 
 @dataclass(frozen=True)

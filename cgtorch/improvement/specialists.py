@@ -95,7 +95,7 @@ def _roomy(individual: Population, capacity: int) -> Population:
 
 def _recalled(stage: str, name: str, found: Found) -> EvolutionRecalled:
     counts = found.generations, found.transitions, found.seconds
-    return EvolutionRecalled(stage, name, *counts, found.champion)
+    return EvolutionRecalled(stage, name, *counts, found.champion, found.best)
 
 
 def _done(

@@ -12,7 +12,8 @@ import torch
 from torch import Generator
 
 from cgtorch.domains.domain import Domain
-from cgtorch.graphs import Skill
+from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.graphs import Skill, merged
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import write_json
 from cgtorch.improvement.compose import specialists_of
@@ -138,6 +139,8 @@ def _round(
             training.setup(journal), progress, name, missed, everything, nothing, generator,
             listener(training, tally),
         )  # fmt: skip
+        if run.domain.rewarded and tally.accepted is None and not len(progress.solved):
+            progress = _with_the_fittest(training, name, progress, tally)
         seconds = time.perf_counter() - began
         skill = progress.skill
         if skill is not None:
@@ -151,6 +154,21 @@ def _round(
     if skill is None:
         raise not_improved(run, name)
     return progress, result
+
+
+def _with_the_fittest(
+    training: Training, name: str, progress: Progress[Any], tally: Tally
+) -> Progress[Any]:
+    """Where rewards are given and nothing is solved yet, the fittest individual is the skill.
+
+    Eq. 1 has nothing to say before anything is solved, and the next round goes on from here.
+    """
+    if tally.champion is None or tally.best < WORTHLESS:
+        return progress
+    run, champion = training.run, tally.champion
+    graph = merged(champion.graphs)
+    skill = Skill(name, graph, run.actions, run.settings.max_transitions)
+    return replace(progress, skill=skill, specialists=champion)
 
 
 def _tested(

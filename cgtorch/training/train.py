@@ -1,10 +1,12 @@
 """Algorithm 1 over a domain's stages, such as the four experiments of section VI."""
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from torch import Generator
 
+from cgtorch.evolution import Population
 from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
@@ -40,12 +42,14 @@ class NotImprovedError(CgtorchError, RuntimeError):
 
 @dataclass
 class Tally:
-    """What one stage cost, and the skill it accepted last."""
+    """What one stage cost, the skill it accepted last, and the fittest individual it has seen."""
 
     generations: int = 0
     transitions: int = 0
     searching: float = 0.0  # s
     accepted: SkillAccepted[Any] | None = None
+    champion: Population | None = None
+    best: float = -inf  # its fitness
 
     def count(self, event: Event) -> None:
         """Take note of what an event says."""
@@ -53,12 +57,18 @@ class Tally:
             self.generations += 1
             self.transitions += event.generation.transitions
             self.searching += event.seconds
+            self._compare(event.generation.champion, event.generation.best)
         elif isinstance(event, EvolutionRecalled):
             self.generations += event.generations
             self.transitions += event.transitions
             self.searching += event.seconds
+            self._compare(event.champion, event.best)
         elif isinstance(event, SkillAccepted):
             self.accepted = event
+
+    def _compare(self, champion: Population, fitness: float) -> None:
+        if fitness > self.best:
+            self.champion, self.best = champion, fitness
 
 
 def train(training: Training, stage: str) -> list[dict[str, Any]]:

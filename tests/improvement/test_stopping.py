@@ -67,11 +67,16 @@ def test_what_is_kept_when_a_step_is_interrupted_is_where_it_stood(
     """An interruption comes at any moment, most of them while the next generation is drawn."""
     generation = second_generation(count)
     states = [island.generator.get_state() for island in generation.islands]
-    with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=99) as journal:
-        journal.record_standing("x", stands(generation))
-        for island in generation.islands:
-            torch.rand(1000, generator=island.generator)
-        raise KeyboardInterrupt
+
+    def interrupted() -> None:
+        with FileJournal(tmp_path, seconds=99) as journal:
+            journal.record_standing("x", stands(generation))
+            for island in generation.islands:
+                torch.rand(1000, generator=island.generator)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     standing = FileJournal(tmp_path).recall_standing("x")
     assert standing is not None
     islands = islands_from(standing, ACTIONS, seeded(9), count)

@@ -247,7 +247,7 @@ def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Pa
     champion = generations[7].generation.champion
     again(events[0])
     again(world)
-    again(EvolutionRecalled("S1", generations[0].candidate, 8, 1, 1.0, champion))
+    again(EvolutionRecalled("S1", generations[0].candidate, 8, 1, 1.0, champion, 0.5))
     for event in [*generations[8:15], events[-1]]:
         again(event)
     for event in [*generations[10:15], events[-1]]:
