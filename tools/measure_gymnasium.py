@@ -1,17 +1,19 @@
 """Train skills for Gymnasium environments by one command each, and try them on fresh episodes.
 
-    python tools/measure_gymnasium.py FOLDER [--only CartPole-v1] [--seeds 0:5] [--rounds 3]
+    python tools/measure_gymnasium.py FOLDER [--only CartPole-v1] [--seeds 0:5] [--rounds 10]
 
-Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N --rounds 3`, and
+Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N --rounds 10`, and
 then `cgtorch-evaluate --count 100 --seed 1000` of its last skill. An environment is solved if the
 mean return of these 100 fresh episodes is at least Gymnasium's own threshold (Pendulum has none:
 -200). Episodes and world steps are counted where Gymnasium plays them, in the training with all its
-tests, but not in the 100 episodes. What FOLDER holds already is not measured again.
+tests, but not in the 100 episodes. What FOLDER holds already is not measured again; with more
+rounds, its runs that have not reached their goals are gone on with.
 """
 
 import json
 import multiprocessing
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -34,8 +36,8 @@ TASKS: dict[str, list[str]] = {
     "CartPole-v1": [],
     "Acrobot-v1": [],
     "MountainCarContinuous-v0": [],
-    "Pendulum-v1": ["--target", "-200"],
-    "LunarLander-v3": [],
+    "Pendulum-v1": ["--target", "-200", "--attempts", "1"],
+    "LunarLander-v3": ["--attempts", "1"],
 }
 EPISODES, FRESH_SEED = 100, 1000
 NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "steps", "seconds")
@@ -45,7 +47,7 @@ NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these only.")
 @click.option("--seeds", default="0:5", show_default=True, help="First, and one past the last.")
-@click.option("--rounds", default=3, show_default=True, help="The most rounds of a run.")
+@click.option("--rounds", default=10, show_default=True, help="The most rounds of a run.")
 @click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
 def command(folder: Path, only: tuple[str, ...], seeds: str, rounds: int, jobs: int) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
@@ -63,20 +65,34 @@ def command(folder: Path, only: tuple[str, ...], seeds: str, rounds: int, jobs: 
 
 
 def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str, Any]:
-    """One environment and seed."""
+    """One environment and seed; a run that has made fewer rounds before is gone on with."""
     run = folder / f"{environment}-{seed}"
     kept = run / "measured.json"
-    if not kept.is_file():
-        about = ["--seed", str(seed), "--rounds", str(rounds), "--minutes", "1000", "--quiet"]
-        words = ["--domain", f"gymnasium:{environment}", *about, *TASKS[environment]]
-        counts = counted(partial(train, [*words, "--run-dir", str(run)], standalone_mode=False))
-        write_json(kept, {**counts, **_tried(run)})
+    if not kept.is_file():  # what it has cost so far is not known
+        shutil.rmtree(run, ignore_errors=True)
+    if not _ended(run, rounds):
+        known = run.is_dir()
+        about = ["--rounds", str(rounds), "--minutes", "1000", "--quiet"]
+        new = ["--domain", f"gymnasium:{environment}", "--seed", str(seed), *TASKS[environment]]
+        words = [*about, "--resume", str(run)] if known else [*new, *about, "--run-dir", str(run)]
+        counts = counted(partial(train, words, standalone_mode=False))
+        before = read_json(kept) if known else dict.fromkeys(counts, 0)
+        total = {name: before[name] + value for name, value in counts.items()}
+        write_json(kept, {**total, **_tried(run)})
     wanted = read_json(run / "gymnasium.json")["target_return"]
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
     made = len(read_json(run / "summary.json")["stages"])
-    about = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
-    return {**about, "solved": solved, **found}
+    told = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    return {**told, "solved": solved, **found}
+
+
+def _ended(run: Path, rounds: int) -> bool:
+    """Whether a run has reached its goal, or has made so many rounds."""
+    if not (run / "summary.json").is_file():
+        return False
+    summary = read_json(run / "summary.json")
+    return bool(summary["reached"]) or len(summary["stages"]) >= rounds
 
 
 def counted(training: Callable[[], Any]) -> dict[str, float]:

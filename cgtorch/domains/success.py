@@ -20,8 +20,9 @@ from cgtorch.svm.platt import fit_platt, probability
 from cgtorch.svm.scores import balanced_accuracy
 from cgtorch.svm.svc import ClassWeight
 
-C_GRID = (100.0, 300.0)
-GAMMA_GRID = (0.5, 1.0, 2.0)
+C_GRID = (1.0, 10.0, 100.0, 1000.0)
+GAMMA_GRID = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Kernel widths for one feature; divided by the number of features."""
 GRID_ROWS = 1000
 _FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
 
@@ -116,7 +117,7 @@ def fit_success_classifier(
     seed: int | torch.Generator = 0,
     folds: int = 5,
     C: Sequence[float] = C_GRID,
-    gamma: Sequence[float] = GAMMA_GRID,
+    gamma: Sequence[float] | None = None,
     grid_rows: int | None = GRID_ROWS,
     class_weight: ClassWeight = None,
     progress: Progress | None = None,
@@ -132,7 +133,7 @@ def fit_success_classifier(
         seed: Seed or generator of folds, subset and solver.
         folds: Number of stratified folds, for the grid and for Platt's probabilities.
         C: Costs to try.
-        gamma: Kernel widths to try, on scaled features.
+        gamma: Kernel widths to try, on scaled features; `GAMMA_GRID` for F of them if not given.
         grid_rows: Random rows that the grid is scored on, None for all.
         class_weight: None, "balanced", or a factor on C per class.
         progress: Called with (cells done, all cells).
@@ -159,7 +160,7 @@ def fit_success_classifier(
         mixed[:grid_rows],
         truth[:grid_rows],
         C=C,
-        gamma=gamma,
+        gamma=gamma or [each / features.shape[1] for each in GAMMA_GRID],
         folds=folds,
         seed=generator,
         scoring="balanced_accuracy",

@@ -28,7 +28,7 @@ from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files, robots_folder
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.geometry import coordinates
-from cgtorch.tabletop.models.success import GraspClassifier
+from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.models.transition_fit import fit_table_transition_model
@@ -176,7 +176,8 @@ class Tabletop(Domain[Scenarios]):
 
     def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
         """See `Domain.fit_success`."""
-        return fit_success_classifier(GraspClassifier(), data.tested, data.succeeded, seed=seed)
+        rows = data.tested, data.succeeded
+        return fit_success_classifier(GraspClassifier(), *rows, seed=seed, C=COSTS, gamma=GAMMAS)
 
     def try_transition(
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator

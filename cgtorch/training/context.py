@@ -57,7 +57,7 @@ class Training:
         if domain.rewarded:
             # A return has no best value, so what solves all is improved for a little while.
             aim = domain.target_return
-            budget = replace(budget, enough=float("inf"), satisfied=aim, patience=2)
+            budget = replace(budget, enough=float("inf"), satisfied=aim, patience=5)
         return Setup(
             actions=run.actions,
             world_of=domain.world,

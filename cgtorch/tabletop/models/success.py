@@ -16,6 +16,9 @@ from cgtorch.tabletop.models.grasp_features import (
     used_features,
 )
 
+COSTS, GAMMAS = (100.0, 300.0), (0.5, 1.0, 2.0)
+"""The hyper-parameters that cross-validation chooses from."""
+
 
 class GraspClassifier(SuccessClassifier):
     """C: percept (..., D) -> probability (...) that a grasp succeeds, by `grasp_features`."""
