@@ -73,19 +73,6 @@ static int any_touches(const Collision *c, int64_t row, const real *start, const
   return 0;
 }
 
-static void some_postures(void *what, int64_t begin, int64_t end) {
-  const Collision *c = what;
-  for (int64_t row = begin; row < end; row++) {
-    int64_t first = row * c->capsules * 3;
-    c->hit[row] = (unsigned char)any_touches(c, row, c->start + first, c->end + first, NULL);
-  }
-}
-
-int collide(Collision *c, int64_t threads) {
-  in_parallel(some_postures, c, c->postures, 256, threads);
-  return 0;
-}
-
 /* ---- Arms ---- */
 
 #define MOST_FRAMES 64

@@ -15,11 +15,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
     closed_form_candidates,
     closed_form_follow,
 )
-from cgtorch.tabletop.kinematics.numerical_ik import (
-    numerical_candidates,
-    numerical_follow,
-    within_one_turn,
-)
+from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates, numerical_follow
 
 CHUNK = 16_384
 """Rows of forward kinematics at a time: larger batches fall out of the processor's cache."""
@@ -102,13 +98,9 @@ class ArmModel:
         return self._tables[key]
 
     def frames(self, q: Tensor) -> Tensor:
-        """Poses of every frame of the chain in the robot's base frame.
+        """Poses (F, B, 4, 4) of every frame of the chain in the robot's base frame.
 
-        Args:
-            q: (B, n) joint positions, rad or m.
-
-        Returns:
-            (F, B, 4, 4) poses, the tool frame last.
+        The tool frame is the last. Joint positions q are (B, n), rad or m.
         """
         chain = self.chain(q)
         parts = [chain.forward_kinematics_tensor(part) for part in q.split(CHUNK)]
@@ -128,8 +120,7 @@ class ArmModel:
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
             return closed_form_candidates(self.closed_form.to(pose), local, samples)
-        lower, upper = self._search_limits(pose)
-        return numerical_candidates(self.chain(pose), lower, upper, local)
+        return numerical_candidates(self.chain(pose), *self._search_limits(pose), local)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions at waypoints near a solution, without changing its posture.
@@ -144,8 +135,7 @@ class ArmModel:
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
             return closed_form_follow(self.closed_form.to(pose), q, local)
-        lower, upper = self._search_limits(pose)
-        return numerical_follow(self.chain(pose), lower, upper, q, local)
+        return numerical_follow(self.chain(pose), *self._search_limits(pose), q, local)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """(..., n): how far each joint is from b to a, the short way round if it is continuous."""
@@ -154,5 +144,7 @@ class ArmModel:
         return torch.where(self.continuous.to(away.device), short, away)
 
     def _search_limits(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        lower, upper = within_one_turn(self.lower, self.upper, self.continuous)
+        """Limits (n,) with continuous joints cut to one turn about zero, to start searches from."""
+        lower = torch.where(self.continuous, -math.pi, self.lower)
+        upper = torch.where(self.continuous, math.pi, self.upper)
         return lower.to(like), upper.to(like)

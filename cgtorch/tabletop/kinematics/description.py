@@ -19,24 +19,24 @@ It is a small JSON file beside the URDF::
 `body`, `gripper_joints` and `capsules` may be left out.
 """
 
-import json
-import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from cgtorch.ground.errors import RobotError
+from cgtorch.ground.files import read_json
 from cgtorch.tabletop.kinematics.urdf import MOST
 
+T = TypeVar("T")
 Capsule = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""
 
 _REQUIRED = ("name", "base_frame", "footprint", "torso_joint", "torso_position", "arms")
 _OPTIONAL = ("body", "gripper_joints", "capsules")
 _ARM_KEYS = ("name", "base_link", "tool_frame")
+_WORDS: dict[type, str] = {dict: "a JSON object", list: "a list", str: "a non-empty string"}
 _MAX_BYTES = 1_000_000
 
 
@@ -86,48 +86,14 @@ class RobotDescription:
 
 
 def load_description(path: Path | str) -> RobotDescription:
-    """Read a robot description from a JSON file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The description, checked.
+    """Read and check a robot description, a JSON file.
 
     Raises:
         RobotError: The file cannot be read, is not JSON, has an unknown or missing key, or a value
             of the wrong type or not finite.
     """
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise RobotError(
-            f"robot description {str(path)!r} cannot be read ({error.strerror}): "
-            "give the path of a JSON file such as robots/pr2/robot.json"
-        ) from None
-    if len(data) > _MAX_BYTES:
-        raise RobotError(
-            f"robot description {str(path)!r} is longer than {_MAX_BYTES} bytes: give a smaller "
-            "file"
-        )
-    try:
-        content = json.loads(data, object_pairs_hook=_unique)
-    except (ValueError, RecursionError) as error:
-        raise RobotError(
-            f"robot description {str(path)!r} is not valid JSON ({error}): correct it"
-        ) from None
+    content = read_json(path, _MAX_BYTES, RobotError)
     return _Reader(f"robot description {str(path)!r}").description(content)
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuse a JSON object that gives a key twice."""
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        (twice, _), *_ = Counter(key for key, _ in pairs).most_common(1)
-        raise ValueError(f"key {twice!r} is given twice")
-    return content
 
 
 @dataclass(frozen=True)
@@ -139,96 +105,79 @@ class _Reader:
     def fail(self, what: str, value: object, wanted: str) -> RobotError:
         return RobotError(f"{self.where}: {what} is {value!r}: give {wanted}")
 
-    def keys(
-        self, what: str, value: Any, required: tuple[str, ...], optional: tuple[str, ...]
-    ) -> None:
-        if not isinstance(value, dict):
-            raise self.fail(what, value, "a JSON object")
-        for key in required:
-            if key not in value:
-                raise RobotError(f"{self.where}: {what} lacks the key {key!r}: add it")
-        for key in value:
-            if key not in required + optional:
-                known = ", ".join(required + optional)
-                raise RobotError(
-                    f"{self.where}: {what} has the unknown key {key!r}: known are {known}"
-                )
-
-    def text(self, what: str, value: Any) -> str:
-        if not isinstance(value, str) or not value:
-            raise self.fail(what, value, "a non-empty string")
+    def of(self, kind: type[T], what: str, value: Any) -> T:
+        """A value that has to be of a type, and not an empty text."""
+        if not isinstance(value, kind) or value == "":
+            raise self.fail(what, value, _WORDS[kind])
         return value
+
+    def texts(self, what: str, value: Any) -> tuple[str, ...]:
+        return tuple(self.of(str, what, item) for item in self.of(list, what, value))
 
     def number(self, what: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.fail(what, value, "a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not abs(number) <= MOST:
+        if not abs(value) <= MOST:
             raise self.fail(what, value, f"a finite number, of {MOST:.0e} at most")
-        return number
+        return float(value)
 
     def numbers(self, what: str, value: Any, count: int) -> tuple[float, ...]:
         if not isinstance(value, list) or len(value) != count:
             raise self.fail(what, value, f"a list of {count} numbers")
         return tuple(self.number(what, item) for item in value)
 
-    def items(self, what: str, value: Any) -> list[Any]:
-        if not isinstance(value, list):
-            raise self.fail(what, value, "a list")
-        return value
-
-    def mapping(self, what: str, value: Any) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise self.fail(what, value, "a JSON object")
-        return value
+    def keys(
+        self, what: str, value: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()
+    ) -> None:
+        known = required + optional
+        for key in self.of(dict, what, value):
+            if key not in known:
+                raise RobotError(
+                    f"{self.where}: {what} has the unknown key {key!r}: known are "
+                    f"{', '.join(known)}"
+                )
+        for key in required:
+            if key not in value:
+                raise RobotError(f"{self.where}: {what} lacks the key {key!r}: add it")
 
     def description(self, content: Any) -> RobotDescription:
         self.keys("the file", content, _REQUIRED, _OPTIONAL)
         x_min, x_max, y_min, y_max = self.numbers("footprint", content["footprint"], 4)
         if x_min >= x_max or y_min >= y_max:
             raise self.fail("footprint", content["footprint"], "[x min, x max, y min, y max] (m)")
-        arms = tuple(self.arm(i, arm) for i, arm in enumerate(self.items("arms", content["arms"])))
+        every = self.of(list, "arms", content["arms"])
+        arms = tuple(self.arm(f"arms[{i}]", arm) for i, arm in enumerate(every))
         if not arms or len({arm.name for arm in arms}) < len(arms):
-            raise self.fail("arms", content["arms"], "at least one arm, each with its own name")
+            raise self.fail("arms", every, "at least one arm, each with its own name")
         torso, position = content["torso_joint"], content["torso_position"]
         if (torso is None) != (position is None):
             raise self.fail(
                 "torso_position", position, "a number with a torso_joint, null without one"
             )
+        held = self.of(dict, "gripper_joints", content.get("gripper_joints", {}))
+        shapes = self.of(dict, "capsules", content.get("capsules", {}))
         return RobotDescription(
-            name=self.text("name", content["name"]),
-            base_frame=self.text("base_frame", content["base_frame"]),
+            name=self.of(str, "name", content["name"]),
+            base_frame=self.of(str, "base_frame", content["base_frame"]),
             footprint=(x_min, x_max, y_min, y_max),
             arms=arms,
-            torso_joint=None if torso is None else self.text("torso_joint", torso),
+            torso_joint=None if torso is None else self.of(str, "torso_joint", torso),
             torso_position=None if position is None else self.number("torso_position", position),
-            body=tuple(self.text("body", x) for x in self.items("body", content.get("body", []))),
+            body=self.texts("body", content.get("body", [])),
             gripper_joints=MappingProxyType(
-                {
-                    joint: self.number(f"gripper_joints[{joint!r}]", value)
-                    for joint, value in self.mapping(
-                        "gripper_joints", content.get("gripper_joints", {})
-                    ).items()
-                }
+                {name: self.number(f"gripper_joints[{name!r}]", x) for name, x in held.items()}
             ),
             capsules=MappingProxyType(
-                {
-                    link: tuple(
-                        self.capsule(f"capsules[{link!r}]", item)
-                        for item in self.items(f"capsules[{link!r}]", value)
-                    )
-                    for link, value in self.mapping("capsules", content.get("capsules", {})).items()
-                }
+                {link: self.capsules(f"capsules[{link!r}]", x) for link, x in shapes.items()}
             ),
         )
 
-    def arm(self, index: int, value: Any) -> Arm:
-        what = f"arms[{index}]"
-        self.keys(what, value, _ARM_KEYS, ())
-        return Arm(**{key: self.text(f"{what}.{key}", value[key]) for key in _ARM_KEYS})
+    def arm(self, what: str, value: Any) -> Arm:
+        self.keys(what, value, _ARM_KEYS)
+        return Arm(**{key: self.of(str, f"{what}.{key}", value[key]) for key in _ARM_KEYS})
+
+    def capsules(self, what: str, value: Any) -> tuple[Capsule, ...]:
+        return tuple(self.capsule(what, item) for item in self.of(list, what, value))
 
     def capsule(self, what: str, value: Any) -> Capsule:
         x0, y0, z0, x1, y1, z1, radius = self.numbers(what, value, 7)

@@ -66,20 +66,7 @@ class GraspSolution:
 
 
 def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """Whether objects can be grasped by either arm.
-
-    Args:
-        robot: The robot.
-        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
-        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
-            frame, m and rad.
-
-    Returns:
-        (B,) bool.
-
-    Raises:
-        RobotError: A shape is wrong or a value is not finite.
-    """
+    """Whether objects can be grasped by either arm (B,); see `grasp_solution`."""
     return grasp_solution(robot, position, table).found
 
 
@@ -91,9 +78,6 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
         position: (B, 3) objects on the table in the base frame, at the height of its top, m.
         table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
             frame, m and rad.
-
-    Returns:
-        The grasps.
 
     Raises:
         RobotError: A shape is wrong or a value is not finite.
@@ -144,7 +128,7 @@ def _grasp(
             row, column = (order < rank[:, None]).nonzero(as_tuple=True)
             at = open_rows[row]
             path = waypoints(position[at], *approaches[group[column]].unbind(1))
-            solved, joints = _try(arm, path, _rows(slab, at), body)
+            solved, joints = _try(arm, path, slab[at], body)
             first = _first_of_each(row[solved])
             solved, joints = solved[first], joints[first]
             rank[row[solved]] = order[column[solved]]
@@ -158,16 +142,9 @@ def _grasp(
 
 
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
-    """Try one approach with one arm.
+    """Which rows (R,), ascending, an arm solves, and the joint positions of each (R, 5, n).
 
-    Args:
-        arm: The arm.
-        path: (B, 5, 4, 4) the tool's waypoints.
-        slab: The table of each row.
-        body: The robot's own boxes.
-
-    Returns:
-        The rows that are solved, ascending, (R,), and the joint positions of each (R, 5, n).
+    The tool follows waypoints (B, 5, 4, 4), beside the table of each row and the robot's own body.
     """
     row, q = arm.candidates(path[:, 2])
     nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
@@ -190,14 +167,14 @@ def _feasible(
     arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
 ) -> tuple[Tensor, Tensor]:
     """As `_try`, of postures q (M, n) at the grasps of ascending rows (M,) only."""
-    free = ~touches(arm, q, _rows(slab, row), body)
+    free = ~touches(arm, q, slab[row], body)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])
     steps = arm.difference(joints[:, 1:], joints[:, :-1]).abs().amax(dim=(1, 2))
     smooth = reached.all(dim=1) & (steps < MAX_STEP)
     row, joints = row[smooth], joints[smooth]
     for step in (0, 4, 1, 3):
-        free = ~touches(arm, joints[:, step], _rows(slab, row), body)
+        free = ~touches(arm, joints[:, step], slab[row], body)
         row, joints = row[free], joints[free]
     first = _first_of_each(row)
     return row[first], joints[first]
@@ -208,10 +185,6 @@ def _first_of_each(row: Tensor) -> Tensor:
     first = torch.ones_like(row, dtype=torch.bool)
     first[1:] = row[1:] != row[:-1]
     return first
-
-
-def _rows(boxes: Boxes, row: Tensor | slice) -> Boxes:
-    return Boxes(boxes.centre[row], boxes.rotation[row], boxes.half[row])
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
@@ -254,14 +227,8 @@ def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float)
 def table_slab(table: Tensor) -> Boxes:
     """(B, 1, ...) the slabs of tables (B, 6)."""
     cos, sin, zero = table[:, 2].cos(), table[:, 2].sin(), torch.zeros_like(table[:, 2])
-    rotation = torch.stack(
-        [
-            torch.stack([cos, -sin, zero], dim=1),
-            torch.stack([sin, cos, zero], dim=1),
-            torch.stack([zero, zero, zero + 1], dim=1),
-        ],
-        dim=1,
-    )
+    entries = [cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1]
+    rotation = torch.stack(entries, dim=1).unflatten(1, (3, 3))
     height = table[:, 5:] - TABLE_THICKNESS / 2
     thickness = torch.full_like(height, TABLE_THICKNESS)
     centre = torch.cat([table[:, :2], height], dim=1)

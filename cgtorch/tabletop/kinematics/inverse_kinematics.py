@@ -16,13 +16,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from cgtorch.tabletop.kinematics.tensors import Tensors
+
 PAN_SAMPLES = 36
 _AXES = (2, 1, 0, 1, 0, 1, 0)
 _TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class SphericalArm:
+class SphericalArm(Tensors):
     """The lengths and limits of an arm that has a closed form; angles about positive axes.
 
     Attributes:
@@ -51,14 +53,6 @@ class SphericalArm:
     branches: Tensor
     elbow_cosines: tuple[float, float]
 
-    def to(self, like: Tensor) -> "SphericalArm":
-        """The same arm on the device and in the dtype of a tensor."""
-        return SphericalArm(
-            self.base.to(like), self.shoulder.to(like), self.upper_arm, self.forearm,
-            self.tool.to(like), self.signs.to(like), self.lower.to(like), self.upper.to(like),
-            self.branches.to(like), self.elbow_cosines,
-        )  # fmt: skip
-
 
 def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | None:
     """Read the closed form's parameters off a chain of URDF joints.
@@ -69,7 +63,7 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
             turn.
 
     Returns:
-        The parameters, or None if the chain is of another kind.
+        None if the chain is of another kind.
     """
     offsets = [torch.eye(4, dtype=torch.float64)]
     signs: list[float] = []
@@ -219,16 +213,9 @@ def _cos_elbow(arm: SphericalArm, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
 def _solve(
     arm: SphericalArm, wrist: Tensor, rotation: Tensor, pan: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Solve for six joints at given pan angles, in every branch.
+    """Joint angles (..., S, 7) at pan angles (...) in every branch, and whether they solve it.
 
-    Args:
-        arm: The arm.
-        wrist: (..., 3) centre of the wrist in the pan frame, m.
-        rotation: (..., 3, 3) rotation of the wrist's last frame there.
-        pan: (...) pan angles, rad.
-
-    Returns:
-        Joint angles (..., S, 7), rad, and whether they are a solution within limits (..., S).
+    The wrist's centre (..., 3) and the rotation (..., 3, 3) of its last frame are in the pan frame.
     """
     elbow_sign, roll_sign, wrist_sign = arm.branches.unbind(-1)
     x, y, z = (value[..., None] for value in _from_shoulder(arm, wrist, pan))

@@ -1,6 +1,5 @@
 """Inverse kinematics by damped least squares, for arms without a closed form."""
 
-import math
 from typing import Any
 
 import torch
@@ -57,17 +56,10 @@ def _key(pose: Tensor) -> Tensor:
 def numerical_follow(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions along waypoints, each refined from the solution.
+    """Joint positions (M, W, n) along waypoints, each refined from joint positions q (M, n).
 
-    Args:
-        chain: A `pytorch_kinematics.SerialChain` of n joints.
-        lower: (n,) lower limits, rad or m.
-        upper: (n,) upper limits.
-        q: (M, n) joint positions to start from.
-        pose: (M, W, 4, 4) poses of the tool frame in the arm's base link.
-
-    Returns:
-        Joint positions (M, W, n) and whether each waypoint was reached within limits (M, W).
+    Also whether each waypoint was reached within limits (M, W). The waypoints (M, W, 4, 4) are
+    poses of the tool frame in the arm's base link; the rest is as for `numerical_candidates`.
     """
     count, steps = pose.shape[:2]
     start = q.repeat_interleave(steps, dim=0)
@@ -78,17 +70,9 @@ def numerical_follow(
 def refine(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Damped least squares from starting positions, kept within limits.
+    """Joint positions (B, n) by damped least squares from q (B, n), kept within limits.
 
-    Args:
-        chain: A `pytorch_kinematics.SerialChain` of n joints.
-        lower: (n,) lower limits, rad or m.
-        upper: (n,) upper limits.
-        q: (B, n) starting positions.
-        pose: (B, 4, 4) poses to reach.
-
-    Returns:
-        Joint positions (B, n) and whether they reach the pose (B,).
+    Also whether they reach the poses (B, 4, 4), (B,).
     """
     q = q.clone()
     converged = torch.zeros(len(q), dtype=torch.bool, device=q.device)
@@ -125,9 +109,3 @@ def _error(reached: Tensor, wanted: Tensor) -> Tensor:
     angle = torch.atan2(sine, cosine)
     scale = torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), torch.ones_like(sine))
     return torch.cat([wanted[:, :3, 3] - reached[:, :3, 3], skew * scale[:, None]], dim=1)
-
-
-def within_one_turn(lower: Tensor, upper: Tensor, continuous: Tensor) -> tuple[Tensor, Tensor]:
-    """Limits (n,) with continuous joints cut to one turn about zero, to start searches from."""
-    turn = torch.full_like(lower, math.pi)
-    return torch.where(continuous, -turn, lower), torch.where(continuous, turn, upper)

@@ -16,10 +16,9 @@ from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsu
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
-from cgtorch.tabletop.kinematics.urdf import Urdf, load_urdf
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
 
 _TURNS = 3 * math.pi
-_MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,7 @@ class Robot:
     body: Boxes
 
     def arm(self, name: str) -> ArmModel:
-        """The arm of a name.
-
-        Raises:
-            RobotError: There is no such arm.
-        """
+        """The arm of a name; RobotError if there is none."""
         for arm in self.arms:
             if arm.name == name:
                 return arm
@@ -51,14 +46,11 @@ class Robot:
         raise RobotError(f"{self.description.name} has no arm {name!r}: its arms are {known}")
 
     def forward_kinematics(self, arm: str, q: Tensor) -> Tensor:
-        """Poses of an arm's tool frame in the base frame.
+        """Poses (..., 4, 4) of an arm's tool frame in the base frame.
 
         Args:
             arm: The arm's name.
             q: (..., n) joint positions, rad or m, of any floating dtype and on any device.
-
-        Returns:
-            (..., 4, 4) poses.
 
         Raises:
             RobotError: There is no such arm, or q has not n positions.
@@ -69,23 +61,12 @@ class Robot:
             raise RobotError(
                 f"joint positions have the shape {tuple(q.shape)}: arm {arm!r} takes (..., {count})"
             )
-        flat = q.reshape(-1, count)
-        if not len(flat):
-            return q.new_zeros(*q.shape[:-1], 4, 4)
-        tool = torch.cat([model.frames(part)[-1] for part in flat.split(CHUNK)])
-        return tool.reshape(*q.shape[:-1], 4, 4)
+        tool = [model.frames(part)[-1] for part in q.reshape(-1, count).split(CHUNK) if len(part)]
+        return torch.cat(tool or [q.new_zeros(0, 4, 4)]).reshape(*q.shape[:-1], 4, 4)
 
 
 def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
-    """Load a robot and check that its URDF and its description fit.
-
-    Args:
-        urdf: The URDF, or None for the one beside the description.
-        description: The name of a built-in robot, a folder with a URDF and a `robot.json`, or a
-            robot description; None for `robot.json` beside the URDF, or the PR2 without one.
-
-    Returns:
-        The robot.
+    """Load a robot, whose files are given as to `robot_files`, and check that they fit.
 
     Raises:
         RobotError: A file is missing or broken, or the description names a link or joint that the
@@ -96,7 +77,7 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     rest = _rest_positions(model, words)
     model.model.update_cfg(rest)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
-    in_arms = {joint.name for path in joints.values() for joint in path if joint.type in _MOVING}
+    in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
     for name in rest:
         if name in in_arms:
             raise RobotError(
@@ -120,7 +101,7 @@ def _rest_positions(urdf: Urdf, words: RobotDescription) -> dict[str, float]:
         rest[words.torso_joint] = words.torso_position
     for name, position in rest.items():
         joint = urdf.joint(name)
-        if joint.type not in _MOVING or joint.mimic is not None:
+        if joint.type not in MOVING or joint.mimic is not None:
             raise RobotError(
                 f"joint {name!r} cannot be held at {position}: it is fixed or follows another "
                 "joint; name a joint that moves"
@@ -142,7 +123,7 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
             "the links at both ends of the arm"
         )
     for joint in moving:
-        if joint.type not in _MOVING or joint.mimic is not None:
+        if joint.type not in MOVING or joint.mimic is not None:
             kind = "mimic" if joint.mimic is not None else joint.type
             raise RobotError(
                 f"arm {arm.name!r} has the {kind} joint {joint.name!r}: use an arm of revolute, "
@@ -159,7 +140,7 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
         continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
         mount=_transform(urdf, arm.base_link, words.base_frame),
         reach=_reach(joints),
-        capsules=_capsules(urdf, words, arm, joints, probe.frame_to_idx),
+        capsules=_capsules(urdf, words, arm, moving, probe.frame_to_idx),
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
         _links=(arm.base_link, arm.tool_frame),
@@ -227,75 +208,51 @@ def _fixed_to_base(
 
 
 def _capsules(
-    urdf: Urdf,
-    words: RobotDescription,
-    arm: Arm,
-    joints: tuple[Any, ...],
-    frame_index: dict[str, int],
+    urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Capsules:
     """The shapes of every link that the arm's joints move, fingers at rest included."""
-    moving = {joint.name: joint for joint in joints if joint.type != "fixed"}
-    parents = {joint.child: joint for joint in urdf.model.robot.joints}
-    frames: list[int] = []
-    counts: list[int] = []
-    starts: list[Tensor] = []
-    ends: list[Tensor] = []
-    radii: list[float] = []
+    names = {joint.name for joint in moving}
+    rows: list[tuple[int, int, Tensor, Tensor, float]] = []
     for link in urdf.model.robot.links:
-        path, name = [], link.name
-        while name in parents and name != arm.base_link:
-            path.append(parents[name])
-            name = parents[name].parent
-        carriers = [joint for joint in path if joint.name in moving]
-        if name != arm.base_link or not carriers:
+        path = urdf.joints_above(link.name, arm.base_link)
+        carriers = [joint.child for joint in path if joint.name in names]
+        if not carriers or path[-1].parent != arm.base_link:
             continue
-        carrier = carriers[0].child
-        pose = _transform(urdf, link.name, carrier)
+        pose = _transform(urdf, link.name, carriers[0])
         for start, end, radius in _link_capsules(link, words):
-            frames.append(frame_index[carrier])
-            counts.append(len(carriers))
-            starts.append(pose[:3, :3] @ start + pose[:3, 3])
-            ends.append(pose[:3, :3] @ end + pose[:3, 3])
-            radii.append(radius)
-    empty = torch.zeros(0, 3, dtype=torch.float64)
+            start, end = (pose[:3, :3] @ point + pose[:3, 3] for point in (start, end))
+            rows.append((frame_index[carriers[0]], len(carriers), start, end, radius))
     return Capsules(
-        frame=torch.tensor(frames, dtype=torch.long),
-        joints=torch.tensor(counts, dtype=torch.long),
-        start=torch.stack(starts) if starts else empty,
-        end=torch.stack(ends) if ends else empty,
-        radius=torch.tensor(radii, dtype=torch.float64),
+        frame=torch.tensor([row[0] for row in rows], dtype=torch.long),
+        joints=torch.tensor([row[1] for row in rows], dtype=torch.long),
+        start=_stacked([row[2] for row in rows], 3),
+        end=_stacked([row[3] for row in rows], 3),
+        radius=torch.tensor([row[4] for row in rows], dtype=torch.float64),
     )
 
 
 def _link_capsules(link: Any, words: RobotDescription) -> list[tuple[Tensor, Tensor, float]]:
     if link.name in words.capsules:
-        return [
-            (
-                torch.tensor(capsule[:3], dtype=torch.float64),
-                torch.tensor(capsule[3:6], dtype=torch.float64),
-                capsule[6],
-            )
-            for capsule in words.capsules[link.name]
-        ]
-    return [
-        capsule
-        for collision in link.collisions
-        for capsule in capsules_of(collision, f"link {link.name!r}")
-    ]
+        given = torch.tensor(words.capsules[link.name], dtype=torch.float64).view(-1, 7)
+        return [(row[:3], row[3:6], float(row[6])) for row in given]
+    name = f"link {link.name!r}"
+    return [capsule for each in link.collisions for capsule in capsules_of(each, name)]
 
 
 def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Boxes:
-    centres, rotations, halves = [], [], []
+    """The boxes around the links that an arm must not touch, in the base frame."""
+    poses, halves = [], []
     for name in words.body:
         _fixed_to_base(urdf, words, name, arm_joints, "body")
-        pose = _transform(urdf, name, words.base_frame)
+        link = _transform(urdf, name, words.base_frame)
         for collision in urdf.link(name).collisions:
-            local, half = box_of(collision, f"link {name!r}")
-            box = pose @ local
-            centres.append(box[:3, 3])
-            rotations.append(box[:3, :3])
+            pose, half = box_of(collision, f"link {name!r}")
+            poses.append(link @ pose)
             halves.append(half)
-    if not centres:
-        empty = torch.zeros(0, 3, dtype=torch.float64)
-        return Boxes(empty, torch.zeros(0, 3, 3, dtype=torch.float64), empty)
-    return Boxes(torch.stack(centres), torch.stack(rotations), torch.stack(halves))
+    pose = _stacked(poses, 4, 4)
+    return Boxes(pose[:, :3, 3], pose[:, :3, :3], _stacked(halves, 3))
+
+
+def _stacked(tensors: list[Tensor], *shape: int) -> Tensor:
+    """Tensors of a shape as one (k, *shape), of none of them too."""
+    return torch.stack(tensors) if tensors else torch.zeros(0, *shape, dtype=torch.float64)

@@ -15,30 +15,26 @@ from cgtorch.native.structures import (
     suits,
 )
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.collision import (
-    BISECTIONS,
-    ROUNDING,
-    SHOULDER_JOINTS,
-    WORTH_SHARING,
-    Boxes,
-    collide,
-)
+from cgtorch.tabletop.kinematics.collision import BISECTIONS, ROUNDING, Boxes, collide
 
+SHOULDER_JOINTS = 3
+"""Links that hang from fewer joints than this, or as many, are held off the body by joint limits
+and by being built beside it; only the table can stop them."""
+
+WORTH_SHARING = 512
+"""Postures that are worth one more thread: about a quarter of a millisecond."""
 _POSTURES = 2048
 """Postures tried at a time in torch: more fall out of the processor's cache."""
 
 
 def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """Whether an arm touches the table or the robot's own body.
+    """Whether an arm touches the table or the robot's own body (B,).
 
     Args:
         arm: The arm.
         q: (B, n) joint positions, rad or m.
         slab: The table of each row, (B, N, ...).
         body: The robot's own boxes, (N, ...).
-
-    Returns:
-        (B,) bool.
     """
     found = _touches_compiled(arm, q, slab, body)
     return touches_in_torch(arm, q, slab, body) if found is None else found
@@ -48,15 +44,12 @@ def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tens
     """What `touches` says, on any device."""
     capsules = arm.capsules.to(q)
     loose = capsules.joints > SHOULDER_JOINTS
-    body = Boxes(body.centre[None], body.rotation[None], body.half[None])
     hit = torch.zeros(len(q), dtype=torch.bool, device=q.device)
     for first in range(0, len(q), _POSTURES):
         part = slice(first, first + _POSTURES)
         start, end = capsules.placed(arm.frames(q[part]))
-        table = Boxes(slab.centre[part], slab.rotation[part], slab.half[part])
-        hit[part] = collide(start, end, capsules.radius, table) | collide(
-            start[:, loose], end[:, loose], capsules.radius[loose], body
-        )
+        hit[part] = collide(start, end, capsules.radius, slab[part])
+        hit[part] |= collide(start[:, loose], end[:, loose], capsules.radius[loose], body[None])
     return hit
 
 

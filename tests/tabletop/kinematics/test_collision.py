@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from cgtorch.tabletop.kinematics.collision import (
     Boxes,
     collide,
-    collide_in_torch,
     rectangles_overlap,
     segment_box_distance,
 )
@@ -138,19 +137,3 @@ def test_rectangles_agree_with_points(first, second):
     far = math.hypot(first[0] - second[0], first[1] - second[1])
     if far > (math.hypot(*first[3:]) + math.hypot(*second[3:])) / 2:
         assert not got
-
-
-@pytest.mark.parametrize("shared", [True, False])
-def test_compiled_collisions_are_those_in_torch(shared):
-    generator, rows = torch.Generator().manual_seed(5), 3000
-    count = 1 if shared else rows
-    start, end = (torch.randn(rows, 4, 3, generator=generator) for _ in range(2))
-    radius = 0.05 + 0.2 * torch.rand(4, generator=generator)
-    boxes = Boxes(
-        torch.randn(count, 2, 3, generator=generator),
-        turned(count * 2, generator).view(count, 2, 3, 3).float(),
-        0.1 + 0.4 * torch.rand(count, 2, 3, generator=generator),
-    )
-    plain = collide_in_torch(start, end, radius, boxes)
-    assert 0.2 < plain.float().mean() < 0.8
-    assert torch.equal(collide(start, end, radius, boxes), plain)
