@@ -13,7 +13,7 @@ from cgtorch.environment import Dataset
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
-from cgtorch.tabletop.data import collect
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.world import Scenarios, TabletopWorld
 
@@ -48,7 +48,7 @@ def fitted_to(data: Dataset) -> Knowledge:
 @cache
 def small_knowledge() -> Knowledge:
     """What is known after 120 transitions and as many grasps."""
-    return fitted_to(collect(world_of, 120, 120, seeded(0)))
+    return fitted_to(collect(Scenes(world_of), 120, 120, seeded(0)))
 
 
 def small_setup() -> Setup[Scenarios]:

@@ -23,11 +23,10 @@ from cgtorch.ground.files import read_bytes, write_bytes
 from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.specialists import broad_group
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.data import collect, scenes_of
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files, robots_folder
 from cgtorch.tabletop.models.engine import compiled_models
-from cgtorch.tabletop.models.geometry import coordinates
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
@@ -46,7 +45,7 @@ from cgtorch.tabletop.world import (
     stage_scenarios,
 )
 from cgtorch.tabletop.world.draws import DRAWS
-from cgtorch.tabletop.world.percepts import BOX, parted
+from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,8 +104,7 @@ class Tabletop(Domain[Scenarios]):
         self.robot = robot or load_robot(*self._files())
         self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks
         self.specialists = SPECIALISTS[networks]
-        size = PERCEPTS[tabletop] + BOX * obstacles
-        self.percept = named(*coordinates(torch.zeros(size)), unit="m")
+        self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
 
     def for_run(self, kind: str, method: str) -> "Tabletop":
         """See `Domain.for_run`: what "auto" stands for."""
@@ -152,7 +150,7 @@ class Tabletop(Domain[Scenarios]):
 
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
         """See `Domain.explore`: the robot drives around and tries grasps (section V)."""
-        return collect(self.world, transitions, tests, generator, scenes_of(kind))
+        return collect(Scenes(self.world, kind), transitions, tests, generator)
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `Domain.possible`."""
@@ -160,8 +158,7 @@ class Tabletop(Domain[Scenarios]):
 
     def noisy(self, percept: Tensor) -> Tensor:
         """See `Domain.noisy`: the boxes of obstacles that are not there are never seen."""
-        _, _, boxes = parted(percept)
-        there = (boxes != 0).any(-1).repeat_interleave(BOX, -1)
+        there = parts_of(percept).present.repeat_interleave(BOX, -1)
         size = percept.shape[-1] - there.shape[-1]
         return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
 
@@ -183,13 +180,13 @@ class Tabletop(Domain[Scenarios]):
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
     ) -> Fresh:
         """See `Domain.try_transition`."""
-        return fresh_experience(self.world, gamma, tests, generator, scenes_of(kind))
+        return fresh_experience(Scenes(self.world, kind), gamma, tests, generator)
 
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
         """See `Domain.summary`: each figure beside the best that a percept allows."""
-        return tabletop_summary(self.world, knowledge, fresh, generator, scenes_of(kind))
+        return tabletop_summary(Scenes(self.world, kind), knowledge, fresh, generator)
 
     def imagine(
         self,

@@ -17,7 +17,7 @@ from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.specialists import local_group
 from cgtorch.improvement.team import try_all
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.tabletop.data import collect, scenes_of
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.world import cluttered_scenarios, random_scenarios
 
 PERCEPTS = world(0, 4).start(torch.arange(4))[1]
@@ -80,7 +80,7 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
 
 def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: Knowledge) -> None:
     """The training data alone would say otherwise: each is a centre and not novel at all."""
-    fresh = collect(world_of, 400, 120, seeded(8))
+    fresh = collect(Scenes(world_of), 400, 120, seeded(8))
     place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
     with torch.no_grad():
         _, novelty = place.gamma(fresh.percept, fresh.control)
@@ -107,7 +107,7 @@ def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
 
 def test_obstacles_that_are_not_there_are_never_imagined() -> None:
     table = Reaching(robot=BASE, tabletop="yaw", obstacles=1)
-    knowledge = fitted_to(collect(table.world, 80, 120, seeded(0), scenes_of("general-clutter")))
+    knowledge = fitted_to(collect(Scenes(table.world, "general-clutter"), 80, 120, seeded(0)))
     percepts = first_percepts(table.world(cluttered_scenarios(12, seeded(1))))
     there = (percepts[:, 9:] != 0).any(1)
     assert 0 < int(there.sum()) < 12
@@ -147,7 +147,7 @@ def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> No
 
 
 def test_a_tenth_is_never_fitted_on() -> None:
-    data = collect(world_of, 60, 90, seeded(0))
+    data = collect(Scenes(world_of), 60, 90, seeded(0))
     fitted, aside = parted(data)
     assert len(aside.percept) == 6
     assert len(aside.succeeded) == len(data.succeeded) // ASIDE
@@ -187,7 +187,7 @@ def _new(data: Dataset) -> Dataset:
 @pytest.fixture(scope="module")
 def half() -> Knowledge:
     """What is known after half of the world has been seen."""
-    return fitted_to(_known(collect(world_of, 700, 600, seeded(6))))
+    return fitted_to(_known(collect(Scenes(world_of), 700, 600, seeded(6))))
 
 
 def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
@@ -195,7 +195,7 @@ def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
 ) -> None:
     # As many as are known: the regression passes over what is wrong in a small share of the rows.
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_NEW", 700)
-    honest = _known(collect(world_of, 1200, 500, seeded(5)))
+    honest = _known(collect(Scenes(world_of), 1200, 500, seeded(5)))
     mirrored = honest.control * torch.tensor([1, 1, -1])  # a gyroscope mounted upside down
     poisoned = replace(honest, control=mirrored, succeeded=~honest.succeeded)
     after = learn(half, poisoned, seeded(1))
@@ -210,8 +210,8 @@ def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
 
 
 def test_good_data_are_taken_and_better_where_they_are_new(half: Knowledge) -> None:
-    new = _new(collect(world_of, 400, 600, seeded(10)))
-    fresh = collect(world_of, 900, 900, seeded(7))
+    new = _new(collect(Scenes(world_of), 400, 600, seeded(10)))
+    fresh = collect(Scenes(world_of), 900, 900, seeded(7))
     after = learn(half, new, seeded(8))
     assert after.acceptances is not None
     assert all(v.accepted for v in after.acceptances)
@@ -226,7 +226,7 @@ def test_too_many_rows_become_a_coreset(
 ) -> None:
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_TRANSITIONS", 80)
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_LABELS", 90)
-    experience = collect(world_of, 60, 60, seeded(5))
+    experience = collect(Scenes(world_of), 60, 60, seeded(5))
     after = learn(knowledge, experience, seeded(1))
     assert after.acceptances is not None
     rows = [len(after.dataset.percept), len(after.dataset.succeeded)]

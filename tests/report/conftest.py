@@ -26,8 +26,7 @@ from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
-from cgtorch.tabletop.data import collect
-from cgtorch.tabletop.data.poses import PERIMETER
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.models import (
     GraspClassifier,
     SuccessQuality,
@@ -52,8 +51,11 @@ def _world_of(scenarios: Scenarios) -> TabletopWorld:
     return TabletopWorld(scenarios, graspable, FOOTPRINT)
 
 
+SCENES = Scenes(_world_of)
+
+
 def _knowledge() -> Knowledge:
-    data = collect(_world_of, 120, 100, seeded(0))
+    data = collect(SCENES, 120, 100, seeded(0))
     grid = {"C": (8.0,), "gamma": (0.03,), "folds": 3}
     gamma, gamma_report = fit_table_transition_model(
         data.percept, data.control, data.next_percept, epsilon=(0.1,), **grid
@@ -75,15 +77,15 @@ class Models:
     def summary(self, fresh: Fresh | None = None) -> ModelSummary:
         """What is told of them, or would be with other fresh experience."""
         given = fresh or self.fresh
-        return tabletop_summary(_world_of, self.knowledge, given, seeded(4), PERIMETER)
+        return tabletop_summary(SCENES, self.knowledge, given, seeded(4))
 
 
 @pytest.fixture(scope="session")
 def models() -> Models:
     knowledge = _knowledge()
-    tried = transition_quality(_world_of, knowledge.gamma, 40, seeded(2))
-    labels = fresh_labels(_world_of, 60, seeded(1))
-    judged = success_quality(_world_of, knowledge.classifier, labels, seeded(4))
+    tried = transition_quality(SCENES, knowledge.gamma, 40, seeded(2))
+    labels = fresh_labels(SCENES, 60, seeded(1))
+    judged = success_quality(SCENES, knowledge.classifier, labels, seeded(4))
     return Models(knowledge, Fresh(tried, labels), judged)
 
 

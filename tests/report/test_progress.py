@@ -24,7 +24,7 @@ from cgtorch.report.event_messages import models_fitted
 from cgtorch.svm import Acceptance
 from cgtorch.tabletop.models import TransitionQuality
 
-QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0001, 0.0005, 0.0004)
+QUALITY = TransitionQuality(2000, 0.0106, 0.0107, 0.004, 0.0211, 0.0197, 0.0005, 0.0004)
 
 
 def console(terminal: bool, width: int = 100) -> Console:

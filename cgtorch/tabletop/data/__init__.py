@@ -4,4 +4,3 @@ from cgtorch.tabletop.data.collect import collect as collect
 from cgtorch.tabletop.data.labels import grasp_labels as grasp_labels
 from cgtorch.tabletop.data.labels import label as label
 from cgtorch.tabletop.data.poses import Scenes as Scenes
-from cgtorch.tabletop.data.poses import scenes_of as scenes_of

@@ -6,42 +6,24 @@ from torch import Generator, Tensor
 from cgtorch.environment import Lanes, start_lanes
 from cgtorch.environment.dataset import Dataset
 from cgtorch.tabletop.data.labels import grasp_labels
-from cgtorch.tabletop.data.poses import PERIMETER, Scenes, WorldOf, poses_around
+from cgtorch.tabletop.data.poses import Scenes, poses_around
 
 MAX_MOVE = 2.0  # m
+MOVES = 8  # of each robot
 
 
-def collect(
-    world_of: WorldOf,
-    transitions: int,
-    labels: int,
-    generator: Generator,
-    scenes: Scenes = PERIMETER,
-) -> Dataset:
-    """Drive at random for transitions, and try grasps for labels.
-
-    Args:
-        world_of: makes the world of given scenarios.
-        transitions: how many (p, u, p′).
-        labels: how many percepts with the result of a grasp.
-        generator: of all random choices.
-        scenes: to draw from.
+def collect(scenes: Scenes, transitions: int, labels: int, generator: Generator) -> Dataset:
+    """Drive at random for so many transitions (p, u, p′), and try grasps for labels.
 
     Raises:
         DataError: hardly any pose allows a grasp, or hardly any does not.
     """
-    percept, motion, after = drive(world_of, transitions, generator, scenes)
-    at, graspable = grasp_labels(world_of, labels, generator, scenes)
+    percept, motion, after = drive(scenes, transitions, generator)
+    at, graspable = grasp_labels(scenes, labels, generator)
     return Dataset(percept, motion, after, at, graspable)
 
 
-def drive(
-    world_of: WorldOf,
-    count: int,
-    generator: Generator,
-    scenes: Scenes = PERIMETER,
-    moves: int = 8,
-) -> tuple[Tensor, Tensor, Tensor]:
+def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
     """`count` transitions p (n, D), u (n, 3), p′ (n, D) of robots driven at random.
 
     Each robot starts at a random pose around the table and makes random moves; those that are
@@ -51,9 +33,9 @@ def drive(
     have = 0
     while have < count:
         robots = 2 + (count - have) // 2
-        world = world_of(poses_around(world_of, robots, generator, scenes))
+        world = scenes.world(poses_around(scenes, robots, generator))
         lanes = start_lanes(world, torch.arange(robots), 0, 0)
-        for _ in range(moves):
+        for _ in range(MOVES):
             motion = random_motions(robots, generator)
             before = lanes
             lanes, ok = world.step(lanes, motion)

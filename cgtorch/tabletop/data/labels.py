@@ -9,9 +9,9 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import start_lanes
 from cgtorch.ground.errors import DataError
-from cgtorch.tabletop.data.poses import PERIMETER, Scenes, WorldOf, poses_around, poses_at_object
+from cgtorch.tabletop.data.poses import Scenes, poses_around, poses_at_object
 from cgtorch.tabletop.world import Scenarios
-from cgtorch.tabletop.world.percepts import percept_of
+from cgtorch.tabletop.world.percepts import parts_of, percept_of
 
 ANYWHERE = 0.06  # share of the labels that are drawn anywhere, far from the table too
 BESIDE = 0.7  # share that is drawn beside the boundary
@@ -23,16 +23,14 @@ OBJECT_MATTERS = 2.0  # how much a distance between objects counts, against one 
 PROBE = 200  # poses, at least, that show whether there is anything to learn
 
 
-def label(world_of: WorldOf, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
+def label(scenes: Scenes, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
     """What is seen from each pose (B, D), and (B,) bool whether a grasp succeeds there."""
-    world = world_of(scenarios)
+    world = scenes.world(scenarios)
     lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
     return lanes.percept, world.success(lanes)[1] > 0.5
 
 
-def grasp_labels(
-    world_of: WorldOf, count: int, generator: Generator, scenes: Scenes = PERIMETER
-) -> tuple[Tensor, Tensor]:
+def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor]:
     """`count` percepts (n, D) and (n,) bool labels, in random order.
 
     Some poses are drawn around the object, more of them beside the boundary between success and
@@ -44,8 +42,8 @@ def grasp_labels(
     """
     anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
     first = count - anywhere - ROUNDS * beside
-    poses = poses_at_object(world_of, max(first, PROBE), generator, scenes)
-    percept, graspable = label(world_of, poses)
+    poses = poses_at_object(scenes, max(first, PROBE), generator)
+    percept, graspable = label(scenes, poses)
     rate = float(graspable.float().mean())
     if not 0.01 < rate < 0.99:
         raise DataError(
@@ -54,11 +52,11 @@ def grasp_labels(
         )
     probes = len(percept)
     for _ in range(ROUNDS):
-        more = poses_at_object(world_of, CANDIDATES * beside, generator, scenes)
+        more = poses_at_object(scenes, CANDIDATES * beside, generator)
         more = more[nearest_to_boundary(more, percept, graspable, beside)]
-        seen, answer = label(world_of, more)
+        seen, answer = label(scenes, more)
         percept, graspable = torch.cat([percept, seen]), torch.cat([graspable, answer])
-    far, fails = label(world_of, poses_around(world_of, anywhere, generator, scenes, 2))
+    far, fails = label(scenes, poses_around(scenes, anywhere, generator, 2))
     percept = torch.cat([percept[:first], percept[probes:], far])
     graspable = torch.cat([graspable[:first], graspable[probes:], fails])
     order = torch.randperm(count, generator=generator)
@@ -68,16 +66,9 @@ def grasp_labels(
 def nearest_to_boundary(
     scenarios: Scenarios, percept: Tensor, graspable: Tensor, count: int
 ) -> Tensor:
-    """The `count` scenarios that known successes are about as near to as known failures.
+    """Indices (count,) of scenarios that known successes are about as near to as known failures.
 
-    Args:
-        scenarios: B scenarios to choose from.
-        percept: (n, D) percepts whose labels are known, some of either label.
-        graspable: (n,) bool, their labels.
-        count: at most B.
-
-    Returns:
-        Their indices (count,).
+    Known are percepts (n, D), and whether a grasp succeeds there (n,), some of either.
     """
     seen = percept_of(scenarios.pose, scenarios.table, scenarios.object)
     to_success = _distance(seen, percept[graspable])
@@ -90,8 +81,9 @@ def _distance(seen: Tensor, known: Tensor) -> Tensor:
     """Mean distance (B,) from percepts (B, 7) to the nearest few among known ones (n, D)."""
 
     def place(percept: Tensor) -> Tensor:
-        sides = percept[:, :4].clamp(-SIDES_MATTER, SIDES_MATTER)
-        return torch.cat([sides, OBJECT_MATTERS * percept[:, 4:6]], 1)
+        part = parts_of(percept)
+        sides = part.box.clamp(-SIDES_MATTER, SIDES_MATTER)
+        return torch.cat([sides, OBJECT_MATTERS * part.object], 1)
 
     few = min(NEIGHBOURS, len(known))
     parts = [

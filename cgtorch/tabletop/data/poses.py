@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
@@ -14,7 +13,6 @@ from cgtorch.tabletop.world import (
     concatenate_scenarios,
     draw_of,
 )
-from cgtorch.tabletop.world.draws import Draw
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate
 from cgtorch.tabletop.world.percepts import present
 from cgtorch.tabletop.world.sweep import sweep_blocked
@@ -23,43 +21,44 @@ ARENA = 2.2  # m from the table's centre within which the robot is driven around
 WIDE_ARENA = 3.5  # the same around other tables, from which robots start further away
 REACH = (0.3, 1.3)  # m between base and object where a grasp may be possible or not
 
-WorldOf: TypeAlias = Callable[[Scenarios], TabletopWorld]
-
 
 @dataclass(frozen=True)
 class Scenes:
     """The scenes that data are collected in.
 
     Attributes:
-        draw: draws scenarios; the robot's start is not used.
-        arena: m from the table's centre within which the robot is driven.
+        world: Makes the world of given scenarios.
+        kind: Of scenarios, as in `DRAWS`; objects along all edges for those of one.
     """
 
-    draw: Draw
-    arena: float
+    world: Callable[[Scenarios], TabletopWorld]
+    kind: str = "perimeter"
+
+    @property
+    def paper_table(self) -> bool:
+        """Whether the table is the paper's."""
+        return self.kind in PLACEMENTS
+
+    @property
+    def arena(self) -> float:
+        """M from the table's centre within which the robot is driven."""
+        return ARENA if self.paper_table else WIDE_ARENA
+
+    @property
+    def footprint(self) -> Tensor:
+        """(4,) of the base (m)."""
+        return self.world(self.draw(0, Generator())).footprint
+
+    def draw(self, count: int, generator: Generator) -> Scenarios:
+        """Scenarios, of which the robot's start is not used.
+
+        Raises:
+            SettingsError: there are no such scenarios.
+        """
+        return draw_of("perimeter" if self.paper_table else self.kind)(count, generator)
 
 
-PERIMETER = Scenes(draw_of("perimeter"), ARENA)
-"""The paper's table, with objects along all edges."""
-
-
-def scenes_of(name: str) -> Scenes:
-    """Where data are collected for scenarios called `name`; all edges for those of one.
-
-    Raises:
-        SettingsError: there are no such scenarios.
-    """
-    draw = draw_of(name)
-    return PERIMETER if name in PLACEMENTS else Scenes(draw, WIDE_ARENA)
-
-
-def poses_around(
-    world_of: WorldOf,
-    count: int,
-    generator: Generator,
-    scenes: Scenes = PERIMETER,
-    wider: float = 1.0,
-) -> Scenarios:
+def poses_around(scenes: Scenes, count: int, generator: Generator, wider: float = 1.0) -> Scenarios:
     """Scenarios with the robot at a random free pose anywhere around the table.
 
     Positions are uniform within the arena of the scenes, `wider` times as large, along x and along
@@ -67,32 +66,27 @@ def poses_around(
     """
     arena = wider * scenes.arena
 
-    def draw(n: int) -> Scenarios:
-        base = scenes.draw(n, generator)
-        pose = 2 * torch.rand(n, 3, generator=generator) - 1
-        return replace(base, pose=pose * torch.tensor([arena, arena, torch.pi]))
+    def put(base: Scenarios) -> Tensor:
+        pose = 2 * torch.rand(len(base), 3, generator=generator) - 1
+        return pose * torch.tensor([arena, arena, torch.pi])
 
-    return _resample(count, draw, world_of)
+    return _free_poses(scenes, count, generator, put)
 
 
-def poses_at_object(
-    world_of: WorldOf, count: int, generator: Generator, scenes: Scenes = PERIMETER
-) -> Scenarios:
+def poses_at_object(scenes: Scenes, count: int, generator: Generator) -> Scenarios:
     """Scenarios with the robot free within or just out of reach of the object.
 
     Distance, side and heading are uniform; objects stand along all edges.
     """
 
-    def draw(n: int) -> Scenarios:
-        base = scenes.draw(n, generator)
-        part = torch.rand(n, 3, generator=generator)
+    def put(base: Scenarios) -> Tensor:
+        part = torch.rand(len(base), 3, generator=generator)
         distance = REACH[0] + (REACH[1] - REACH[0]) * part[:, 0]
         bearing, heading = (torch.pi * (2 * part[:, 1:] - 1)).unbind(1)
         offset = rotate(torch.stack([distance, torch.zeros_like(distance)], 1), bearing)
-        pose = torch.cat([base.object + offset, heading[:, None]], 1)
-        return replace(base, pose=pose)
+        return torch.cat([base.object + offset, heading[:, None]], 1)
 
-    return _resample(count, draw, world_of)
+    return _free_poses(scenes, count, generator, put)
 
 
 def in_table(scenarios: Scenarios, footprint: Tensor) -> Tensor:
@@ -105,13 +99,15 @@ def in_table(scenarios: Scenarios, footprint: Tensor) -> Tensor:
     return inside
 
 
-def _resample(count: int, draw: Callable[[int], Scenarios], world_of: WorldOf) -> Scenarios:
-    """`count` drawn scenarios in which the base does not stand in the table."""
+def _free_poses(
+    scenes: Scenes, count: int, generator: Generator, put: Callable[[Scenarios], Tensor]
+) -> Scenarios:
+    """`count` scenarios with the robot put (n, 3) where the base does not stand in the table."""
     parts: list[Scenarios] = []
-    have = 0
+    have, footprint = 0, scenes.footprint
     while have < count:
-        scenarios = draw(2 * (count - have) + 8)
-        free = ~in_table(scenarios, world_of(scenarios[:0]).footprint)
-        parts.append(scenarios[free.nonzero()[:, 0]])
-        have += int(free.sum())
+        base = scenes.draw(2 * (count - have) + 8, generator)
+        scenarios = replace(base, pose=put(base))
+        parts.append(scenarios[~in_table(scenarios, footprint)])
+        have += len(parts[-1])
     return concatenate_scenarios(parts)[:count]

@@ -1,9 +1,8 @@
 """What the geometry of a percept says by itself, without data.
 
-The first seven numbers of a percept are the table's axis-aligned box x min, x max, y min, y max and
-the object's x, y, z; what may follow is in `cgtorch.tabletop.world.percepts`. A motion (..., 3) is
-dx, dy and dθ: the robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres
-and radians in the robot's base frame.
+Percepts are those of `cgtorch.tabletop.world.percepts`. A motion (..., 3) is dx, dy and dθ: the
+robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres and radians in the
+robot's base frame.
 
 Skills ask for thousands of motions at once, so what is put together here has its columns side by
 side in memory (`columns`), where operations on some of them are several times as fast.
@@ -14,12 +13,10 @@ from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.numerics import atan2
-from cgtorch.tabletop.world.percepts import parted, table_seen
+from cgtorch.tabletop.world.percepts import parts_of
 
-COORDINATES = (
-    "table x min", "table x max", "table y min", "table y max", "object x", "object y", "object z",
-)  # fmt: skip
-FEATURES = 4
+CENTRE, EXTENTS, OBJECT = slice(0, 2), slice(2, 4), slice(4, 6)
+"""Where in `to_parts` the box's centre, its extents and the object's x and y are."""
 
 
 def columns(*parts: Tensor) -> Tensor:
@@ -40,27 +37,9 @@ def length(vector: Tensor) -> Tensor:
     return vector.square().sum(-1).clamp_min(1e-30).sqrt()
 
 
-def coordinates(percept: Tensor) -> tuple[str, ...]:
-    """Names of the D numbers of percepts (..., D)."""
-    _, side, boxes = parted(percept)
-    sides = ("side x", "side y")[: side.shape[-1]]
-    ends = ("x min", "x max", "y min", "y max")
-    obstacles = (f"obstacle {k + 1} {end}" for k in range(boxes.shape[-2]) for end in ends)
-    return (*COORDINATES, *sides, *obstacles)
-
-
-def check_percept(percept: Tensor, motion: Tensor) -> None:
-    """Refuse percepts that are not of the tabletop or motions that are not (..., 3).
-
-    Raises:
-        DataError: Another last dimension.
-    """
-    try:
-        parted(percept)
-    except DataError as error:
-        raise DataError(
-            f"percept has shape {tuple(percept.shape)}; pass (..., 7): {error}"
-        ) from error
+def check_shapes(percept: Tensor, motion: Tensor) -> None:
+    """DataError if percepts are not of the tabletop, or motions not (..., 3)."""
+    parts_of(percept)
     if motion.shape[-1:] != (3,):
         raise DataError(f"motion has shape {tuple(motion.shape)}; pass (..., 3)")
 
@@ -73,7 +52,7 @@ def to_parts(percept: Tensor) -> Tensor:
 
 def from_parts(parts: Tensor) -> Tensor:
     """The first numbers (..., 7) of a percept with the given parts (..., 7), of `to_parts`."""
-    centre, half = parts[..., 0:2], parts[..., 2:4] / 2
+    centre, half = parts[..., CENTRE], parts[..., EXTENTS] / 2
     low, high = centre - half, centre + half
     return columns(low[..., :1], high[..., :1], low[..., 1:], high[..., 1:], parts[..., 4:])
 
@@ -135,8 +114,8 @@ def boxes_moved(boxes: Tensor, motion: Tensor) -> Tensor:
     parts = to_parts(torch.nn.functional.pad(boxes, (0, 3)))
     each = motion[..., None, :]
     moved = move_rigidly(parts, each)
-    extents = loosely_turned(parts[..., 2:4], each[..., 2])
-    centre, half = moved[..., 0:2], extents / 2
+    extents = loosely_turned(parts[..., EXTENTS], each[..., 2])
+    centre, half = moved[..., CENTRE], extents / 2
     after = torch.stack([centre - half, centre + half], dim=-1).flatten(-2)
     return torch.where((boxes != 0).any(-1, keepdim=True), after, torch.zeros_like(after))
 
@@ -153,16 +132,13 @@ def side_turned(side: Tensor, motion: Tensor) -> Tensor:
 def tables_seen(percept: Tensor, sides: Tensor) -> tuple[Tensor, Tensor]:
     """The two yaws (..., 2) a table may have, and its sides (2,), or (..., 2) where they are seen.
 
-    Where the percept tells the yaw, both are the same.
-
-    Args:
-        percept: (..., D).
-        sides: (2,) of the table if there is only one, short and long.
+    Where the percepts (..., D) tell the yaw, both are the same, and else it is the one table with
+    short and long `sides` (2,).
     """
-    seven, side, _ = parted(percept)
-    if not side.shape[-1]:
-        return mirror_yaws(to_parts(seven), sides), sides
-    table = table_seen(seven, side)
+    seen = parts_of(percept)
+    if not seen.side.shape[-1]:
+        return mirror_yaws(to_parts(percept), sides), sides
+    table = seen.table
     return table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5]
 
 
@@ -189,7 +165,7 @@ def places_on_table(parts: Tensor, yaws: Tensor) -> Tensor:
     A rectangle is the same after half a turn and mirrored in its axes, so only sizes matter.
     They tell the yaws apart, because people put things near the edges of tables.
     """
-    offset = parts[..., 4:6] - parts[..., 0:2]
+    offset = parts[..., OBJECT] - parts[..., CENTRE]
     u, v, c, s = offset[..., :1], offset[..., 1:], yaws.cos(), yaws.sin()
     (x1, x2), (y1, y2) = ((c * u + s * v).unbind(-1), (c * v - s * u).unbind(-1))
     return side_by_side(x1, y1, x2, y2).abs()
@@ -206,6 +182,6 @@ def extremes(parts: Tensor, motion: Tensor, yaws: Tensor, sides: Tensor) -> Tens
     Distance of the object (m), way driven (m), size of the turn (rad), and how badly a table of
     the given sides fits the box (m).
     """
-    misfit = parts[..., 2:4] - turned_extents(yaws[..., 0], sides)
-    far, way = length(parts[..., 4:6]), length(motion[..., :2])
+    misfit = parts[..., EXTENTS] - turned_extents(yaws[..., 0], sides)
+    far, way = length(parts[..., OBJECT]), length(motion[..., :2])
     return side_by_side(far, way, motion[..., 2].abs(), length(misfit))

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.world.percepts import BOX, PERCEPTS, parted, table_seen
+from cgtorch.tabletop.world.percepts import BOX, PERCEPTS, parts_of
 
 SIZES = tuple(size + obstacle for size in PERCEPTS.values() for obstacle in (0, 4))
 """Lengths of percepts that are those of a tabletop: box or yaw, with an obstacle or without."""
@@ -34,14 +34,14 @@ def grasp_features(percept: Tensor) -> Tensor:
     """
     if percept.shape[-1] not in SIZES:
         return percept
-    seven, side, _ = parted(percept)
-    placed = seven[..., 4:6]
+    seen = parts_of(percept)
+    placed = seen.object
     distance = placed.norm(dim=-1, keepdim=True).clamp_min(1e-6)
     polar = torch.cat([STRETCH * distance, TURN * placed / distance], -1)
-    height = RISE * seven[..., 6:7]
-    if side.shape[-1]:
-        return torch.cat([polar, height, edges(table_seen(seven, side), placed)], -1)
-    return torch.cat([NEAR * torch.tanh(seven[..., :4] / NEAR), polar, height], -1)
+    height = RISE * seen.height
+    if seen.side.shape[-1]:
+        return torch.cat([polar, height, edges(seen.table, placed)], -1)
+    return torch.cat([NEAR * torch.tanh(seen.box / NEAR), polar, height], -1)
 
 
 def edges(table: Tensor, placed: Tensor) -> Tensor:
@@ -69,7 +69,7 @@ def used_features(percept: Tensor) -> int:
     features = grasp_features(percept[:1]).shape[-1]
     if features != FLAT + 1 or percept.shape[-1] not in SIZES:
         return features
-    return FLAT + int(bool(percept[:, 6].std(correction=0) > SAME_HEIGHT))
+    return FLAT + int(bool(parts_of(percept).height.std(correction=0) > SAME_HEIGHT))
 
 
 def compiled_features(size: int, used: int) -> bool:

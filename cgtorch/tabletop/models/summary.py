@@ -8,7 +8,7 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import rows_of, scalars_of, summary_of
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.improvement.model_summary import ModelSummary
-from cgtorch.tabletop.data.poses import Scenes, WorldOf
+from cgtorch.tabletop.data import Scenes
 from cgtorch.tabletop.models.success_quality import (
     FreshLabels,
     SuccessQuality,
@@ -30,19 +30,18 @@ class Fresh:
 
 
 def fresh_experience(
-    world_of: WorldOf, gamma: TransitionModel, tests: int, generator: Generator, scenes: Scenes
+    scenes: Scenes, gamma: TransitionModel, tests: int, generator: Generator
 ) -> Fresh:
     """Γ on fresh transitions, and fresh labels for C, at most as many as `tests`."""
-    quality = transition_quality(world_of, gamma, FRESH_TRANSITIONS, generator, scenes)
-    labels = fresh_labels(world_of, min(FRESH_LABELS, tests), generator, scenes)
-    return Fresh(quality, labels)
+    quality = transition_quality(scenes, gamma, FRESH_TRANSITIONS, generator)
+    return Fresh(quality, fresh_labels(scenes, min(FRESH_LABELS, tests), generator))
 
 
 def tabletop_summary(
-    world_of: WorldOf, knowledge: Knowledge, fresh: Fresh, generator: Generator, scenes: Scenes
+    scenes: Scenes, knowledge: Knowledge, fresh: Fresh, generator: Generator
 ) -> ModelSummary:
     """The line, the numbers and the curves of the first models."""
-    judged = success_quality(world_of, knowledge.classifier, fresh.labels, generator, scenes)
+    judged = success_quality(scenes, knowledge.classifier, fresh.labels, generator)
     error = dict(zip(knowledge.gamma_report.coordinates, knowledge.gamma_report.error, strict=True))
     scalars = {
         **scalars_of(knowledge),

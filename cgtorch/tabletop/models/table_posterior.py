@@ -10,49 +10,45 @@ from collections.abc import Callable
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.tabletop.models.geometry import to_parts
-from cgtorch.tabletop.models.object_prior import placement_density
+from cgtorch.tabletop.models.geometry import CENTRE, EXTENTS, OBJECT, to_parts
 from cgtorch.tabletop.world.general import INSET, SIDE
 from cgtorch.tabletop.world.geometry import rotate
-from cgtorch.tabletop.world.percepts import parted
+from cgtorch.tabletop.world.percepts import parts_of
+from cgtorch.tabletop.world.scenarios import INSET_MAX, INSET_MIN
 
 _FLATTEST = 1e-3  # of the determinant that gives the sides; at 45° only their sum is known
-_OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said not to contain
+OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said not to contain
 
 
 def tables_behind(
     percept: Tensor, blur: float, samples: int, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples of the table and the object behind percepts.
+    """Samples of the table and the object behind percepts (n, D).
 
-    Args:
-        percept: (n, D) with noise.
-        blur: m, standard deviation of the noise of each of its numbers.
-        samples: S, for each row.
-        generator: of all random choices.
+    Each of their numbers has noise of a standard deviation of `blur` (m).
 
     Returns:
         Tables (n, S, 5) and objects (n, S, 2) in the base frame, and weights (n, S).
     """
-    _, side, _ = parted(percept)
+    side = parts_of(percept).side
     parts = to_parts(percept)[:, None].expand(-1, samples, -1)
 
     def noise(deviation: float, size: int) -> Tensor:
         return deviation * torch.randn(len(percept), samples, size, generator=generator)
 
     # A centre is the mean of two numbers with noise, an extent their difference.
-    centre = parts[..., :2] - noise(blur / 2**0.5, 2)
-    placed = parts[..., 4:6] - noise(blur, 2)
+    centre = parts[..., CENTRE] - noise(blur / 2**0.5, 2)
+    placed = parts[..., OBJECT] - noise(blur, 2)
     if side.shape[-1]:
         shape, weight = _seen_sides(parts, side, blur, noise)
     else:
-        shape, weight = _any_yaw(parts[..., 2:4] - noise(blur * 2**0.5, 2), generator)
+        shape, weight = _any_yaw(parts[..., EXTENTS] - noise(blur * 2**0.5, 2), generator)
     sides = shape[..., 1:].clamp(*SIDE)
     weight = weight * (shape[..., 1:] == sides).all(-1)
     yaw = shape[..., :1]
     density = placement_density(rotate(placed - centre, -yaw[..., 0]), sides, INSET)
     # Where no sample fits, all that are left are as likely.
-    return torch.cat([centre, yaw, sides], -1), placed, weight * (density + _OUTLIER) + _OUTLIER**2
+    return torch.cat([centre, yaw, sides], -1), placed, weight * (density + OUTLIER) + OUTLIER**2
 
 
 def _any_yaw(extents: Tensor, generator: Generator) -> tuple[Tensor, Tensor]:
@@ -81,3 +77,24 @@ def _seen_sides(
     other = s * w + c * h + noise(blur * 2**0.5, 1)[..., 0]
     misfit = (c * w - s * h).square() / (4 * blur**2)
     return torch.stack([yaw, length, other], -1), torch.exp(-misfit) / length
+
+
+def placement_density(
+    at: Tensor, sides: Tensor, insets: tuple[float, float] = (INSET_MIN, INSET_MAX)
+) -> Tensor:
+    """Density (..., per m²) of objects at (..., 2) in the frame of a table of sides (..., 2).
+
+    That of `random_scenarios("perimeter")`, or with other insets of `general_scenarios`: an edge is
+    drawn by its length, then a place along it and a distance from it.
+    """
+    low, high = insets
+    density = torch.zeros_like(at[..., 0])
+    for axis in (0, 1):
+        long, half = sides[..., 1 - axis], sides[..., axis] / 2
+        inset = half - at[..., axis].abs()
+        for distance in (inset, 2 * half - inset):  # from the near edge and from the far one
+            inside = (distance >= low) & (distance <= high)
+            inside &= at[..., 1 - axis].abs() <= long / 2 - INSET_MIN
+            area = (high - low) * (long - 2 * INSET_MIN)
+            density = density + inside * long / (2 * sides.sum(-1) * area)
+    return density

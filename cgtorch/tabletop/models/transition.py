@@ -18,7 +18,7 @@ from cgtorch.native.structures import suits
 from cgtorch.svm.compiled import Compiled
 from cgtorch.tabletop.models import geometry
 from cgtorch.tabletop.models.compiled import gamma_structure, transitions
-from cgtorch.tabletop.world.percepts import parted
+from cgtorch.tabletop.world.percepts import Percept, parts_of
 
 DECISIVE = 0.03
 """Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
@@ -68,7 +68,7 @@ class TableTransitionModel(TransitionModel):
         Raises:
             DataError: Wrong shapes.
         """
-        geometry.check_percept(percept, motion)
+        geometry.check_shapes(percept, motion)
         machine, numbers = self.machine._machine, self.tensors()[4:]
         suited = suits(percept, motion, *machine)
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
@@ -103,7 +103,7 @@ class TableTransitionModel(TransitionModel):
         first, second = geometry.boxes_after(yaws, control, sides).unbind(-2)
         half = (first - second) / 2
         size = half.norm(dim=-1)
-        off = geometry.to_parts(next_percept)[..., 2:4] - (first + second) / 2
+        off = geometry.to_parts(next_percept)[..., geometry.EXTENTS] - (first + second) / 2
         target = ((off * half).sum(-1) / size.square().clamp_min(1e-12)).clamp(-1, 1)
         return target[:, None], (size > DECISIVE / 2) | (yaws[..., 0] == yaws[..., 1])
 
@@ -114,10 +114,10 @@ class TableTransitionModel(TransitionModel):
     def _scene(self, percept: Tensor, motion: Tensor | None = None) -> "_Scene":
         """What percepts (..., D) show; motions are only checked."""
         if motion is not None:
-            geometry.check_percept(percept, motion)
-        _, side, boxes = parted(percept)
+            geometry.check_shapes(percept, motion)
+        seen = parts_of(percept)
         yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
-        return _Scene(geometry.to_parts(percept), side, boxes, yaws, sides)
+        return _Scene(geometry.to_parts(percept), seen, yaws, sides)
 
     def _features(self, scene: "_Scene") -> Tensor:
         places = geometry.places_on_table(scene.parts, scene.yaws).to(self.mean)
@@ -130,15 +130,13 @@ class _Scene:
 
     Attributes:
         parts: (..., 7) as of `geometry.to_parts`.
-        side: (..., 2 or 0) and
-        boxes: (..., K, 4) as of `cgtorch.tabletop.world.percepts.parted`.
+        seen: The parts of the percepts.
         yaws: (..., 2) that the table may have.
         sides: (2,) or (..., 2) of the table.
     """
 
     parts: Tensor
-    side: Tensor
-    boxes: Tensor
+    seen: Percept
     yaws: Tensor
     sides: Tensor
 
@@ -150,14 +148,14 @@ def _next_percept(scene: _Scene, motion: Tensor, value: Tensor, trust: Tensor) -
     # Sharper than the value itself, which the width of the kernel has smoothed.
     weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
     extents = (first + second) / 2 + weight * (first - second)
-    loose = geometry.loosely_turned(scene.parts[..., 2:4], motion[..., 2])
+    loose = geometry.loosely_turned(scene.parts[..., geometry.EXTENTS], motion[..., 2])
     extents = loose + trust.to(loose) * (extents - loose)
     after = geometry.columns(moved[..., :2], extents, moved[..., 4:])
     seven = geometry.from_parts(after)
-    if scene.side.shape[-1] + scene.boxes.shape[-2] == 0:
+    if scene.seen.side.shape[-1] + scene.seen.obstacles.shape[-2] == 0:
         return seven
-    others = geometry.boxes_moved(scene.boxes, motion).flatten(-2)
-    side = geometry.side_turned(scene.side, motion)
+    others = geometry.boxes_moved(scene.seen.obstacles, motion).flatten(-2)
+    side = geometry.side_turned(scene.seen.side, motion)
     return torch.cat([seven, side, others], dim=-1)
 
 

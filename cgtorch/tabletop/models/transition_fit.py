@@ -17,6 +17,7 @@ from cgtorch.svm import SVR, doubling_sizes, grid_search, inputs, learning_curve
 from cgtorch.svm.grid_search import Progress
 from cgtorch.tabletop.models import geometry
 from cgtorch.tabletop.models.transition import TableTransitionModel
+from cgtorch.tabletop.world.percepts import parts_of, percept_fields
 
 C_GRID = (1.0, 4.0)
 GAMMA_GRID = (0.5, 1.0, 2.0)
@@ -65,7 +66,7 @@ def fit_table_transition_model(
         SettingsError: A grid that cannot be used.
     """
     p, u, q = transition_rows(percept, motion, next_percept, max_memory)
-    geometry.check_percept(p, u)
+    geometry.check_shapes(p, u)
     generator = inputs.generator_of(seed)
     model = _geometry_of(p, u, q).to(dtype).double()  # which learning on will see like this
     target, tells = model.targets(p, u, q)
@@ -102,7 +103,7 @@ def fit_table_transition_model(
     report = TransitionReport(
         rows=len(p),
         informative=len(rows),
-        coordinates=geometry.coordinates(p),
+        coordinates=tuple(field.name for field in percept_fields(p.shape[1])),
         units=("m",) * p.shape[1],
         error=tuple(error.tolist()),
         baseline_error=tuple(rigid_error.tolist()),
@@ -122,13 +123,13 @@ def _geometry_of(p: Tensor, u: Tensor, q: Tensor) -> TableTransitionModel:
     """A model that knows the table's sides and the scale of the features, but not the turn."""
     model = TableTransitionModel().to(p.device)
     before, after = geometry.to_parts(p), geometry.to_parts(q)
-    model.sides = geometry.table_sides(torch.cat([before, after])[:, 2:4])
+    model.sides = geometry.table_sides(torch.cat([before, after])[:, geometry.EXTENTS])
     yaws, sides = geometry.tables_seen(p, model.sides)
     places = geometry.places_on_table(before, yaws)
     model.mean = places.mean(0)
     # One scale for all: they are lengths, seen with the same noise.
     spread = places.var(0, correction=0).mean().sqrt()
-    model.scale = torch.where(spread > 1e-9, spread, 1.0).expand(geometry.FEATURES).clone()
+    model.scale = torch.where(spread > 1e-9, spread, 1.0).expand(places.shape[1]).clone()
     most = geometry.extremes(before, u, yaws, sides).amax(0)
     model.most = most.clamp_min(1e-3)
     return model
@@ -160,6 +161,6 @@ def _settle(
         model.trust = torch.tensor(trust).to(p)
         errors.append((model.next_percept(p, u, held_out[:, None]) - q).abs())
     turned, loose = errors
-    better = _better(turned[:, :4].mean(1), loose[:, :4].mean(1))
+    better = _better(parts_of(turned).box.mean(1), parts_of(loose).box.mean(1))
     model.trust = torch.tensor(float(better)).to(p)
     return (turned if better else loose).mean(0), loose.mean(0)

@@ -5,7 +5,7 @@ import html
 from torch import Tensor
 
 from cgtorch.tabletop.viewer.timeline import Timeline
-from cgtorch.tabletop.world.percepts import BOX, parted
+from cgtorch.tabletop.world.percepts import BOX, parts_of
 
 SEVEN = ("table x min", "table x max", "table y min", "table y max")
 OBJECT = ("object x", "object y", "object z")
@@ -17,9 +17,9 @@ CELL = "padding:1px 10px 1px 0;font-variant-numeric:tabular-nums"
 
 def percept_rows(percept: Tensor) -> list[tuple[str, str]]:
     """Names and values of a percept (D,)."""
-    _, side, boxes = parted(percept)
-    names = [*SEVEN, *OBJECT, *SIDE[: len(side)]]
-    for k in range(len(boxes)):
+    seen = parts_of(percept)
+    names = [*SEVEN, *OBJECT, *SIDE[: len(seen.side)]]
+    for k in range(len(seen.obstacles)):
         names += [f"box {k + 1} {name.removeprefix('table ')}" for name in SEVEN[:BOX]]
     return [(name, f"{value:.3f} m") for name, value in zip(names, percept.tolist(), strict=True)]
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cgtorch.native import function, threads
 from cgtorch.native.structures import POINTER, WHOLE, structures, suits
-from cgtorch.tabletop.world.percepts import present, things_seen
+from cgtorch.tabletop.world.percepts import parts_of, present
 from cgtorch.tabletop.world.sweep import sweep_blocked
 
 MAX_TRANSLATION = 2.5  # m; a navigation goal further away is refused
@@ -58,7 +58,7 @@ class ClearWay:
 
     def __call__(self, percept: Tensor, motion: Tensor) -> Tensor:
         """(n,) bool for percepts (n, D) and motions (n, 3)."""
-        return motion_possible(motion, things_seen(percept), self.footprint)
+        return motion_possible(motion, parts_of(percept).things, self.footprint)
 
 
 def body_structure(footprint: Tensor) -> Any:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.tabletop.world.geometry import rotate, wrap
-from cgtorch.tabletop.world.percepts import BOX, TABLETOP, parted, table_seen
+from cgtorch.tabletop.world.percepts import BOX, TABLETOP, parts_of
 
 SCENE = 9
 """Numbers of a scene without obstacles, see `scene`."""
@@ -48,10 +48,10 @@ def edge_frame(percept: Tensor) -> EdgeFrame:
     """The frames of percepts (n, D).
 
     Raises:
-        DataError: as for `cgtorch.tabletop.world.percepts.parted`.
+        DataError: as for `cgtorch.tabletop.world.percepts.parts_of`.
     """
-    seven, side, _ = parted(percept)
-    table, placed = table_seen(seven, side), seven[..., 4:6]
+    seen = parts_of(percept)
+    table, placed = seen.table, seen.object
     at = rotate(placed - table[..., :2], -table[..., 2])
     half = table[..., 3:5] / 2
     # Edges at -x, -y, +x, +y of the table: a quarter turn from each to the next.
@@ -70,9 +70,6 @@ def scene(percept: Tensor) -> Tensor:
 
     The robot's x and y (m), cosine and sine of its heading, the four extents and the object's
     height (m); of each obstacle its centre's x and y and half its mean side (m).
-
-    Raises:
-        DataError: as for `cgtorch.tabletop.world.percepts.parted`.
     """
     frame = edge_frame(percept)
     return torch.cat([table_scene(frame, percept), obstacles(frame, percept)], -1)
@@ -83,18 +80,17 @@ def table_scene(frame: EdgeFrame, percept: Tensor) -> Tensor:
     robot = into(frame, torch.zeros_like(frame.origin))
     heading = -frame.mirror * frame.yaw
     turned = [heading.cos()[..., None], heading.sin()[..., None]]
-    return torch.cat([robot, *turned, frame.extent, percept[..., 6:7]], -1)
+    return torch.cat([robot, *turned, frame.extent, parts_of(percept).height], -1)
 
 
 def obstacles(frame: EdgeFrame, percept: Tensor) -> Tensor:
     """The scene's obstacles (n, OBSTACLE each)."""
-    _, _, boxes = parted(percept)
-    there = (boxes != 0).any(-1, keepdim=True)
-    low, high = boxes[..., 0::2], boxes[..., 1::2]
+    seen = parts_of(percept)
+    low, high = seen.obstacles[..., 0::2], seen.obstacles[..., 1::2]
     centre = into(frame, (low + high) / 2)
     obstacle = torch.cat([centre, (high - low).mean(-1, keepdim=True) / 2], -1)
     nothing = obstacle.new_tensor([-NOWHERE, 0.0, 0.0])
-    return torch.where(there, obstacle, nothing).flatten(-2)
+    return torch.where(seen.present[..., None], obstacle, nothing).flatten(-2)
 
 
 def into(frame: EdgeFrame, point: Tensor) -> Tensor:

@@ -2,12 +2,16 @@
 
 A percept is the table's box x min, x max, y min, y max and the object's x, y, z (7); where it is
 to tell the table's yaw then one side of the table (2); then the box of each obstacle (4K). All in
-m, in the robot's base frame. A percept's length tells which of these it holds.
+m, in the robot's base frame. A percept's length tells which of these it holds, and `Percept` gives
+its parts their names.
 """
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from cgtorch.environment.fields import Field, named
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.numerics import atan2
 from cgtorch.tabletop.world.geometry import (
@@ -24,6 +28,79 @@ BOX = 4
 """Numbers that each obstacle takes: x min, x max, y min, y max; all 0 where there is none."""
 
 
+@dataclass(frozen=True)
+class Percept:
+    """The parts of percepts (..., D).
+
+    Attributes:
+        box: (..., 4) of the table.
+        object: (..., 2) its x and y.
+        height: (..., 1) the object's z.
+        side: (..., 2 or 0) of the table, as of `side_seen`.
+        obstacles: (..., K, 4) their boxes.
+    """
+
+    box: Tensor
+    object: Tensor
+    height: Tensor
+    side: Tensor
+    obstacles: Tensor
+
+    @property
+    def present(self) -> Tensor:
+        """(..., K) bool, which obstacles there are."""
+        return (self.obstacles != 0).any(-1)
+
+    @property
+    def table(self) -> Tensor:
+        """The table (..., 5) as a rectangle.
+
+        Without the side it is the box itself. With it, the other side is the one that fits the box
+        best, by least squares.
+        """
+        box = box_rectangle(self.box)
+        if not self.side.shape[-1]:
+            return box
+        length, yaw = self.side.norm(dim=-1), atan2(self.side[..., 1], self.side[..., 0]) / 2
+        c, s = yaw.cos().abs(), yaw.sin().abs()
+        other = s * (box[..., 3] - length * c) + c * (box[..., 4] - length * s)
+        return torch.cat([box[..., :2], torch.stack([yaw, length, other.clamp_min(0)], -1)], -1)
+
+    @property
+    def things(self) -> Tensor:
+        """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is none."""
+        table = self.table[..., None, :]
+        some = self.obstacles.shape[-2] > 0
+        return torch.cat([table, box_rectangle(self.obstacles)], -2) if some else table
+
+
+def parts_of(percept: Tensor) -> Percept:
+    """The parts of percepts (..., D).
+
+    Raises:
+        DataError: D is not the length of a percept of the tabletop.
+    """
+    size = percept.shape[-1]
+    tabletop = next((n for n in PERCEPTS.values() if size >= n and (size - n) % BOX == 0), None)
+    if tabletop is None:
+        raise DataError(
+            f"a percept has {size} numbers; give 7, or 9 with the table's side, and 4 for each "
+            "obstacle"
+        )
+    obstacles = percept[..., tabletop:].unflatten(-1, ((size - tabletop) // BOX, BOX))
+    box, at, height = percept[..., :4], percept[..., 4:6], percept[..., 6:7]
+    return Percept(box, at, height, percept[..., TABLETOP:tabletop], obstacles)
+
+
+def percept_fields(size: int) -> tuple[Field, ...]:
+    """Names and units of the numbers of percepts of a size."""
+    parts = parts_of(torch.zeros(size))
+    ends = ("x min", "x max", "y min", "y max")
+    obstacles = (f"obstacle {k + 1} {end}" for k in range(len(parts.obstacles)) for end in ends)
+    table = *(f"table {end}" for end in ends), "object x", "object y", "object z"
+    return named(*table, *("side x", "side y")[: len(parts.side)], *obstacles, unit="m")
+
+
 def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
     """The percept (..., 7) without noise: table box and object in the base frame (m).
 
@@ -37,15 +114,11 @@ def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
 
 
 def side_seen(pose: Tensor, table: Tensor) -> Tensor:
-    """The table's side (..., 2) that lies along its own x axis (m), without noise.
+    """The side (..., 2) of tables (..., 6) along their own x axis from poses (..., 3), in m.
 
-    A vector as long as the side, at twice the angle from the base's x axis to the side: a side has
-    no beginning and no end, and twice its angle is the same after half a turn. The other side
-    follows from the box.
-
-    Args:
-        pose: (..., 3) base pose.
-        table: (..., 6) table in the world.
+    A vector without noise, as long as the side, at twice the angle from the base's x axis to the
+    side: a side has no beginning and no end, and twice its angle is the same after half a turn.
+    The other side follows from the box.
     """
     angle = 2 * (table[..., 2] - pose[..., 2])
     return table[..., 3:4] * torch.stack([angle.cos(), angle.sin()], -1)
@@ -63,46 +136,3 @@ def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
     """
     box = bounding_box(rectangle_in_frame(pose[..., None, :], obstacles))
     return (box * present(obstacles)[..., None]).flatten(-2)
-
-
-def parted(percept: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The seven numbers (..., 7), the side (..., 2 or 0) and the boxes (..., K, 4) of a percept.
-
-    Raises:
-        DataError: it is of another length than a percept of the tabletop can have.
-    """
-    size = percept.shape[-1]
-    tabletop = next((n for n in PERCEPTS.values() if size >= n and (size - n) % BOX == 0), None)
-    if tabletop is None:
-        raise DataError(
-            f"a percept has {size} numbers; give 7, or 9 with the table's side, and 4 for each "
-            "obstacle"
-        )
-    seven, side = percept[..., :TABLETOP], percept[..., TABLETOP:tabletop]
-    return seven, side, percept[..., tabletop:].unflatten(-1, ((size - tabletop) // BOX, BOX))
-
-
-def table_seen(seven: Tensor, side: Tensor) -> Tensor:
-    """Tables (..., 5) as rectangles, from the first two parts of percepts.
-
-    Without the side it is the box itself. With it, the other side is the one that fits the box
-    best, by least squares.
-    """
-    box = box_rectangle(seven[..., :BOX])
-    if not side.shape[-1]:
-        return box
-    length, yaw = side.norm(dim=-1), atan2(side[..., 1], side[..., 0]) / 2
-    c, s = yaw.cos().abs(), yaw.sin().abs()
-    other = s * (box[..., 3] - length * c) + c * (box[..., 4] - length * s)
-    return torch.cat([box[..., :2], torch.stack([yaw, length, other.clamp_min(0)], -1)], -1)
-
-
-def things_seen(percept: Tensor) -> Tensor:
-    """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is none.
-
-    Raises:
-        DataError: as for `parted`.
-    """
-    seven, side, boxes = parted(percept)
-    table = table_seen(seven, side)[..., None, :]
-    return torch.cat([table, box_rectangle(boxes)], -2) if boxes.shape[-2] else table

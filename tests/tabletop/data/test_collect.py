@@ -11,9 +11,9 @@ from torch import Tensor
 
 from cgtorch.environment import Dataset, Lanes
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.tabletop.data import collect, scenes_of
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.data.collect import drive
-from cgtorch.tabletop.data.poses import ARENA, PERIMETER, in_table, poses_around
+from cgtorch.tabletop.data.poses import ARENA, in_table, poses_around
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
 
@@ -31,8 +31,8 @@ class Watched(TabletopWorld):
         return after, done
 
 
-def world_of(noise: Noise = EXACT) -> Callable[[Scenarios], TabletopWorld]:
-    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise)
+def scenes_of(noise: Noise = EXACT) -> Scenes:
+    return Scenes(lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def driven() -> tuple[tuple[Tensor, Tensor, Tensor], dict[str, Tensor]]:
         world.steps = steps
         return world
 
-    rows = drive(watched, 500, seeded(1))
+    rows = drive(Scenes(watched), 500, seeded(1))
     all_steps = {
         "percept": torch.cat([before.percept for before, _, _, _ in steps]),
         "motion": torch.cat([motion for _, motion, _, _ in steps]),
@@ -110,7 +110,7 @@ def test_the_robot_is_driven_along_all_sides(
 
 
 def test_start_poses_are_free() -> None:
-    scenarios = poses_around(world_of(), 300, seeded(2))
+    scenarios = poses_around(scenes_of(), 300, seeded(2))
     assert len(scenarios) == 300
     assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
     assert scenarios.pose[:, :2].abs().max() <= ARENA
@@ -126,7 +126,7 @@ def test_data_of_other_scenes(kind: str, percept: str, size: int) -> None:
         asked.append(scenarios)
         return TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
 
-    data = collect(watched, 200, 200, seeded(3), scenes_of(kind))
+    data = collect(Scenes(watched, kind), 200, 200, seeded(3))
     assert data.percept.shape == data.next_percept.shape == data.tested.shape == (200, size)
     assert data.percept[:, 6].min() < 0.65 < 0.85 < data.percept[:, 6].max()
     for scenarios in asked:
@@ -135,10 +135,13 @@ def test_data_of_other_scenes(kind: str, percept: str, size: int) -> None:
 
 
 def test_edges_of_one_table_share_their_scenes() -> None:
-    assert scenes_of("near") is scenes_of("perimeter") is PERIMETER
-    assert scenes_of("general").arena > PERIMETER.arena
+    world = scenes_of().world
+    near, perimeter = (Scenes(world, kind) for kind in ("near", "perimeter"))
+    assert torch.equal(near.draw(9, seeded(0)).object, perimeter.draw(9, seeded(0)).object)
+    assert near.paper_table
+    assert Scenes(world, "general").arena > near.arena == perimeter.arena
     with pytest.raises(SettingsError, match="unknown placement 'far away'"):
-        scenes_of("far away")
+        Scenes(world, "far away").draw(1, seeded(0))
 
 
 def test_nobody_starts_in_an_obstacle() -> None:
@@ -163,7 +166,7 @@ def hardly(at: Tensor, table: Tensor) -> Tensor:
 @pytest.mark.parametrize("arms", [never, always, hardly])
 def test_a_robot_that_cannot_learn_to_grasp_is_an_error(arms: Callable[..., Tensor]) -> None:
     with pytest.raises(DataError, match=r"a grasp succeeds at .*% of random poses") as caught:
-        collect(lambda s: TabletopWorld(s, arms, FOOTPRINT), 50, 300, seeded(7))
+        collect(Scenes(lambda s: TabletopWorld(s, arms, FOOTPRINT)), 50, 300, seeded(7))
     assert "\n" not in str(caught.value)
 
 
@@ -172,14 +175,14 @@ def equal(one: Dataset, other: Dataset) -> bool:
 
 
 def test_the_generator_decides() -> None:
-    first, again, other = (collect(world_of(LAB_NOISE), 80, 60, seeded(s)) for s in (8, 8, 9))
+    first, again, other = (collect(scenes_of(LAB_NOISE), 80, 60, seeded(s)) for s in (8, 8, 9))
     assert len(first.percept) == 80
     assert equal(first, again)
     assert not equal(first, other)
 
 
 def test_more_data_come_last() -> None:
-    first, more = (collect(world_of(), 60, 60, seeded(s)) for s in (10, 11))
+    first, more = (collect(scenes_of(), 60, 60, seeded(s)) for s in (10, 11))
     both = first.extended(more)
     for name, value in vars(both).items():
         assert torch.equal(value[: len(vars(first)[name])], vars(first)[name])

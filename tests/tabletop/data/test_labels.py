@@ -8,42 +8,42 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.tabletop.data import grasp_labels, label
+from cgtorch.tabletop.data import Scenes, grasp_labels, label
 from cgtorch.tabletop.data.labels import nearest_to_boundary
-from cgtorch.tabletop.data.poses import REACH, WorldOf, in_table, poses_around, poses_at_object
+from cgtorch.tabletop.data.poses import REACH, in_table, poses_around, poses_at_object
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
 
 EXACT = Noise(0, 0)
 
 
-def world_of(noise: Noise = EXACT) -> WorldOf:
-    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise)
+def scenes_of(noise: Noise = EXACT) -> Scenes:
+    return Scenes(lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, noise))
 
 
 @pytest.mark.parametrize("count", [60, 61, 300])
 def test_there_are_as_many_as_asked_for_and_some_of_either(count: int) -> None:
-    percept, answer = grasp_labels(world_of(), count, seeded(3))
+    percept, answer = grasp_labels(scenes_of(), count, seeded(3))
     assert percept.shape == (count, 7)
     assert 0.1 < float(answer.float().mean()) < 0.9
 
 
 def test_labels_are_what_grasping_there_gives() -> None:
-    percept, answer = grasp_labels(world_of(), 300, seeded(4))
+    percept, answer = grasp_labels(scenes_of(), 300, seeded(4))
     # Without noise the percept holds the object where it is, which is all the stand-in asks for.
     assert torch.equal(answer, graspable(percept[:, 4:7], torch.empty(0)))
 
 
 def test_a_label_with_noise_is_that_of_the_true_object() -> None:
-    scenarios = poses_at_object(world_of(), 200, seeded(5))
-    noisy, answer = label(world_of(LAB_NOISE), scenarios)
-    exact, true_answer = label(world_of(), scenarios)
+    scenarios = poses_at_object(scenes_of(), 200, seeded(5))
+    noisy, answer = label(scenes_of(LAB_NOISE), scenarios)
+    exact, true_answer = label(scenes_of(), scenarios)
     assert torch.equal(answer, true_answer)
     assert not torch.equal(noisy, exact)
     assert (noisy - exact).abs().max() < 0.05
 
 
 def test_poses_at_the_object_are_free_within_reach_and_on_all_sides() -> None:
-    scenarios = poses_at_object(world_of(), 600, seeded(6))
+    scenarios = poses_at_object(scenes_of(), 600, seeded(6))
     assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
     offset = scenarios.pose[:, :2] - scenarios.object
     distance = offset.norm(dim=1)
@@ -68,8 +68,8 @@ def test_labels_crowd_where_successes_border_on_failures() -> None:
             least = torch.where(changed & least.isinf(), radius, least)
         return least
 
-    drawn = to_border(label(world_of(), poses_at_object(world_of(), 600, seeded(7)))[0])
-    chosen = to_border(grasp_labels(world_of(), 600, seeded(7))[0])
+    drawn = to_border(label(scenes_of(), poses_at_object(scenes_of(), 600, seeded(7)))[0])
+    chosen = to_border(grasp_labels(scenes_of(), 600, seeded(7))[0])
     assert float((chosen <= 0.1).float().mean()) > 1.5 * float((drawn <= 0.1).float().mean())
 
 
@@ -78,9 +78,9 @@ def test_some_labels_are_far_away_and_none_in_the_table() -> None:
 
     def watched(scenarios: Scenarios) -> TabletopWorld:
         asked.append(scenarios)
-        return world_of()(scenarios)
+        return scenes_of().world(scenarios)
 
-    percept, answer = grasp_labels(watched, 300, seeded(8))
+    percept, answer = grasp_labels(Scenes(watched), 300, seeded(8))
     far = percept[:, 4:6].norm(dim=1) > 2
     assert int(far.sum()) > 5
     assert not answer[far].any()
@@ -90,12 +90,12 @@ def test_some_labels_are_far_away_and_none_in_the_table() -> None:
 
 @given(st.integers(1, 40), st.integers(0, 2**30))
 def test_the_nearest_to_the_boundary_are_as_near_to_either_label(count: int, seed: int) -> None:
-    scenes = poses_around(world_of(), 60, seeded(seed))
-    percept, answer = label(world_of(), poses_at_object(world_of(), 60, seeded(seed + 1)))
+    scenes = poses_around(scenes_of(), 60, seeded(seed))
+    percept, answer = label(scenes_of(), poses_at_object(scenes_of(), 60, seeded(seed + 1)))
     answer[:2] = torch.tensor([True, False])
     found = nearest_to_boundary(scenes, percept, answer, count)
     assert len(found.unique()) == count
-    seen = label(world_of(), scenes)[0]
+    seen = label(scenes_of(), scenes)[0]
 
     def uneven(row: int) -> float:
         def mean(yes: bool) -> float:

@@ -1,32 +1,37 @@
 """What a percept leaves open where tables are of any size: samples that are what they claim."""
 
+from functools import partial
+
 import pytest
 import torch
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.tabletop.data import label, scenes_of
+from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import poses_at_object
 from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
-from cgtorch.tabletop.models.bayes_accuracy import chance_of_success, scenes_behind
+from cgtorch.tabletop.models.success_quality import chance_of_success, scenes_behind
 from cgtorch.tabletop.models.table_posterior import tables_behind
-from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
-from cgtorch.tabletop.models.transition_quality import fresh_transitions
+from cgtorch.tabletop.models.transition_quality import (
+    fresh_transitions,
+    possible_next,
+    weighted_median,
+)
 from cgtorch.tabletop.world import TabletopWorld, percept_of
 from cgtorch.tabletop.world.percepts import side_seen
 
-GENERAL = scenes_of("general")
 PERCEPTS = ("box", "yaw")
 
 
-def world_of(percept):
-    return lambda scenarios: TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
+def scenes_of(percept):
+    world = partial(TabletopWorld, graspable=graspable, footprint=FOOTPRINT, percept=percept)
+    return Scenes(world, "general")
 
 
 @pytest.mark.parametrize("percept", PERCEPTS)
 def test_what_is_behind_a_percept_looks_like_it(percept):
-    poses = poses_at_object(world_of(percept), 200, seeded(0), GENERAL)
-    seen, _ = label(world_of(percept), poses)
-    scenes = scenes_behind(world_of(percept), seen, 8, seeded(1), GENERAL)
+    poses = poses_at_object(scenes_of(percept), 200, seeded(0))
+    seen, _ = label(scenes_of(percept), poses)
+    scenes = scenes_behind(scenes_of(percept), seen, 8, seeded(1))
     again = percept_of(scenes.pose, scenes.table, scenes.object)
     again = torch.cat([again, side_seen(scenes.pose, scenes.table)], 1)[:, : seen.shape[1]]
     off = (again - seen.repeat_interleave(8, 0)).abs()
@@ -39,8 +44,8 @@ def test_what_is_behind_a_percept_looks_like_it(percept):
 
 def test_the_true_table_is_among_those_behind_its_box():
     """The yaw of the truth lies within the yaws that are likely, whichever they are."""
-    poses = poses_at_object(world_of("box"), 400, seeded(2), GENERAL)
-    seen, _ = label(world_of("box"), poses)
+    poses = poses_at_object(scenes_of("box"), 400, seeded(2))
+    seen, _ = label(scenes_of("box"), poses)
     table, _, weight = tables_behind(seen, 0.005, 2000, seeded(3))
     truth = poses.table[:, 3:5].prod(1)
     area = table[..., 3:5].prod(-1)
@@ -51,10 +56,8 @@ def test_the_true_table_is_among_those_behind_its_box():
 
 @pytest.mark.parametrize("percept", PERCEPTS)
 def test_the_median_errs_as_the_samples_promise(percept):
-    fresh = fresh_transitions(world_of(percept), 1000, seeded(4), GENERAL)
-    values, weight = possible_next(
-        world_of(percept), fresh.percept, fresh.motion, seeded(5), GENERAL
-    )
+    fresh = fresh_transitions(scenes_of(percept), 1000, seeded(4))
+    values, weight = possible_next(scenes_of(percept), fresh.percept, fresh.motion, seeded(5))
     median = weighted_median(values, weight)
     promised = (weight[..., None] * (values - median[:, None]).abs()).sum(1)
     error = (median - fresh.next_percept[:, :7]).abs()
@@ -68,9 +71,9 @@ def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
     grid = {"C": [1.0], "gamma": [1.0], "grid_rows": 200}
     quality = {}
     for percept in PERCEPTS:
-        data = fresh_transitions(world_of(percept), 500, seeded(6), GENERAL)
+        data = fresh_transitions(scenes_of(percept), 500, seeded(6))
         model, _ = fit_table_transition_model(data.percept, data.motion, data.next_percept, **grid)
-        quality[percept] = transition_quality(world_of(percept), model, 1000, seeded(7), GENERAL)
+        quality[percept] = transition_quality(scenes_of(percept), model, 1000, seeded(7))
     assert quality["yaw"].table_error < 1.03 * quality["yaw"].table_floor
     assert quality["yaw"].object_error < 1.03 * quality["yaw"].object_floor
     assert quality["box"].table_floor > 2 * quality["yaw"].table_floor
@@ -78,9 +81,9 @@ def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
 
 
 def test_a_grasp_that_the_noise_cannot_change_is_certain():
-    poses = poses_at_object(world_of("yaw"), 300, seeded(8), GENERAL)
-    seen, truth = label(world_of("yaw"), poses)
-    chance = chance_of_success(world_of("yaw"), seen, 8, seeded(9), GENERAL)
+    poses = poses_at_object(scenes_of("yaw"), 300, seeded(8))
+    seen, truth = label(scenes_of("yaw"), poses)
+    chance = chance_of_success(scenes_of("yaw"), seen, 8, seeded(9))
     sure = (chance == 0) | (chance == 1)
     assert float(sure.float().mean()) > 0.8
     assert float(((chance > 0.5) == truth)[sure].float().mean()) > 0.98

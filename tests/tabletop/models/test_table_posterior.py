@@ -19,7 +19,7 @@ from cgtorch.environment import start_lanes
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import load_model, save_model
 from cgtorch.svm.scores import balanced_accuracy
-from cgtorch.tabletop.data import grasp_labels, scenes_of
+from cgtorch.tabletop.data import Scenes, grasp_labels
 from cgtorch.tabletop.data.collect import drive
 from cgtorch.tabletop.models import (
     GraspClassifier,
@@ -41,7 +41,7 @@ def world_of(percept, noise=LAB_NOISE):
 @pytest.fixture(scope="module")
 def fitted():
     """Γ from 500 transitions among clutter, where percepts tell the yaw."""
-    data = drive(world_of("yaw"), 500, seeded(0), scenes_of("general-clutter"))
+    data = drive(Scenes(world_of("yaw"), "general-clutter"), 500, seeded(0))
     return *fit_table_transition_model(*data, **GRID), data
 
 
@@ -105,7 +105,7 @@ def test_errors_are_those_of_the_noise(fitted):
         "side x", "side y",
         "obstacle 1 x min", "obstacle 1 x max", "obstacle 1 y min", "obstacle 1 y max",
     )  # fmt: skip
-    p, u, q = drive(world_of("yaw"), 1000, seeded(6), scenes_of("general-clutter"))
+    p, u, q = drive(Scenes(world_of("yaw"), "general-clutter"), 1000, seeded(6))
     error = (model(p, u) - q).abs().mean(0)
     assert float(error[:4].mean()) < 0.016
     assert float(error[4:6].mean()) < 0.016
@@ -128,9 +128,9 @@ def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
 
 
 def test_boxes_of_any_table_are_better_turned_than_kept():
-    data = drive(world_of("box"), 600, seeded(7), scenes_of("general"))
+    data = drive(Scenes(world_of("box"), "general"), 600, seeded(7))
     model, _ = fit_table_transition_model(*data, **GRID)
-    p, u, q = drive(world_of("box"), 1000, seeded(8), scenes_of("general"))
+    p, u, q = drive(Scenes(world_of("box"), "general"), 1000, seeded(8))
     kept = geometry.from_parts(geometry.move_rigidly(geometry.to_parts(p), u))
     error, rigid = ((x - q).abs()[:, :4].mean() for x in (model(p, u), kept))
     assert float(error) < 0.95 * float(rigid)
@@ -146,11 +146,11 @@ def test_grasps_depend_on_the_height(percept, features):
     def worlds(scenarios):
         return TabletopWorld(scenarios, arms, FOOTPRINT, percept=percept)
 
-    domain = scenes_of("general")
-    rows, answer = grasp_labels(worlds, 500, seeded(0), domain)
+    scenes = Scenes(worlds, "general")
+    rows, answer = grasp_labels(scenes, 500, seeded(0))
     model, _ = fit_success_classifier(GraspClassifier(), rows, answer, C=[100.0], gamma=[0.5])
     assert len(model.mean) == features
-    fresh, truth = grasp_labels(worlds, 500, seeded(1), domain)
+    fresh, truth = grasp_labels(scenes, 500, seeded(1))
     assert float(balanced_accuracy(model(fresh) - 0.5, truth.float() - 0.5)) > 0.9
     low, high = (fresh.clone() for _ in range(2))
     low[:, 6], high[:, 6] = 0.6, 0.9
@@ -159,8 +159,7 @@ def test_grasps_depend_on_the_height(percept, features):
 
 def test_obstacles_say_nothing_about_grasps():
     """Obstacles are reached over, so C says the same beside them."""
-    domain = scenes_of("general")
-    rows, answer = grasp_labels(world_of("yaw"), 200, seeded(2), domain)
+    rows, answer = grasp_labels(Scenes(world_of("yaw"), "general"), 200, seeded(2))
     model, _ = fit_success_classifier(GraspClassifier(), rows, answer, C=[100.0], gamma=[0.5])
     box = torch.tensor([1.0, 1.4, -0.2, 0.3]).expand(len(rows), 4)
     assert torch.equal(model(torch.cat([rows, box], 1)), model(rows))

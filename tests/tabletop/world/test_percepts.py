@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.world.percepts import (
     obstacles_seen,
-    parted,
+    parts_of,
+    percept_fields,
     percept_of,
     side_seen,
-    table_seen,
-    things_seen,
 )
 
 metres = st.floats(-3, 3)
@@ -55,7 +54,7 @@ def test_what_is_seen_can_be_read_back_as_rectangles(
     top = torch.tensor([*table, 0.7], dtype=torch.float64)
     others = torch.tensor([obstacle, (0.0,) * 5], dtype=torch.float64)
     percept = torch.cat([percept_of(at, top, at[:2]), obstacles_seen(at, others)])
-    things = things_seen(percept)
+    things = parts_of(percept).things
     assert things.shape == (3, 5)
     for found, shape in zip(things[:2].tolist(), (table, obstacle), strict=True):
         x0, x1, y0, y1 = plain_box(pose, shape)
@@ -70,15 +69,15 @@ def test_the_side_and_the_box_give_the_table_back(
 ) -> None:
     at = torch.tensor(pose, dtype=torch.float64)
     top = torch.tensor([*table, 0.7], dtype=torch.float64)
-    seven, side = percept_of(at, top, at[:2]), side_seen(at, top)
-    found = table_seen(seven, side)
+    seen = parts_of(torch.cat([percept_of(at, top, at[:2]), side_seen(at, top)]))
+    found = seen.table
     dx, dy = table[0] - pose[0], table[1] - pose[1]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     assert found[:2].tolist() == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=1e-9)
     half_turns = (float(found[2]) - (table[2] - pose[2])) / math.pi
     assert half_turns == pytest.approx(round(half_turns), abs=1e-6)
     assert found[3:].tolist() == pytest.approx(table[3:], abs=1e-9)
-    assert torch.equal(things_seen(torch.cat([seven, side]))[0], found)
+    assert torch.equal(seen.things[0], found)
 
 
 @pytest.mark.parametrize(
@@ -86,14 +85,15 @@ def test_the_side_and_the_box_give_the_table_back(
 )
 def test_a_percepts_length_tells_what_it_holds(size: int, parts: tuple[int, int]) -> None:
     percept = torch.arange(2.0 * size).view(2, size)
-    seven, side, obstacles = parted(percept)
-    assert seven.shape == (2, 7)
-    assert side.shape == (2, parts[0])
-    assert obstacles.shape == (2, parts[1], 4)
-    assert torch.equal(torch.cat([seven, side, obstacles.flatten(1)], 1), percept)
+    seen = parts_of(percept)
+    assert seen.side.shape == (2, parts[0])
+    assert seen.obstacles.shape == (2, parts[1], 4)
+    every = seen.box, seen.object, seen.height, seen.side, seen.obstacles.flatten(1)
+    assert torch.equal(torch.cat(every, 1), percept)
+    assert len(percept_fields(size)) == size
 
 
 @pytest.mark.parametrize("size", [0, 3, 6, 8, 10, 12, 14])
 def test_other_lengths_are_no_percepts(size: int) -> None:
     with pytest.raises(DataError, match=f"a percept has {size} numbers; give 7, or 9"):
-        parted(torch.zeros(2, size))
+        parts_of(torch.zeros(2, size))

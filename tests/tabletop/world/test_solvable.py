@@ -5,18 +5,12 @@ from functools import partial
 import pytest
 import torch
 from shapely import Polygon
+from solvable import pose_that_grasps, standing_free
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
-from cgtorch.tabletop.world import (
-    Scenarios,
-    TabletopWorld,
-    draw_of,
-    pose_that_grasps,
-    random_scenarios,
-    standing_free,
-)
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, random_scenarios
 from cgtorch.tabletop.world.clear_way import CLEARANCE
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, rectangle_in_frame, to_frame
 

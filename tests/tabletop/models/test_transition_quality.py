@@ -10,12 +10,17 @@ from hypothesis import strategies as st
 from support import FOOTPRINT, seeded
 
 from cgtorch.environment import start_lanes
+from cgtorch.tabletop.data import Scenes
 from cgtorch.tabletop.data.collect import drive
 from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
 from cgtorch.tabletop.models.geometry import to_parts
-from cgtorch.tabletop.models.object_prior import placement_density
-from cgtorch.tabletop.models.transition_bayes_error import possible_next, weighted_median
-from cgtorch.tabletop.models.transition_quality import FreshTransitions, fresh_transitions
+from cgtorch.tabletop.models.table_posterior import placement_density
+from cgtorch.tabletop.models.transition_quality import (
+    FreshTransitions,
+    fresh_transitions,
+    possible_next,
+    weighted_median,
+)
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, random_scenarios
 from cgtorch.tabletop.world.geometry import bounding_box
 
@@ -30,14 +35,14 @@ def _world_of(noise):
     return lambda scenarios: TabletopWorld(scenarios, _nowhere, FOOTPRINT, noise)
 
 
-def _quiet(scenarios):
-    return _world_of(Noise(0.005, 0.0))(scenarios)
+QUIET = Scenes(_world_of(Noise(0.005, 0.0)))
+LAB = Scenes(_world_of(LAB_NOISE))
 
 
-def _floor(world_of, fresh, samples=256, seed=0):
+def _floor(scenes, fresh, samples=256, seed=0):
     """Errors (n, 7) of the median, and the errors (n, 7) that the samples promise."""
     values, weight = possible_next(
-        world_of, fresh.percept, fresh.motion, seeded(seed), samples=samples
+        scenes, fresh.percept, fresh.motion, seeded(seed), samples=samples
     )
     median = weighted_median(values, weight)
     promised = (weight[..., None] * (values - median[:, None]).abs()).sum(1)
@@ -55,7 +60,7 @@ def _without_turns(count, seed):
     angle = 2 * torch.pi * torch.rand(count, generator=generator)
     pose = torch.stack([1.6 * angle.cos(), 1.6 * angle.sin(), 3 * angle], 1)
     placed = random_scenarios("perimeter", count, generator).object
-    world = _quiet(Scenarios(pose, table, placed, torch.arange(count)))
+    world = QUIET.world(Scenarios(pose, table, placed, torch.arange(count)))
     motion = torch.tensor([0.1, -0.1, 0.0]).repeat(count, 1)
     before = start_lanes(world, torch.arange(count), 0, 0)
     after, ok = world.step(before, motion)
@@ -63,7 +68,7 @@ def _without_turns(count, seed):
 
 
 def test_without_a_turn_the_floor_is_the_noise():
-    error, _ = _floor(_quiet, _without_turns(1500, 7))
+    error, _ = _floor(QUIET, _without_turns(1500, 7))
     mean, deviation = _mean(error[:, 4:6])
     noise = 0.005 * math.sqrt(3) * MEAN_ABSOLUTE  # of the first look, the motion, the second look
     assert mean == pytest.approx(noise, abs=4 * deviation + 0.0001)
@@ -81,7 +86,7 @@ def test_an_object_on_the_middle_line_leaves_both_yaws_open():
     apart = (after[0] - after[1]).abs()[2:4]
     percept = torch.cat([bounding_box(rectangle[0]), torch.tensor([2.0 - 0.36, 0.5, 0.74])])[None]
     motion = torch.tensor([[-0.1, 0.0, turn]])
-    values, weight = possible_next(_quiet, percept, motion, seeded(0), samples=4000)
+    values, weight = possible_next(QUIET, percept, motion, seeded(0), samples=4000)
     extents = to_parts(values)[0, :, 2:4]
     first = (extents - after[0, 2:4]).norm(dim=1) < (extents - after[1, 2:4]).norm(dim=1)
     near = torch.where(first[:, None], after[0, 2:4], after[1, 2:4])
@@ -94,9 +99,8 @@ def test_an_object_on_the_middle_line_leaves_both_yaws_open():
 
 
 def test_the_median_errs_as_the_samples_promise():
-    world_of = _world_of(LAB_NOISE)
-    fresh = fresh_transitions(world_of, 1500, seeded(3))
-    error, promised = _floor(world_of, fresh)
+    fresh = fresh_transitions(LAB, 1500, seeded(3))
+    error, promised = _floor(LAB, fresh)
     for columns in ([0, 1, 2, 3], [4, 5]):
         (mean, deviation), expected = _mean(error[:, columns]), float(promised[:, columns].mean())
         assert mean == pytest.approx(expected, rel=0.05, abs=3 * deviation)
@@ -115,18 +119,15 @@ def test_objects_err_by_the_noise_of_the_motions():
         spread.append(after.percept[:, 4:6])
     around = torch.stack(spread)
     known_pose = float((around - around.median(0).values).abs().mean())
-    values, weight = possible_next(
-        _world_of(LAB_NOISE), lanes.percept, motion.repeat(60, 1), seeded(0)
-    )
+    values, weight = possible_next(LAB, lanes.percept, motion.repeat(60, 1), seeded(0))
     median = weighted_median(values, weight)
     floor = float((weight[..., None] * (values - median[:, None]).abs()).sum(1)[:, 4:6].mean())
     assert known_pose < floor < 1.15 * math.hypot(known_pose, 0.005 * MEAN_ABSOLUTE)
 
 
 def test_more_is_known_with_more_samples_only_a_little():
-    world_of = _world_of(LAB_NOISE)
-    fresh = fresh_transitions(world_of, 400, seeded(5))
-    few, many = (float(_floor(world_of, fresh, s)[0][:, :4].mean()) for s in (256, 1024))
+    fresh = fresh_transitions(LAB, 400, seeded(5))
+    few, many = (float(_floor(LAB, fresh, s)[0][:, :4].mean()) for s in (256, 1024))
     assert few == pytest.approx(many, rel=0.03)
 
 
@@ -158,15 +159,14 @@ def test_weighted_medians_err_least(values, seed):
 
 
 def test_gamma_is_close_to_the_floor():
-    world_of = _world_of(LAB_NOISE)
     model, _ = fit_table_transition_model(
-        *drive(world_of, 1200, seeded(0)), C=[1.0], gamma=[2.0], grid_rows=300
+        *drive(LAB, 1200, seeded(0)), C=[1.0], gamma=[2.0], grid_rows=300
     )
-    quality = transition_quality(world_of, model, 1500, seeded(10))
+    quality = transition_quality(LAB, model, 1500, seeded(10))
     assert quality.object_error < 1.03 * quality.object_floor
     assert quality.object_offset < 0.005
     slack = 2 * quality.table_excess_error
     assert quality.table_error < 1.1 * quality.table_floor + slack
-    again = transition_quality(world_of, model, 1500, seeded(10))
+    again = transition_quality(LAB, model, 1500, seeded(10))
     assert again == quality
     assert quality.rows == 1500
