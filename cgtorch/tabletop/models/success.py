@@ -5,9 +5,9 @@ from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.ground.errors import DataError
-from cgtorch.native.structures import suits
-from cgtorch.svm.compiled import Compiled
-from cgtorch.tabletop.models.compiled import classifier_structure, successes
+from cgtorch.native import function
+from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
+from cgtorch.svm.compiled import Compiled, machine_structure, threads_for
 from cgtorch.tabletop.models.grasp_features import (
     FLAT,
     SIZES,
@@ -26,25 +26,36 @@ class GraspClassifier(SuccessClassifier):
     def forward(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.forward`."""
         compiled = self.compiled(percept)
-        if compiled is not None:
-            found = successes(compiled, percept.reshape(-1, percept.shape[-1]))
-            if found is not None:
-                return found.view(percept.shape[:-1])
-        return self.predict_in_torch(percept)
+        if compiled is None or percept.shape[-1] > MOST_PERCEPT:
+            return self.predict_in_torch(percept)
+        call = function("successes", percept.dtype, POINTER, WHOLE, POINTER, WHOLE, POINTER, WHOLE)
+        if call is None:
+            return self.predict_in_torch(percept)
+        rows = percept.reshape(-1, percept.shape[-1]).contiguous()
+        chance, (n, size) = rows.new_empty(len(rows)), rows.shape
+        threads = threads_for(n, compiled.structure.machine.m)
+        call(compiled.address, size, rows.data_ptr(), n, chance.data_ptr(), threads)
+        return chance.view(percept.shape[:-1])
 
     def compiled(self, percept: Tensor) -> Compiled | None:
-        """C as compiled code knows it, where that can be asked about percepts (n, D)."""
-        machine, mean, scale, platt = self.machine._machine, *self.tensors()[4:]
-        suited = suits(percept, *self.tensors())
-        if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
+        """C as compiled code knows it, where that can be asked about percepts (n, D).
+
+        The same numbers as torch's but for the last digits; a row's do not depend on the others.
+        """
+        machine, mean, scale = self.machine, self.mean.contiguous(), self.scale.contiguous()
+        if not suits(percept, *machine._machine, mean, scale, machine.platt):
+            return None
+        if machine.kernel != "rbf" or not machine.fitted:
             return None
         if not compiled_features(percept.shape[-1], len(mean)):
             return None
-        return classifier_structure(machine, mean, scale, platt)
-
-    def tensors(self) -> tuple[Tensor, ...]:
-        """Centres (m, F), weights (m, 1), bias (1,), γ (), mean (F,), scale (F,), Platt's (2,)."""
-        return *self.machine._machine, self.mean, self.scale, self.machine.platt
+        made = machine_structure(*machine._machine)
+        if made is None or made.structure.k != 1 or not bool(machine.platt.isfinite().all()):
+            return None
+        classifier = structures(mean.dtype).Classifier(
+            made.structure, mean.data_ptr(), scale.data_ptr(), *machine.platt.tolist()
+        )
+        return Compiled(classifier, (*made.kept, mean, scale))
 
     def raw_features(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.raw_features`: those that were worth learning from."""

@@ -14,16 +14,15 @@ import torch
 from torch import Tensor
 
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.native.structures import suits
-from cgtorch.svm.compiled import Compiled
+from cgtorch.native import function
+from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
+from cgtorch.svm.compiled import LOG2E, Compiled, machine_structure, threads_for
 from cgtorch.tabletop.models import geometry
-from cgtorch.tabletop.models.compiled import gamma_structure, transitions
 from cgtorch.tabletop.world.percepts import Percept, parts_of
 
 DECISIVE = 0.03
 """Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
 three times the noise of a transition."""
-_NUMBERS = ("mean", "scale", "sides", "most", "trust", "reach")
 
 
 class TableTransitionModel(TransitionModel):
@@ -47,12 +46,24 @@ class TableTransitionModel(TransitionModel):
 
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.predict_with_novelty`."""
-        compiled = self.compiled(percept, control)
-        if compiled is not None and percept.shape[:-1] == control.shape[:-1]:
-            rows = percept.reshape(-1, percept.shape[-1]), control.reshape(-1, 3)
-            if (found := transitions(compiled, *rows)) is not None:
-                return found[0].view_as(percept), found[1].view(percept.shape[:-1])
-        return self.predict_in_torch(percept, control)
+        compiled, size = self.compiled(percept, control), percept.shape[-1]
+        alike = percept.shape[:-1] == control.shape[:-1]
+        if compiled is None or not alike or size > MOST_PERCEPT:
+            return self.predict_in_torch(percept, control)
+        call = function(
+            "transitions", percept.dtype,
+            POINTER, WHOLE, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE,
+        )  # fmt: skip
+        if call is None:
+            return self.predict_in_torch(percept, control)
+        rows, motion = percept.reshape(-1, size).contiguous(), control.reshape(-1, 3).contiguous()
+        after, novelty = torch.empty_like(rows), rows.new_empty(len(rows))
+        call(
+            compiled.address, size, rows.data_ptr(), motion.data_ptr(), len(rows),
+            after.data_ptr(), novelty.data_ptr(),
+            threads_for(len(rows), compiled.structure.machine.m),
+        )  # fmt: skip
+        return after.view_as(percept), novelty.view(percept.shape[:-1])
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.predict_in_torch`; a scene is read off percepts only once."""
@@ -65,19 +76,26 @@ class TableTransitionModel(TransitionModel):
     def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
         """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
 
+        The same numbers as torch's but for the last digits; a row's do not depend on the others.
+
         Raises:
             DataError: Wrong shapes.
         """
         geometry.check_shapes(percept, motion)
-        machine, numbers = self.machine._machine, self.tensors()[4:]
+        machine = self.machine._machine
         suited = suits(percept, motion, *machine)
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
             return None
-        return gamma_structure(machine, dict(zip(_NUMBERS, numbers, strict=True)))
-
-    def tensors(self) -> tuple[Tensor, ...]:
-        """Centres (m, 4), weights (m, 1), bias (1,) and γ () of the machine, then other buffers."""
-        return *self.machine._machine, *(getattr(self, name) for name in _NUMBERS)
+        made = machine_structure(*machine)
+        if made is None or made.structure.d != 4 or made.structure.k != 1:
+            return None
+        gamma = structures(percept.dtype).Gamma(
+            machine=made.structure, per_distance=1 / (float(machine[3]) * LOG2E)
+        )
+        for name in ("mean", "scale", "sides", "most"):
+            getattr(gamma, name)[:] = getattr(self, name).tolist()
+        gamma.trust, gamma.reach = float(self.trust), float(self.reach)
+        return Compiled(gamma, made.kept)
 
     def features(self, percept: Tensor, control: Tensor | None = None) -> Tensor:
         """See `TransitionModel.features`; no motion changes them."""

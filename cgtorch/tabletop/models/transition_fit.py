@@ -14,7 +14,6 @@ from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import rim
 from cgtorch.domains.transition_fit import SCORE, transition_rows
 from cgtorch.svm import SVR, doubling_sizes, grid_search, inputs, learning_curve
-from cgtorch.svm.grid_search import Progress
 from cgtorch.tabletop.models import geometry
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.world.percepts import parts_of, percept_fields
@@ -38,34 +37,18 @@ def fit_table_transition_model(
     gamma: Sequence[float] = GAMMA_GRID,
     epsilon: Sequence[float] = EPSILON_GRID,
     grid_rows: int | None = GRID_ROWS,
-    progress: Progress | None = None,
-    max_memory: int = inputs.MAX_MEMORY,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[TableTransitionModel, TransitionReport]:
     """Choose the hyper-parameters by cross-validation and fit Γ on all transitions.
 
-    Args:
-        percept: Percepts before (n, D), m.
-        motion: Motions (n, 3), m and rad.
-        next_percept: Percepts after (n, D), m.
-        seed: Seed or generator of folds, subset and solver.
-        folds: Number of folds.
-        C: Costs to try.
-        gamma: Kernel widths to try, on standardised features.
-        epsilon: Tube widths to try; the targets are -1 to 1.
-        grid_rows: Random decisive rows that the grid is scored on, None for all.
-        progress: Called with (cells done, all cells).
-        max_memory: Bytes that kernel matrices may take.
-        dtype: Type of the returned model's buffers.
-
-    Returns:
-        The model and the report.
+    Arguments are those of `fit_transition_model`, but that targets are -1 to 1 and that `grid_rows`
+    says on how many random decisive rows the grid is scored, None for all.
 
     Raises:
         DataError: Wrong shapes, NaN, too few rows or too many.
         SettingsError: A grid that cannot be used.
     """
-    p, u, q = transition_rows(percept, motion, next_percept, max_memory)
+    p, u, q = transition_rows(percept, motion, next_percept)
     geometry.check_shapes(p, u)
     generator = inputs.generator_of(seed)
     model = _geometry_of(p, u, q).to(dtype).double()  # which learning on will see like this
@@ -77,21 +60,20 @@ def fit_table_transition_model(
         C, gamma, epsilon = C[:1], gamma[:1], epsilon[:1]
     rows, wanted = model.features(p)[tells], target[tells]
     some = torch.randperm(len(rows), generator=generator)[: grid_rows or len(rows)].to(p.device)
-    plain = SVR(max_memory=max_memory)
     grid = grid_search(
-        plain, rows[some], wanted[some], C=C, gamma=gamma, epsilon=epsilon, folds=folds,
-        seed=generator, scoring=SCORE, progress=progress,
+        SVR(), rows[some], wanted[some], C=C, gamma=gamma, epsilon=epsilon, folds=folds,
+        seed=generator, scoring=SCORE,
     )  # fmt: skip
     best = grid.best[0]
-    machine = SVR(best.C, gamma=best.gamma, epsilon=best.epsilon, max_memory=max_memory)
+    machine = SVR(best.C, gamma=best.gamma, epsilon=best.epsilon)
     value = grid_search(
         machine, rows, wanted, C=[best.C], gamma=[best.gamma], folds=folds, seed=generator
     ).held_out[0, 0, 0, 0]
     learnt = _better((value.clamp(-1, 1) - wanted).abs(), wanted.abs())
-    sizes = doubling_sizes(len(rows[:_CURVE_ROWS]), folds)
+    few = rows[:_CURVE_ROWS]
     curve = learning_curve(
-        machine, rows[:_CURVE_ROWS], wanted[:_CURVE_ROWS],
-        sizes=sizes, folds=folds, seed=generator, scoring=SCORE,
+        machine, few, wanted[: len(few)], sizes=doubling_sizes(len(few), folds), folds=folds,
+        seed=generator, scoring=SCORE,
     )  # fmt: skip
     model.machine = machine.fit(rows, wanted[:, None])
     if not learnt:
