@@ -44,7 +44,7 @@ from cgtorch.tabletop.world import (
     draw_of,
     stage_scenarios,
 )
-from cgtorch.tabletop.world.draws import DRAWS
+from cgtorch.tabletop.world.general import DRAWS
 from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
 
 if TYPE_CHECKING:

@@ -5,13 +5,11 @@ turned, or seen from another side, is still the same table: what a node says of 
 all.
 """
 
-from dataclasses import replace
-
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, named_actions
 from cgtorch.actions.networks import BranchingNN, ContinuousNN, one_hidden_layer
-from cgtorch.environment import Environment, Lanes
+from cgtorch.environment import Lanes
 from cgtorch.tabletop.world.edge_frame import (
     SCENE,
     edge_frame,
@@ -40,17 +38,11 @@ class EdgeNN(ContinuousNN):
         """The scene without obstacles (n, inputs)."""
         return table_scene(edge_frame(percept), percept)
 
-    def forward(
-        self, lanes: Lanes, parameters: Tensor, environment: Environment
-    ) -> tuple[Lanes, Tensor]:
-        """See `Action.forward`."""
+    def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
+        """The motions (n, 3) to the poses that the network says."""
         frame = edge_frame(lanes.percept)
         seen = table_scene(frame, lanes.percept)
-        pose = one_hidden_layer(seen, parameters, self.hidden, self.outputs)
-        message = lanes.message.clone()
-        message[:, : self.outputs] = motion_to(frame, pose)
-        lanes = replace(lanes, message=message, has_message=lanes.has_message | True)
-        return lanes, lanes.step.new_zeros(len(lanes))
+        return motion_to(frame, one_hidden_layer(seen, parameters, self.hidden, self.outputs))
 
 
 class EdgeBranchingNN(BranchingNN):

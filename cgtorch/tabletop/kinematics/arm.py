@@ -43,14 +43,12 @@ class ArmModel:
     """One arm, ready for batched forward and inverse kinematics.
 
     Attributes:
-        name: What the arm is called.
         joint_names: The n joints that move, from base to tool.
         lower: (n,) lower limits, the soft ones where the URDF has them; rad or m.
         upper: (n,) upper limits.
         continuous: (n,) whether a joint turns without end.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: How far from its base link's origin the tool frame's can be at most, m.
-        capsules: The arm's shapes.
         closed_form: What the closed form of inverse kinematics needs, or None for arms without.
     """
 
@@ -65,37 +63,26 @@ class ArmModel:
     closed_form: SphericalArm | None
     _xml: bytes
     _links: tuple[str, str]
-    _chains: dict[tuple[torch.dtype, torch.device], Any] = field(default_factory=dict, repr=False)
-    _tables: dict[tuple[torch.dtype, torch.device], ChainTable] = field(
+    _chains: dict[tuple[torch.dtype, torch.device], tuple[Any, ChainTable]] = field(
         default_factory=dict, repr=False
     )
 
     def chain(self, like: Tensor) -> Any:
         """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor (...)."""
+        return self._chain_and_table(like)[0]
+
+    def chain_table(self, like: Tensor) -> ChainTable:
+        """The chain as a table on the device and in the dtype of a tensor (...)."""
+        return self._chain_and_table(like)[1]
+
+    def _chain_and_table(self, like: Tensor) -> tuple[Any, ChainTable]:
         key = (like.dtype, like.device)
         if key not in self._chains:
             base, tip = self._links
             chain = pytorch_kinematics.build_serial_chain_from_urdf(self._xml, tip, base)
-            self._chains[key] = chain.to(dtype=like.dtype, device=like.device)
+            chain = chain.to(dtype=like.dtype, device=like.device)
+            self._chains[key] = chain, _chain_table(chain, self.mount.to(like))
         return self._chains[key]
-
-    def chain_table(self, like: Tensor) -> ChainTable:
-        """The chain as a table on the device and in the dtype of a tensor (...)."""
-        key = (like.dtype, like.device)
-        if key not in self._tables:
-            chain = self.chain(like)
-            unmoved = torch.eye(4).to(like)
-            pairs = zip(chain.link_offsets, chain.joint_offsets, strict=True)
-            offsets = [
-                (unmoved if link is None else link) @ (unmoved if joint is None else joint)
-                for link, joint in pairs
-            ]
-            offset = torch.stack([each.view(4, 4) for each in offsets])
-            offset[0] = self.mount.to(like) @ offset[0]
-            kind, joint = chain.joint_type_indices, chain.joint_indices
-            axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]
-            self._tables[key] = ChainTable(offset[:, :3].contiguous(), axis, kind, joint)
-        return self._tables[key]
 
     def frames(self, q: Tensor) -> Tensor:
         """Poses (F, B, 4, 4) of every frame of the chain in the robot's base frame.
@@ -108,14 +95,10 @@ class ArmModel:
         return self.mount.to(q) @ frames
 
     def candidates(self, pose: Tensor, samples: int = PAN_SAMPLES) -> tuple[Tensor, Tensor]:
-        """Joint positions within limits that bring the tool frame to poses.
+        """Joint positions (M, n) within limits that bring the tool frame to poses (B, 4, 4).
 
-        Args:
-            pose: (B, 4, 4) poses of the tool frame in the robot's base frame.
-            samples: How finely the closed form samples the pan angle.
-
-        Returns:
-            The row each solution belongs to, ascending, (M,), and its joint positions (M, n).
+        The poses are in the robot's base frame. The row that each solution belongs to, ascending,
+        (M,), comes first. The closed form tries so many `samples` of the pan angle.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
@@ -123,14 +106,10 @@ class ArmModel:
         return numerical_candidates(self.chain(pose), *self._search_limits(pose), local)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Joint positions at waypoints near a solution, without changing its posture.
+        """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
 
-        Args:
-            q: (M, n) joint positions to start from.
-            pose: (M, W, 4, 4) poses of the tool frame in the robot's base frame.
-
-        Returns:
-            Joint positions (M, W, n), and whether each waypoint was reached (M, W).
+        And whether each waypoint was reached (M, W). The waypoints (M, W, 4, 4) are poses of the
+        tool frame in the robot's base frame.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
@@ -148,3 +127,18 @@ class ArmModel:
         lower = torch.where(self.continuous, -math.pi, self.lower)
         upper = torch.where(self.continuous, math.pi, self.upper)
         return lower.to(like), upper.to(like)
+
+
+def _chain_table(chain: Any, mount: Tensor) -> ChainTable:
+    """The table of a `pytorch_kinematics.SerialChain` whose base is mounted at a pose (4, 4)."""
+    unmoved = torch.eye(4).to(mount)
+    offset = torch.stack(
+        [
+            ((unmoved if link is None else link) @ (unmoved if joint is None else joint)).view(4, 4)
+            for link, joint in zip(chain.link_offsets, chain.joint_offsets, strict=True)
+        ]
+    )
+    offset[0] = mount @ offset[0]
+    kind, joint = chain.joint_type_indices, chain.joint_indices
+    axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]
+    return ChainTable(offset[:, :3].contiguous(), axis, kind, joint)

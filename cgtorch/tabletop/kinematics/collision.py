@@ -64,11 +64,8 @@ class Capsules(Tensors):
 def collide(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
     """Whether any capsule of a row touches any box of that row (B,).
 
-    Args:
-        start: (B, C, 3) one end of each capsule's axis, m.
-        end: (B, C, 3) the other end, m.
-        radius: (C,) radii, m.
-        boxes: Boxes with N boxes per row: (B, N, ...), or the same for all: (1, N, ...).
+    Capsules have two ends (B, C, 3) and a radius (C,), in m; boxes are those of each row
+    (B, N, ...), or the same for all (1, N, ...).
     """
     hit = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     row, capsule, box = _close(start, end, radius, boxes).nonzero(as_tuple=True)
@@ -100,13 +97,9 @@ def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
 def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
     """Distance (...) from segments to boxes that are centred and aligned with the axes, m.
 
-    It is convex along a segment, so its least value is found by bisection on the slope, to 1/512
-    of the segment's length; 0 where the segment meets the box.
-
-    Args:
-        a: (..., 3) one end of each segment, m.
-        b: (..., 3) the other end, m.
-        half: (..., 3) half sizes of the boxes, m.
+    Segments have two ends (..., 3), boxes half sizes (..., 3), in m. The distance is convex along
+    a segment, so its least value is found by bisection on the slope, to 1/512 of the segment's
+    length; it is 0 where the segment meets the box.
     """
     along = b - a
     low = torch.zeros_like((along + half)[..., 0])
@@ -130,9 +123,7 @@ def _outside(point: Tensor, half: Tensor) -> Tensor:
 def rectangles_overlap(first: Tensor, second: Tensor) -> Tensor:
     """Whether two turned rectangles overlap (B,), by separating axes; touching does not count.
 
-    Args:
-        first: (B, 5) centre x, centre y, yaw, size x, size y (m, rad).
-        second: (B, 5) the same of the other rectangle.
+    Each is (B, 5) centre x, centre y, yaw, size x, size y (m, rad).
     """
     between = second[:, :2] - first[:, :2]
     axes = torch.cat([_axes(first[:, 2]), _axes(second[:, 2])], dim=1)
@@ -158,12 +149,8 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
     becomes parallel capsules as thick as its shortest side, laid side by side across the middle
     one. Sharp edges are thereby rounded.
 
-    Args:
-        collision: A `yourdfpy.Collision`.
-        where: What to call it in an error.
-
     Raises:
-        RobotError: The element is a mesh, or of no size.
+        RobotError: The element, called `where`, is a mesh or of an impossible size.
     """
     kind, sizes = _shape(collision, where)
     ends, radius = [([0.0] * 3, [0.0] * 3)], sizes[0]
@@ -203,10 +190,7 @@ def _box_capsules(sizes: list[float], where: str) -> tuple[list[Any], float]:
 
 
 def box_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
-    """Pose (4, 4) and half sizes (3,), m, of the box around a collision element, in its link.
-
-    Arguments and errors are those of `capsules_of`.
-    """
+    """Pose (4, 4) and half sizes (3,), m, of the box around an element; see `capsules_of`."""
     kind, sizes = _shape(collision, where)
     if kind == "sphere":
         sizes = [2 * sizes[0]] * 3

@@ -33,16 +33,13 @@ def built_in_robots() -> list[str]:
 def robot_files(
     urdf: Path | str | None = None, description: Path | str | None = None
 ) -> tuple[Path, Path]:
-    """The URDF and the robot description that are meant.
+    """The URDF and the robot description that are meant; one given by its own path may be missing.
 
     Args:
         urdf: The URDF, or None for the one beside the description.
         description: The name of a built-in robot, such as fetch; a folder that holds a URDF and a
             `robot.json`; the description itself; or None for `robot.json` beside the URDF, and for
             the PR2 without one. Names of built-in robots come before folders.
-
-    Returns:
-        Both paths. A URDF or description that is given by its own path may be missing.
 
     Raises:
         RobotError: The description is none of these, or there is not one URDF beside it.

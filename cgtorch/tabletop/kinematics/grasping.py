@@ -188,10 +188,10 @@ def _first_of_each(row: Tensor) -> Tensor:
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
-    """The tool's way to an object and up: straight in, then straight up.
+    """The tool's way to objects (B, 3) in the base frame (m) and up: straight in, straight up.
 
     Args:
-        position: (B, 3) objects on the table in the base frame, m.
+        position: The objects.
         steepness: How steeply down the tool comes, from 0 (level) to pi / 2 (from above), rad; one
             angle or (B,).
         side: Turn of the approach from the line base to object, rad; one angle or (B,).

@@ -57,13 +57,8 @@ class SphericalArm(Tensors):
 def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | None:
     """Read the closed form's parameters off a chain of URDF joints.
 
-    Args:
-        joints: The `yourdfpy` joints from the arm's base link to its tool frame.
-        limits: (n, 2) limits of the joints that move, rad; a continuous joint has at least a full
-            turn.
-
-    Returns:
-        None if the chain is of another kind.
+    The `yourdfpy` joints lead from the arm's base link to its tool frame. Those that move have
+    limits (n, 2), rad, a continuous one at least a full turn. None if it is another kind of chain.
     """
     offsets = [torch.eye(4, dtype=torch.float64)]
     signs: list[float] = []
@@ -89,14 +84,14 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
     )
     if turned or any(shift[1:].abs().max() > _TOLERANCE for shift in straight):
         return None
-    upper_arm = float(straight[0][0] + straight[1][0])
-    forearm = float(straight[2][0] + straight[3][0])
+    upper_arm, forearm = (float(straight[i][0] + straight[i + 1][0]) for i in (0, 2))
     if upper_arm <= 0 or forearm <= 0:
         return None
     to_wrist = torch.eye(4, dtype=torch.float64)
     to_wrist[:3, 3] = straight[4]
     turns = torch.tensor(signs, dtype=torch.float64)
     ends = (limits.double() * turns[:, None]).sort(dim=1).values
+    least, most = _cosines(*ends[3].tolist())
     return SphericalArm(
         base=base,
         shoulder=shoulder[:3, 3],
@@ -107,31 +102,29 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
         lower=ends[:, 0],
         upper=ends[:, 1],
         branches=_branches([(float(a), float(b)) for a, b in ends]),
-        elbow_cosines=_cosines(*ends[3].tolist()),
+        elbow_cosines=(least - _TOLERANCE, most + _TOLERANCE),
     )
 
 
 def _cosines(lower: float, upper: float) -> tuple[float, float]:
-    """The least and the greatest cosine of an angle within limits around zero, a little widened."""
+    """The least and the greatest cosine of an angle within limits."""
     ends = math.cos(lower), math.cos(upper)
-    least = -1.0 if lower <= -math.pi or upper >= math.pi else min(ends)
-    most = 1.0 if lower <= 0 <= upper else max(ends)
-    return least - _TOLERANCE, most + _TOLERANCE
+    peak = math.floor(upper / math.tau) * math.tau >= lower
+    trough = math.floor(upper / math.tau - 0.5) * math.tau + math.pi >= lower
+    return -1.0 if trough else min(ends), 1.0 if peak else max(ends)
 
 
 def _branches(limits: list[tuple[float, float]]) -> Tensor:
     """The combinations of signs that some angle within the limits has."""
 
-    def kept(lower: float, upper: float, phase: float) -> list[float]:
-        if upper - lower >= math.tau:
-            return [1.0, -1.0]
-        steps = max(2, math.ceil((upper - lower) / 0.01))
-        values = [math.sin(lower + (upper - lower) * i / steps + phase) for i in range(steps + 1)]
-        return [s for s in (1.0, -1.0) if any(s * value > 1e-9 for value in values)]
+    def signs(lower: float, upper: float) -> list[float]:
+        least, most = _cosines(lower, upper)
+        return [sign for sign, size in ((1.0, most), (-1.0, -least)) if size > 1e-9]
 
-    elbow, wrist = kept(*limits[3], 0.0), kept(*limits[5], 0.0)
-    roll = kept(*limits[2], math.pi / 2)
-    return torch.tensor(list(itertools.product(elbow, roll, wrist)), dtype=torch.float64)
+    elbow, wrist = (signs(*(end - math.pi / 2 for end in limits[i])) for i in (3, 5))  # of sines
+    return torch.tensor(
+        list(itertools.product(elbow, signs(*limits[2]), wrist)), dtype=torch.float64
+    )
 
 
 def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
@@ -146,15 +139,10 @@ def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
 def closed_form_candidates(
     arm: SphericalArm, pose: Tensor, samples: int = PAN_SAMPLES
 ) -> tuple[Tensor, Tensor]:
-    """All joint angles within limits that reach poses, over the grid of pan angles.
+    """All joint angles (M, 7), rad, within limits that reach poses, at so many pan angles.
 
-    Args:
-        arm: The arm.
-        pose: (B, 4, 4) poses of the tool frame in the arm's base link.
-        samples: How many pan angles to try.
-
-    Returns:
-        The row each solution belongs to, ascending, (M,), and its joint angles (M, 7), rad.
+    The row that each solution belongs to, ascending, (M,), comes first. The poses (B, 4, 4) are
+    those of the tool frame in the arm's base link.
     """
     wrist, rotation = _wrist(arm, pose)
     pan = pan_grid(arm, samples)
@@ -168,16 +156,10 @@ def closed_form_candidates(
 
 
 def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-    """Joint angles along waypoints, in the branch and at the pan angle of a solution.
+    """Joint angles (M, W, 7), rad, along waypoints, in the branch and at the pan angle of q (M, 7).
 
-    Args:
-        arm: The arm.
-        q: (M, 7) joint angles to start from, rad.
-        pose: (M, W, 4, 4) poses of the tool frame in the arm's base link.
-
-    Returns:
-        Joint angles (M, W, 7), rad, and whether each waypoint was reached within limits (M, W);
-        where it was not, the angles mean nothing.
+    And whether each waypoint, a pose (M, W, 4, 4) of the tool frame in the arm's base link, was
+    reached within limits (M, W); where it was not, the angles mean nothing.
     """
     angle = q * arm.signs
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)

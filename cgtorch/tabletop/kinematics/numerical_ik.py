@@ -18,16 +18,11 @@ _ROTATION_WEIGHT = 0.3
 def numerical_candidates(
     chain: Any, lower: Tensor, upper: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions that reach poses, from the nearest of many sampled postures.
+    """Joint positions (M, n) that reach poses, from the nearest of many sampled postures.
 
-    Args:
-        chain: A `pytorch_kinematics.SerialChain` of n joints.
-        lower: (n,) lower limits, rad or m.
-        upper: (n,) upper limits.
-        pose: (B, 4, 4) poses of the tool frame in the arm's base link.
-
-    Returns:
-        The row each solution belongs to, ascending, (M,), and its joint positions (M, n).
+    The row that each solution belongs to, ascending, (M,), comes first. A
+    `pytorch_kinematics.SerialChain` has n joints with limits (n,), rad or m; the poses (B, 4, 4)
+    are those of the tool frame in the arm's base link.
     """
     generator = torch.Generator().manual_seed(0)
     spread = torch.rand(SEEDS, len(lower), generator=generator, dtype=torch.float64).to(lower)

@@ -26,9 +26,7 @@ class Robot:
     """A mobile robot whose torso stands still: arms on a base that drives.
 
     Attributes:
-        description: What the robot description says.
-        urdf: The URDF.
-        arms: The arms, in the description's order.
+        arms: In the description's order.
         body: The boxes an arm must not touch, in the base frame.
     """
 
@@ -46,11 +44,9 @@ class Robot:
         raise RobotError(f"{self.description.name} has no arm {name!r}: its arms are {known}")
 
     def forward_kinematics(self, arm: str, q: Tensor) -> Tensor:
-        """Poses (..., 4, 4) of an arm's tool frame in the base frame.
+        """Poses (..., 4, 4) in the base frame of the tool frame of an arm, given by its name.
 
-        Args:
-            arm: The arm's name.
-            q: (..., n) joint positions, rad or m, of any floating dtype and on any device.
+        Joint positions q are (..., n), rad or m, of any floating dtype and on any device.
 
         Raises:
             RobotError: There is no such arm, or q has not n positions.

@@ -28,13 +28,9 @@ _POSTURES = 2048
 
 
 def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """Whether an arm touches the table or the robot's own body (B,).
+    """Whether an arm with joint positions q (B, n), rad or m, touches something (B,).
 
-    Args:
-        arm: The arm.
-        q: (B, n) joint positions, rad or m.
-        slab: The table of each row, (B, N, ...).
-        body: The robot's own boxes, (N, ...).
+    That is the table of each row (B, N, ...) or the robot's own body (N, ...).
     """
     found = _touches_compiled(arm, q, slab, body)
     return touches_in_torch(arm, q, slab, body) if found is None else found

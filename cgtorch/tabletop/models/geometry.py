@@ -8,12 +8,14 @@ Skills ask for thousands of motions at once, so what is put together here has it
 side in memory (`columns`), where operations on some of them are several times as fast.
 """
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.numerics import atan2
-from cgtorch.tabletop.world.percepts import parts_of
+from cgtorch.tabletop.world.percepts import Percept, parts_of
 
 CENTRE, EXTENTS, OBJECT = slice(0, 2), slice(2, 4), slice(4, 6)
 """Where in `to_parts` the box's centre, its extents and the object's x and y are."""
@@ -129,17 +131,30 @@ def side_turned(side: Tensor, motion: Tensor) -> Tensor:
     return side_by_side(c * x + s * y, c * y - s * x)
 
 
-def tables_seen(percept: Tensor, sides: Tensor) -> tuple[Tensor, Tensor]:
-    """The two yaws (..., 2) a table may have, and its sides (2,), or (..., 2) where they are seen.
+@dataclass(frozen=True)
+class Scene:
+    """What is read off percepts (..., D) once, for all that is asked of them.
 
-    Where the percepts (..., D) tell the yaw, both are the same, and else it is the one table with
-    short and long `sides` (2,).
+    Attributes:
+        seen: The parts of the percepts.
+        parts: (..., 7) as of `to_parts`.
+        yaws: (..., 2) that the table may have, both the same where the percepts tell it.
+        sides: (2,) or (..., 2) of the table.
     """
-    seen = parts_of(percept)
+
+    seen: Percept
+    parts: Tensor
+    yaws: Tensor
+    sides: Tensor
+
+
+def scene_of(percept: Tensor, sides: Tensor) -> Scene:
+    """The scene of percepts (..., D), where only boxes are seen of the table of sides (2,)."""
+    seen, parts = parts_of(percept), to_parts(percept)
     if not seen.side.shape[-1]:
-        return mirror_yaws(to_parts(percept), sides), sides
+        return Scene(seen, parts, mirror_yaws(parts, sides), sides)
     table = seen.table
-    return table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5]
+    return Scene(seen, parts, table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5])
 
 
 def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
@@ -159,14 +174,14 @@ def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
     return side_by_side(first, -first)
 
 
-def places_on_table(parts: Tensor, yaws: Tensor) -> Tensor:
-    """Features (..., 4): |x|, |y| (m) of the object in the table's frame under either yaw (..., 2).
+def places_on_table(scene: Scene) -> Tensor:
+    """Features (..., 4): |x|, |y| (m) of the object in the table's frame under either yaw.
 
     A rectangle is the same after half a turn and mirrored in its axes, so only sizes matter.
     They tell the yaws apart, because people put things near the edges of tables.
     """
-    offset = parts[..., OBJECT] - parts[..., CENTRE]
-    u, v, c, s = offset[..., :1], offset[..., 1:], yaws.cos(), yaws.sin()
+    offset = scene.parts[..., OBJECT] - scene.parts[..., CENTRE]
+    u, v, c, s = offset[..., :1], offset[..., 1:], scene.yaws.cos(), scene.yaws.sin()
     (x1, x2), (y1, y2) = ((c * u + s * v).unbind(-1), (c * v - s * u).unbind(-1))
     return side_by_side(x1, y1, x2, y2).abs()
 
@@ -176,12 +191,31 @@ def boxes_after(yaws: Tensor, motion: Tensor, sides: Tensor) -> Tensor:
     return turned_extents(yaws - motion[..., 2:3], sides[..., None, :])
 
 
-def extremes(parts: Tensor, motion: Tensor, yaws: Tensor, sides: Tensor) -> Tensor:
+def next_percept(scene: Scene, motion: Tensor, value: Tensor, trust: Tensor) -> Tensor:
+    """Next percepts (..., D) if `value` (...) tells which of the two yaws it is, 1 or -1.
+
+    With a `trust` () of 0 the box is turned loosely instead.
+    """
+    moved = move_rigidly(scene.parts, motion)
+    first, second = boxes_after(scene.yaws, motion, scene.sides).unbind(-2)
+    # Sharper than the value itself, which the width of the kernel has smoothed.
+    weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
+    extents = (first + second) / 2 + weight * (first - second)
+    loose = loosely_turned(scene.parts[..., EXTENTS], motion[..., 2])
+    extents = loose + trust.to(loose) * (extents - loose)
+    seven = from_parts(columns(moved[..., CENTRE], extents, moved[..., 4:]))
+    if scene.seen.side.shape[-1] + scene.seen.obstacles.shape[-2] == 0:
+        return seven
+    others = boxes_moved(scene.seen.obstacles, motion).flatten(-2)
+    return torch.cat([seven, side_turned(scene.seen.side, motion), others], dim=-1)
+
+
+def extremes(scene: Scene, motion: Tensor) -> Tensor:
     """What tells how unusual a transition is (..., 4).
 
     Distance of the object (m), way driven (m), size of the turn (rad), and how badly a table of
     the given sides fits the box (m).
     """
-    misfit = parts[..., EXTENTS] - turned_extents(yaws[..., 0], sides)
-    far, way = length(parts[..., OBJECT]), length(motion[..., :2])
+    misfit = scene.parts[..., EXTENTS] - turned_extents(scene.yaws[..., 0], scene.sides)
+    far, way = length(scene.parts[..., OBJECT]), length(motion[..., :2])
     return side_by_side(far, way, motion[..., 2].abs(), length(misfit))

@@ -8,8 +8,6 @@ sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is f
 `cgtorch.tabletop.models.transition_fit`.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -18,7 +16,6 @@ from cgtorch.native import function
 from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
 from cgtorch.svm.compiled import LOG2E, Compiled, machine_structure, threads_for
 from cgtorch.tabletop.models import geometry
-from cgtorch.tabletop.world.percepts import Percept, parts_of
 
 DECISIVE = 0.03
 """Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
@@ -69,8 +66,8 @@ class TableTransitionModel(TransitionModel):
         """See `TransitionModel.predict_in_torch`; a scene is read off percepts only once."""
         scene = self._scene(percept, control)
         value, distance = self.machine.values_and_distance(self._features(scene))
-        after = _next_percept(scene, control, value[..., 0].to(percept), self.trust)
-        novelty = self.novelty_of(_extremes(scene, control), distance)
+        after = geometry.next_percept(scene, control, value[..., 0].to(percept), self.trust)
+        novelty = self.novelty_of(geometry.extremes(scene, control), distance)
         return after, novelty.to(percept.dtype)
 
     def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
@@ -97,17 +94,18 @@ class TableTransitionModel(TransitionModel):
         gamma.trust, gamma.reach = float(self.trust), float(self.reach)
         return Compiled(gamma, made.kept)
 
-    def features(self, percept: Tensor, control: Tensor | None = None) -> Tensor:
+    def features(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `TransitionModel.features`; no motion changes them."""
-        return self._features(self._scene(percept))
+        return self._features(self._scene(percept, control))
 
     def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
         """See `TransitionModel.next_percept`; `value` (..., 1) is about the two yaws."""
-        return _next_percept(self._scene(percept, control), control, value[..., 0], self.trust)
+        scene = self._scene(percept, control)
+        return geometry.next_percept(scene, control, value[..., 0], self.trust)
 
     def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `TransitionModel.extremes`."""
-        return _extremes(self._scene(percept, control), control)
+        return geometry.extremes(self._scene(percept, control), control)
 
     def targets(
         self, percept: Tensor, control: Tensor, next_percept: Tensor
@@ -117,65 +115,23 @@ class TableTransitionModel(TransitionModel):
         The target is where the next extents lie between those of the second yaw, -1, and of the
         first, 1. Where the percept tells the yaw, it is 0 and all transitions are worth as much.
         """
-        yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
-        first, second = geometry.boxes_after(yaws, control, sides).unbind(-2)
+        scene = self._scene(percept, control)
+        first, second = geometry.boxes_after(scene.yaws, control, scene.sides).unbind(-2)
         half = (first - second) / 2
         size = half.norm(dim=-1)
-        off = geometry.to_parts(next_percept)[..., geometry.EXTENTS] - (first + second) / 2
+        after = geometry.to_parts(next_percept)[..., geometry.EXTENTS]
+        off = after - (first + second) / 2
         target = ((off * half).sum(-1) / size.square().clamp_min(1e-12)).clamp(-1, 1)
-        return target[:, None], (size > DECISIVE / 2) | (yaws[..., 0] == yaws[..., 1])
+        tells = (size > DECISIVE / 2) | (scene.yaws[..., 0] == scene.yaws[..., 1])
+        return target[:, None], tells
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
         """See `TransitionModel.shapes`."""
         return {"mean": (4,), "scale": (4,), "most": (4,), "sides": (2,)}
 
-    def _scene(self, percept: Tensor, motion: Tensor | None = None) -> "_Scene":
-        """What percepts (..., D) show; motions are only checked."""
-        if motion is not None:
-            geometry.check_shapes(percept, motion)
-        seen = parts_of(percept)
-        yaws, sides = geometry.tables_seen(percept, self.sides.to(percept))
-        return _Scene(geometry.to_parts(percept), seen, yaws, sides)
+    def _scene(self, percept: Tensor, motion: Tensor) -> geometry.Scene:
+        geometry.check_shapes(percept, motion)
+        return geometry.scene_of(percept, self.sides.to(percept))
 
-    def _features(self, scene: "_Scene") -> Tensor:
-        places = geometry.places_on_table(scene.parts, scene.yaws).to(self.mean)
-        return (places - self.mean) / self.scale
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """What is read off percepts once, for all that is asked of them.
-
-    Attributes:
-        parts: (..., 7) as of `geometry.to_parts`.
-        seen: The parts of the percepts.
-        yaws: (..., 2) that the table may have.
-        sides: (2,) or (..., 2) of the table.
-    """
-
-    parts: Tensor
-    seen: Percept
-    yaws: Tensor
-    sides: Tensor
-
-
-def _next_percept(scene: _Scene, motion: Tensor, value: Tensor, trust: Tensor) -> Tensor:
-    """Next percepts (..., D) if the machine says `value` (...) about the two yaws."""
-    moved = geometry.move_rigidly(scene.parts, motion)
-    first, second = geometry.boxes_after(scene.yaws, motion, scene.sides).unbind(-2)
-    # Sharper than the value itself, which the width of the kernel has smoothed.
-    weight = torch.sin(torch.pi / 2 * value.clamp(-1, 1))[..., None] / 2
-    extents = (first + second) / 2 + weight * (first - second)
-    loose = geometry.loosely_turned(scene.parts[..., geometry.EXTENTS], motion[..., 2])
-    extents = loose + trust.to(loose) * (extents - loose)
-    after = geometry.columns(moved[..., :2], extents, moved[..., 4:])
-    seven = geometry.from_parts(after)
-    if scene.seen.side.shape[-1] + scene.seen.obstacles.shape[-2] == 0:
-        return seven
-    others = geometry.boxes_moved(scene.seen.obstacles, motion).flatten(-2)
-    side = geometry.side_turned(scene.seen.side, motion)
-    return torch.cat([seven, side, others], dim=-1)
-
-
-def _extremes(scene: _Scene, motion: Tensor) -> Tensor:
-    return geometry.extremes(scene.parts, motion, scene.yaws, scene.sides)
+    def _features(self, scene: geometry.Scene) -> Tensor:
+        return (geometry.places_on_table(scene).to(self.mean) - self.mean) / self.scale

@@ -58,7 +58,7 @@ def fit_table_transition_model(
         tells = torch.ones_like(tells)  # nothing can be learnt, which the comparison will show
     if not bool(target.any()):  # as where the yaw is seen: one cell shows as much as many
         C, gamma, epsilon = C[:1], gamma[:1], epsilon[:1]
-    rows, wanted = model.features(p)[tells], target[tells]
+    rows, wanted = model.features(p, u)[tells], target[tells]
     some = torch.randperm(len(rows), generator=generator)[: grid_rows or len(rows)].to(p.device)
     grid = grid_search(
         SVR(), rows[some], wanted[some], C=C, gamma=gamma, epsilon=epsilon, folds=folds,
@@ -79,7 +79,7 @@ def fit_table_transition_model(
     if not learnt:
         _silence(machine, rows)
     model.reach = rim(machine, rows)
-    held_out = model.machine.values(model.features(p))[:, 0]
+    held_out = model.machine.values(model.features(p, u))[:, 0]
     held_out[tells] = value * learnt  # the others were not learnt from
     error, rigid_error = _settle(model, p, u, q, held_out)
     report = TransitionReport(
@@ -104,16 +104,14 @@ def fit_table_transition_model(
 def _geometry_of(p: Tensor, u: Tensor, q: Tensor) -> TableTransitionModel:
     """A model that knows the table's sides and the scale of the features, but not the turn."""
     model = TableTransitionModel().to(p.device)
-    before, after = geometry.to_parts(p), geometry.to_parts(q)
-    model.sides = geometry.table_sides(torch.cat([before, after])[:, geometry.EXTENTS])
-    yaws, sides = geometry.tables_seen(p, model.sides)
-    places = geometry.places_on_table(before, yaws)
+    model.sides = geometry.table_sides(geometry.to_parts(torch.cat([p, q]))[:, geometry.EXTENTS])
+    scene = geometry.scene_of(p, model.sides)
+    places = geometry.places_on_table(scene)
     model.mean = places.mean(0)
     # One scale for all: they are lengths, seen with the same noise.
     spread = places.var(0, correction=0).mean().sqrt()
     model.scale = torch.where(spread > 1e-9, spread, 1.0).expand(places.shape[1]).clone()
-    most = geometry.extremes(before, u, yaws, sides).amax(0)
-    model.most = most.clamp_min(1e-3)
+    model.most = geometry.extremes(scene, u).amax(0).clamp_min(1e-3)
     return model
 
 

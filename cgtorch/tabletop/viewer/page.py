@@ -23,7 +23,7 @@ from cgtorch.tabletop.viewer.readings import headline, readings_html
 from cgtorch.tabletop.viewer.scene import Scene
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios, TabletopWorld
-from cgtorch.tabletop.world.draws import DRAWS
+from cgtorch.tabletop.world.general import DRAWS
 from cgtorch.training.evaluate import check_percepts
 
 NONE = "nothing"

@@ -2,9 +2,9 @@
 
 from cgtorch.tabletop.world.clear_way import ClearWay as ClearWay
 from cgtorch.tabletop.world.clear_way import motion_possible as motion_possible
-from cgtorch.tabletop.world.draws import DRAWS as DRAWS
-from cgtorch.tabletop.world.draws import draw_of as draw_of
+from cgtorch.tabletop.world.general import DRAWS as DRAWS
 from cgtorch.tabletop.world.general import cluttered_scenarios as cluttered_scenarios
+from cgtorch.tabletop.world.general import draw_of as draw_of
 from cgtorch.tabletop.world.general import general_scenarios as general_scenarios
 from cgtorch.tabletop.world.percepts import PERCEPTS as PERCEPTS
 from cgtorch.tabletop.world.percepts import percept_of as percept_of

@@ -20,13 +20,9 @@ WORTH_SHARING = 4096  # motions that are worth one more thread
 def motion_possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
     """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
 
-    False where the swept footprint would come within `CLEARANCE` of one of them, beyond
-    `MAX_TRANSLATION`, and for motions that are not finite.
-
-    Args:
-        motion: (n, 3) dx, dy (m), dθ (rad).
-        things: (n, 5) a table, or (n, R, 5) the table and obstacles; one of size 0 is none.
-        footprint: (4,) of the base (m).
+    False where the swept footprint (4,) would come within `CLEARANCE` of one of them, beyond
+    `MAX_TRANSLATION`, and for motions that are not finite. Things are a table (n, 5), or the table
+    and obstacles (n, R, 5); one of size 0 is none.
     """
     if things.dim() == 2:
         things = things[:, None]

@@ -1,13 +1,22 @@
 """Scenarios beyond the paper's table: any size, height and yaw, any side, things in the way."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.tabletop.world.geometry import corners, polygons_overlap, rotate
-from cgtorch.tabletop.world.scenarios import Scenarios, check_count
+from cgtorch.tabletop.world.scenarios import (
+    PLACEMENTS,
+    Scenarios,
+    check_count,
+    check_known,
+    random_scenarios,
+)
 
 SIDE = (0.6, 1.4)  # m
 HEIGHT = (0.6, 0.9)  # m
@@ -72,13 +81,10 @@ def _between(bounds: tuple[float, float], share: Tensor) -> Tensor:
 
 
 def _along_an_edge(sides: Tensor, pick: Tensor, along: Tensor, inset: Tensor) -> Tensor:
-    """Objects (n, 2) in the frame of tables with sides (n, 2).
+    """Objects (n, 2) in the frame of tables with sides (n, 2), `inset` (n,) m from an edge.
 
-    Args:
-        sides: (n, 2) size x, size y (m).
-        pick: (n,) in [0, 1), which edge: both of length size y, then both of length size x.
-        along: (n,) in [-1, 1], where on the usable length.
-        inset: (n,) m from the edge.
+    `pick` (n,) in [0, 1) says which: both of length size y, then both of length size x; `along`
+    (n,) in [-1, 1], where on the usable length.
     """
     half = sides / 2
     share = sides[:, 1] / sides.sum(1)  # of the perimeter, that the edges across x have
@@ -126,3 +132,19 @@ def _in_the_way(obstacle: Tensor, scenes: Scenarios) -> Tensor:
     at = rotate(scenes.pose[:, :2] - obstacle[:, :2], -obstacle[:, 2])
     gap = (at.abs() - obstacle[:, 3:5] / 2).clamp_min(0).norm(dim=1)
     return polygons_overlap(one, two, axes) | (gap < ROOM)
+
+
+Draw: TypeAlias = Callable[[int, Generator], Scenarios]
+"""How many, and the generator of all random choices, to scenarios."""
+
+DRAWS: dict[str, Draw] = {
+    **{placement: partial(random_scenarios, placement) for placement in PLACEMENTS},
+    "general": general_scenarios,
+    "general-clutter": cluttered_scenarios,
+}
+
+
+def draw_of(name: str) -> Draw:
+    """What draws the scenarios called `name`; SettingsError if nothing is called so."""
+    check_known("placement", name, DRAWS)
+    return DRAWS[name]

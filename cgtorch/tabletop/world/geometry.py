@@ -62,15 +62,10 @@ def corners(rectangle: Tensor) -> Tensor:
 
 
 def polygons_overlap(a: Tensor, b: Tensor, axes: Tensor) -> Tensor:
-    """Separating-axis test of convex polygons.
+    """(...) bool, whether convex polygons share a point, by the separating-axis test.
 
-    Args:
-        a: (..., A, 2) corners.
-        b: (..., B, 2) corners.
-        axes: (..., K, 2) normals of all edges of both; a zero axis separates nothing.
-
-    Returns:
-        (...) bool, whether they share a point.
+    Their corners are (..., A, 2) and (..., B, 2), `axes` (..., K, 2) the normals of all edges of
+    both; a zero axis separates nothing.
     """
     pa, pb = a @ axes.mT, b @ axes.mT
     apart = (pa.amax(-2) < pb.amin(-2)) | (pb.amax(-2) < pa.amin(-2))

@@ -104,10 +104,7 @@ def percept_fields(size: int) -> tuple[Field, ...]:
 def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
     """The percept (..., 7) without noise: table box and object in the base frame (m).
 
-    Args:
-        pose: (..., 3) base pose.
-        table: (..., 6) table in the world.
-        placed: (..., 2) object in the world.
+    The base's pose (..., 3), the table (..., 6) and the object (..., 2) are in the world.
     """
     box = bounding_box(rectangle_in_frame(pose, table[..., :5]))
     return torch.cat([box, to_frame(pose, placed), table[..., 5:6]], -1)

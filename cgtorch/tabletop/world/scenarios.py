@@ -1,5 +1,6 @@
 """Scenarios, and those of section VI: a robot before a table with an object near an edge."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -79,10 +80,10 @@ def _on_edge(edge: Tensor, along: Tensor, inset: Tensor) -> Tensor:
     return torch.cat([x.gather(1, pick), y.gather(1, pick)], 1)
 
 
-def _edge_index(placement: str) -> int:
-    if placement not in EDGES:
-        raise SettingsError(f"unknown table edge {placement!r}; use one of {', '.join(EDGES)}")
-    return EDGES.index(placement)
+def check_known(what: str, name: str, known: Collection[str]) -> None:
+    """SettingsError if a name is none of those that are known."""
+    if name not in known:
+        raise SettingsError(f"unknown {what} {name!r}; use one of {', '.join(known)}")
 
 
 def check_count(count: int) -> None:
@@ -100,9 +101,10 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
         SettingsError: the edge is none of `EDGES`, or the count is negative.
     """
     check_count(count)
+    check_known("table edge", edge, EDGES)
     along = torch.linspace(-1, 1, count)
     inset = torch.full((count,), (INSET_MIN + INSET_MAX) / 2)
-    placed = _on_edge(torch.full((count,), _edge_index(edge)), along, inset)
+    placed = _on_edge(torch.full((count,), EDGES.index(edge)), along, inset)
     pose = torch.tensor([-TABLE_DEPTH / 2 - START_DISTANCE, 0.0, 0.0]).repeat(count, 1)
     return Scenarios(pose, _table(count), placed, torch.arange(count))
 
@@ -114,8 +116,7 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
         SettingsError: the placement is none of `PLACEMENTS`, or the count is negative.
     """
     check_count(count)
-    if placement not in PLACEMENTS:
-        raise SettingsError(f"unknown placement {placement!r}; use one of {', '.join(PLACEMENTS)}")
+    check_known("placement", placement, PLACEMENTS)
     draw = torch.rand(count, 6, generator=generator)
     spread = 2 * draw - 1
     if placement == "perimeter":
@@ -123,16 +124,10 @@ def random_scenarios(placement: str, count: int, generator: Generator) -> Scenar
         bounds = torch.cumsum(lengths, 0) / lengths.sum()
         edge = torch.searchsorted(bounds, draw[:, 5].contiguous()).clamp_max(3)
     else:
-        edge = torch.full((count,), _edge_index(placement))
+        edge = torch.full((count,), EDGES.index(placement))
     inset = INSET_MIN + (INSET_MAX - INSET_MIN) * draw[:, 1]
     distance = START_DISTANCE + START_SPREAD * spread[:, 2]
-    pose = torch.stack(
-        [
-            -TABLE_DEPTH / 2 - distance,
-            START_SIDEWAYS * spread[:, 3],
-            START_HEADING * spread[:, 4],
-        ],
-        1,
-    )
+    sideways, heading = START_SIDEWAYS * spread[:, 3], START_HEADING * spread[:, 4]
+    pose = torch.stack([-TABLE_DEPTH / 2 - distance, sideways, heading], 1)
     seed = torch.randint(2**31, (count,), generator=generator)
     return Scenarios(pose, _table(count), _on_edge(edge, spread[:, 0], inset), seed)

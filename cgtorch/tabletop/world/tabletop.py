@@ -81,10 +81,10 @@ class TabletopWorld:
         """Set up the world.
 
         Args:
-            scenarios: the B scenarios.
+            scenarios: B of them.
             graspable: whether a collision-free arm solution exists.
             footprint: base x min, x max, y min, y max (m).
-            noise: its size, default that of a good lab robot (5 mm, 0.5°).
+            noise: by default that of a good lab robot (5 mm, 0.5°).
             looks: for how many percepts noise is drawn; later ones use it again.
             percept: box, or yaw for one that also tells the table's yaw.
 
@@ -128,18 +128,13 @@ class TabletopWorld:
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """Drive straight by dx, dy (m) and turn by dθ (rad), or stay where the way is blocked.
 
-        Args:
-            lanes: the n lanes.
-            control: (n, 3) dx, dy, dθ in the robot's frame.
-
-        Returns:
-            The lanes, and (n,) bool whether they have moved.
+        The control (n, 3) is in the robot's frame; also (n,) bool, which lanes have moved.
         """
-        pose, table = lanes.state[:, :3], lanes.state[:, 3:9]
-        things = torch.cat([table[:, None, :5], self._obstacles(lanes.state)], 1)
+        pose, table, _, looks, obstacles = self._parts(lanes.state)
+        things = torch.cat([table[:, None, :5], obstacles], 1)
         here = rectangle_in_frame(pose[:, None], things)
         free = motion_possible(control, here, self.footprint)
-        drift = self.drift[lanes.scenario, self._look(lanes.state)]
+        drift = self.drift[lanes.scenario, looks]
         state = torch.cat([moved(pose, control + drift), lanes.state[:, 3:]], 1)
         state, percept = self._perceive(state, lanes.scenario)
         state = torch.where(free[:, None], state, lanes.state)
@@ -153,25 +148,24 @@ class TabletopWorld:
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """The lanes, and (n,) 1 where a grasp would succeed, 0 elsewhere."""
-        pose, table = lanes.state[:, :3], lanes.state[:, 3:9]
-        at = torch.cat([to_frame(pose, lanes.state[:, 9:11]), table[:, 5:6]], 1)
+        pose, table, placed, _, _ = self._parts(lanes.state)
+        at = torch.cat([to_frame(pose, placed), table[:, 5:6]], 1)
         seen = torch.cat([rectangle_in_frame(pose, table[:, :5]), table[:, 5:6]], 1)
         return lanes, self.graspable(at, seen).to(lanes.percept.dtype)
 
-    def _look(self, state: Tensor) -> Tensor:
-        return state[:, 11].long() % self.looks
-
-    def _obstacles(self, state: Tensor) -> Tensor:
-        """(n, K, 5)."""
-        return state[:, 12:].unflatten(1, (self.num_obstacles, 5))
+    def _parts(self, state: Tensor) -> tuple[Tensor, ...]:
+        """Pose (n, 3), table (n, 6), object (n, 2), whose noise (n,), obstacles (n, K, 5)."""
+        pose, table, placed, count, obstacles = state.split([3, 6, 2, 1, state.shape[1] - 12], 1)
+        look = count[:, 0].long() % self.looks
+        return pose, table, placed, look, obstacles.unflatten(1, (self.num_obstacles, 5))
 
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """The states after one more look, and what is seen (n, D)."""
-        pose, table, obstacles = state[:, :3], state[:, 3:9], self._obstacles(state)
-        exact = percept_of(pose, table, state[:, 9:11])
+        pose, table, placed, look, obstacles = self._parts(state)
+        exact = percept_of(pose, table, placed)
         if self.tabletop > TABLETOP:
             exact = torch.cat([exact, side_seen(pose, table)], 1)
-        blur = self.blur[scenario, self._look(state)]
+        blur = self.blur[scenario, look]
         percept = exact + blur[:, : self.tabletop]
         if self.num_obstacles:
             noise = blur[:, self.tabletop :] * present(obstacles).repeat_interleave(BOX, 1)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.viewer.choice import FROM_EDGE, put_object, scenario_of
 from cgtorch.tabletop.world import draw_of
-from cgtorch.tabletop.world.draws import DRAWS
+from cgtorch.tabletop.world.general import DRAWS
 from cgtorch.tabletop.world.geometry import rotate
 
 

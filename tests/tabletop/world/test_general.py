@@ -17,8 +17,7 @@ from cgtorch.tabletop.world import (
     draw_of,
     general_scenarios,
 )
-from cgtorch.tabletop.world.draws import Draw
-from cgtorch.tabletop.world.general import beside
+from cgtorch.tabletop.world.general import Draw, beside
 
 COUNT = 2000
 
