@@ -17,8 +17,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
 )
 from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates, numerical_follow
 
-CHUNK = 16_384
-"""Rows of forward kinematics at a time: larger batches fall out of the processor's cache."""
+CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,11 @@
 """The robot description: what a URDF does not say about a mobile manipulator.
 
-It is a small JSON file beside the URDF::
-
-    {
-      "name": "PR2",
-      "base_frame": "base_footprint",
-      "footprint": [-0.334, 0.334, -0.334, 0.334],
-      "torso_joint": "torso_lift_joint",
-      "torso_position": 0.15,
-      "arms": [
-        {"name": "left", "base_link": "torso_lift_link", "tool_frame": "l_gripper_tool_frame"}
-      ],
-      "body": ["base_link", "torso_lift_link"],
-      "gripper_joints": {"l_gripper_l_finger_joint": 0.4},
-      "capsules": {}
-    }
-
-`body`, `gripper_joints` and `capsules` may be left out.
+It is a small JSON file beside the URDF with the attributes of `RobotDescription` as keys, such as
+robots/pr2/robot.json; `body`, `gripper_joints` and `capsules` may be left out.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -33,9 +18,6 @@ T = TypeVar("T")
 Capsule = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""
 
-_REQUIRED = ("name", "base_frame", "footprint", "torso_joint", "torso_position", "arms")
-_OPTIONAL = ("body", "gripper_joints", "capsules")
-_ARM_KEYS = ("name", "base_link", "tool_frame")
 _WORDS: dict[type, str] = {dict: "a JSON object", list: "a list", str: "a non-empty string"}
 _MAX_BYTES = 1_000_000
 
@@ -76,8 +58,8 @@ class RobotDescription:
     base_frame: str
     footprint: tuple[float, float, float, float]
     arms: tuple[Arm, ...]
-    torso_joint: str | None = None
-    torso_position: float | None = None
+    torso_joint: str | None
+    torso_position: float | None
     body: tuple[str, ...] = ()
     gripper_joints: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     capsules: Mapping[str, tuple[Capsule, ...]] = field(
@@ -126,22 +108,21 @@ class _Reader:
             raise self.fail(what, value, f"a list of {count} numbers")
         return tuple(self.number(what, item) for item in value)
 
-    def keys(
-        self, what: str, value: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()
-    ) -> None:
-        known = required + optional
+    def keys(self, what: str, value: Any, kind: type[Arm | RobotDescription]) -> None:
+        """Refuse a value without the keys that a class needs or with others than it has."""
+        known = {each.name: each for each in fields(kind)}
         for key in self.of(dict, what, value):
             if key not in known:
                 raise RobotError(
                     f"{self.where}: {what} has the unknown key {key!r}: known are "
                     f"{', '.join(known)}"
                 )
-        for key in required:
-            if key not in value:
+        for key, each in known.items():
+            if key not in value and each.default is each.default_factory is MISSING:
                 raise RobotError(f"{self.where}: {what} lacks the key {key!r}: add it")
 
     def description(self, content: Any) -> RobotDescription:
-        self.keys("the file", content, _REQUIRED, _OPTIONAL)
+        self.keys("the file", content, RobotDescription)
         x_min, x_max, y_min, y_max = self.numbers("footprint", content["footprint"], 4)
         if x_min >= x_max or y_min >= y_max:
             raise self.fail("footprint", content["footprint"], "[x min, x max, y min, y max] (m)")
@@ -173,8 +154,8 @@ class _Reader:
         )
 
     def arm(self, what: str, value: Any) -> Arm:
-        self.keys(what, value, _ARM_KEYS)
-        return Arm(**{key: self.of(str, f"{what}.{key}", value[key]) for key in _ARM_KEYS})
+        self.keys(what, value, Arm)
+        return Arm(**{key: self.of(str, f"{what}.{key}", name) for key, name in value.items()})
 
     def capsules(self, what: str, value: Any) -> tuple[Capsule, ...]:
         return tuple(self.capsule(what, item) for item in self.of(list, what, value))

@@ -17,16 +17,11 @@ from cgtorch.tabletop.kinematics.collision import Boxes, rectangles_overlap
 from cgtorch.tabletop.kinematics.robot import Robot
 from cgtorch.tabletop.kinematics.touching import touches
 
-GRASP_HEIGHT = 0.05
-"""The grasp point above the table top, m: the middle of an object 0.10 m high."""
-PRE_GRASP = 0.10
-"""How far behind the grasp the straight approach starts, m."""
-LIFT = 0.10
-"""How far straight up the object is lifted, m."""
-TABLE_THICKNESS = 0.04
-"""Thickness of the table's slab, m."""
-MAX_STEP = 0.6
-"""How far a joint may move between waypoints 0.05 m apart, rad or m."""
+GRASP_HEIGHT = 0.05  # m above the table top: the middle of an object 0.10 m high
+PRE_GRASP = 0.10  # m behind the grasp, where the straight approach starts
+LIFT = 0.10  # m straight up
+TABLE_THICKNESS = 0.04  # m, of the table's slab
+MAX_STEP = 0.6  # rad or m that a joint may move between waypoints 0.05 m apart
 _CHUNK = 2048
 _GROUP = 256
 _FEW, _SPARSE = 16, 8

@@ -21,10 +21,8 @@ SHOULDER_JOINTS = 3
 """Links that hang from fewer joints than this, or as many, are held off the body by joint limits
 and by being built beside it; only the table can stop them."""
 
-WORTH_SHARING = 512
-"""Postures that are worth one more thread: about a quarter of a millisecond."""
-_POSTURES = 2048
-"""Postures tried at a time in torch: more fall out of the processor's cache."""
+WORTH_SHARING = 512  # postures that are worth one more thread: about a quarter of a millisecond
+_POSTURES = 2048  # tried at a time in torch: more fall out of the processor's cache
 
 
 def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:

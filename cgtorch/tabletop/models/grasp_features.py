@@ -7,20 +7,13 @@ from cgtorch.tabletop.world.percepts import BOX, PERCEPTS, parts_of
 
 SIZES = tuple(size + obstacle for size in PERCEPTS.values() for obstacle in (0, 4))
 """Lengths of percepts that are those of a tabletop: box or yaw, with an obstacle or without."""
-FLAT = 7
-"""Features of box percepts, without the height, where all tables are as high."""
-SAME_HEIGHT = 0.02
-"""Standard deviation of heights that is hardly more than noise, m."""
-NEAR = 0.5
-"""Distance over which a side of the table stops to matter, m."""
-STRETCH = 4.0
-"""Weight of the object's distance, in which success changes over centimetres."""
-TURN = 2.0
-"""Weight of its direction."""
-RISE = 3.0
-"""Weight of its height, with which the reach of the arms changes."""
-EDGES = 2
-"""How many edges matter, those that the robot stands farthest in front of."""
+FLAT = 7  # features of box percepts, without the height, where all tables are as high
+SAME_HEIGHT = 0.02  # m, a standard deviation of heights that is hardly more than noise
+NEAR = 0.5  # m over which a side of the table stops to matter
+STRETCH = 4.0  # weight of the object's distance, in which success changes over centimetres
+TURN = 2.0  # weight of its direction
+RISE = 3.0  # weight of its height, with which the reach of the arms changes
+EDGES = 2  # that matter, those that the robot stands farthest in front of
 
 
 def grasp_features(percept: Tensor) -> Tensor:
@@ -62,7 +55,7 @@ def edges(table: Tensor, placed: Tensor) -> Tensor:
 
 
 def used_features(percept: Tensor) -> int:
-    """How many of the features of percepts (n, D) are worth learning from, counted from the first.
+    """How many features of percepts (n, D) are worth learning from, counted from the first.
 
     All, but not the height of box percepts where all tables are as high.
     """
