@@ -95,11 +95,7 @@ class Tabletop(Domain[Scenarios]):
         obstacles: int = 0,
         networks: str = "edge",
     ) -> None:
-        """A tabletop; without a robot that of the settings is loaded.
-
-        Raises:
-            RobotError: the robot cannot be used.
-        """
+        """A tabletop; without a robot that of the settings is loaded, or RobotError raised."""
         super().__init__(settings)
         self.robot = robot or load_robot(*self._files())
         self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks

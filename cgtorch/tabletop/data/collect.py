@@ -13,10 +13,9 @@ MOVES = 8  # of each robot
 
 
 def collect(scenes: Scenes, transitions: int, labels: int, generator: Generator) -> Dataset:
-    """Drive at random for so many transitions (p, u, p′), and try grasps for labels.
+    """Drive at random for so many transitions (p, u, p′), and try grasps for so many labels.
 
-    Raises:
-        DataError: hardly any pose allows a grasp, or hardly any does not.
+    DataError if hardly any pose allows a grasp, or hardly any does not.
     """
     percept, motion, after = drive(scenes, transitions, generator)
     at, graspable = grasp_labels(scenes, labels, generator)

@@ -50,19 +50,14 @@ class Scenes:
         return self.world(self.draw(0, Generator())).footprint
 
     def draw(self, count: int, generator: Generator) -> Scenarios:
-        """Scenarios, of which the robot's start is not used.
-
-        Raises:
-            SettingsError: there are no such scenarios.
-        """
+        """Scenarios, of which the robot's start is not used; SettingsError if there are none."""
         return draw_of("perimeter" if self.paper_table else self.kind)(count, generator)
 
 
 def poses_around(scenes: Scenes, count: int, generator: Generator, wider: float = 1.0) -> Scenarios:
     """Scenarios with the robot at a random free pose anywhere around the table.
 
-    Positions are uniform within the arena of the scenes, `wider` times as large, along x and along
-    y.
+    Positions are uniform along x and y within the scenes' arena, `wider` times as large.
     """
     arena = wider * scenes.arena
 

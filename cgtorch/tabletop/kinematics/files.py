@@ -10,11 +10,7 @@ DESCRIPTION = "robot.json"
 
 
 def robots_folder() -> Path:
-    """Where the built-in robots are: in an installed package, or beside it in a checkout.
-
-    Raises:
-        RobotError: They are in neither place.
-    """
+    """Where the built-in robots are: in an installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[2]
     for folder in (package / "robots", package.parent / "robots"):
         if (folder / DEFAULT / DESCRIPTION).is_file():

@@ -85,31 +85,24 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
             )
         if not bool(torch.isfinite(value).all()):
             raise RobotError(f"{what} has a value that is not finite: give finite numbers")
-    table = table.to(position)
+    table, arms = table.to(position), len(robot.arms)
     widest = max(len(arm.joint_names) for arm in robot.arms)
-    index = torch.zeros(len(position), dtype=torch.long, device=position.device)
-    solution = GraspSolution(
-        found=torch.zeros(len(position), dtype=torch.bool, device=position.device),
-        arm=index,
-        approach=index.clone(),
-        joints=position.new_zeros(len(position), 5, widest),
-    )
-    for start in range(0, len(position), _CHUNK):
-        _grasp(robot, position, table, slice(start, start + _CHUNK), solution)
-    return solution
+    joints = position.new_zeros(len(position), 5, widest)
+    rank = torch.full_like(position[:, 0], arms * len(APPROACHES), dtype=torch.long)
+    parts = (each.split(_CHUNK) for each in (position, table, rank, joints))
+    for part in zip(*parts, strict=True):
+        _grasp(robot, *part)
+    return GraspSolution(rank < arms * len(APPROACHES), rank % arms, rank // arms, joints)
 
 
-def _grasp(
-    robot: Robot, position: Tensor, table: Tensor, rows: slice, solution: GraspSolution
-) -> None:
-    """Fill in the solution of some rows; rows that are solved leave the search.
+def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: Tensor) -> None:
+    """Fill in which approach and arm, in the order in which they count, solve rows, and how.
 
-    When few rows are left, several approaches are tried at once; the one that comes first counts,
-    so that a row's solution does not depend on the others.
+    Rows that are solved leave the search. When few are left, several approaches are tried at once;
+    the one that comes first counts, so that a row's solution does not depend on the others.
     """
-    position, table = position[rows], table[rows]
     slab, body = table_slab(table), robot.body.to(position)
-    approaches = position.new_tensor(APPROACHES)
+    approaches, arms = position.new_tensor(APPROACHES), len(robot.arms)
     possible = ~_standing_in_table(robot, table) & _within_reach(robot, position)
     open_rows = possible.nonzero().squeeze(1)
     start = 0
@@ -117,23 +110,19 @@ def _grasp(
         group = torch.arange(start, len(APPROACHES), device=position.device)
         group = group[: max(1, _GROUP // len(open_rows))]
         start += len(group)
-        rank = torch.full_like(open_rows, len(APPROACHES) * len(robot.arms))
         for which, arm in enumerate(robot.arms):
-            order = group * len(robot.arms) + which
-            row, column = (order < rank[:, None]).nonzero(as_tuple=True)
+            order = group * arms + which
+            row, column = (order < rank[open_rows, None]).nonzero(as_tuple=True)
             at = open_rows[row]
             path = waypoints(position[at], *approaches[group[column]].unbind(1))
-            solved, joints = _try(arm, path, slab[at], body)
+            solved, found = _try(arm, path, slab[at], body)
             first = _first_of_each(row[solved])
-            solved, joints = solved[first], joints[first]
-            rank[row[solved]] = order[column[solved]]
-            done = open_rows[row[solved]] + rows.start
-            solution.found[done] = True
-            solution.arm[done] = which
-            solution.approach[done] = group[column[solved]]
-            solution.joints[done] = 0
-            solution.joints[done, :, : joints.shape[-1]] = joints
-        open_rows = open_rows[rank == len(APPROACHES) * len(robot.arms)]
+            solved, done = solved[first], at[solved[first]]
+            rank[done] = order[column[solved]]
+            joints[done] = torch.nn.functional.pad(
+                found[first], (0, joints.shape[-1] - found.shape[-1])
+            )
+        open_rows = open_rows[rank[open_rows] == arms * len(APPROACHES)]
 
 
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:

@@ -77,8 +77,7 @@ class Urdf:
     def joints_between(self, base: str, tip: str) -> tuple[Any, ...]:
         """The joints that lead from one link down to another, in that order.
 
-        Raises:
-            RobotError: A link is missing, or the second does not hang from the first.
+        RobotError if a link is missing, or the second does not hang from the first.
         """
         self.link(base)
         path = self.joints_above(self.link(tip).name, base)

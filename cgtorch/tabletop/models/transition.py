@@ -74,9 +74,7 @@ class TableTransitionModel(TransitionModel):
         """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
 
         The same numbers as torch's but for the last digits; a row's do not depend on the others.
-
-        Raises:
-            DataError: Wrong shapes.
+        DataError if the shapes are wrong.
         """
         geometry.check_shapes(percept, motion)
         machine = self.machine._machine

@@ -45,11 +45,7 @@ def scene_size(percept_size: int) -> int:
 
 
 def edge_frame(percept: Tensor) -> EdgeFrame:
-    """The frames of percepts (n, D).
-
-    Raises:
-        DataError: as for `cgtorch.tabletop.world.percepts.parts_of`.
-    """
+    """The frames of percepts (n, D); errors are those of `parts_of`."""
     seen = parts_of(percept)
     table, placed = seen.table, seen.object
     at = rotate(placed - table[..., :2], -table[..., 2])

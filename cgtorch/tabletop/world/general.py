@@ -35,10 +35,8 @@ def general_scenarios(count: int, generator: Generator) -> Scenarios:
 
     The table's centre is the origin. The object stands 0.05 to 0.25 m from an edge, which is drawn
     by its length; the robot 1 to 2.5 m away from the table in any direction, its heading such that
-    the table's centre is within 45° of straight ahead. All else is uniform.
-
-    Raises:
-        SettingsError: the count is negative.
+    the table's centre is within 45° of straight ahead. All else is uniform. SettingsError if the
+    count is negative.
     """
     check_count(count)
     draw = torch.rand(count, 10, generator=generator)
@@ -59,10 +57,8 @@ def cluttered_scenarios(count: int, generator: Generator) -> Scenarios:
     """`general_scenarios`, half of them with a box on the floor, 0.3 to 0.6 m a side.
 
     It stands in any direction from the table, its centre up to 1.5 m away from the edge, neither
-    in the table nor where the robot needs the room to turn at its start.
-
-    Raises:
-        SettingsError: the count is negative.
+    in the table nor where the robot needs the room to turn at its start. SettingsError if the
+    count is negative.
     """
     scenes = general_scenarios(count, generator)
     has_one = torch.rand(count, generator=generator) < OBSTACLE_SHARE

@@ -75,11 +75,7 @@ class Percept:
 
 
 def parts_of(percept: Tensor) -> Percept:
-    """The parts of percepts (..., D).
-
-    Raises:
-        DataError: D is not the length of a percept of the tabletop.
-    """
+    """The parts of percepts (..., D); DataError if D is no length of a percept of the tabletop."""
     size = percept.shape[-1]
     tabletop = next((n for n in PERCEPTS.values() if size >= n and (size - n) % BOX == 0), None)
     if tabletop is None:

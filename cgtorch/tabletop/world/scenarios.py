@@ -95,10 +95,8 @@ def check_count(count: int) -> None:
 def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
     """The paper's test of one edge: evenly spaced objects, from the centred start.
 
-    The first and last stand in the corners, 0.05 m from the adjoining edge.
-
-    Raises:
-        SettingsError: the edge is none of `EDGES`, or the count is negative.
+    The first and last stand in the corners, 0.05 m from the adjoining edge. SettingsError if the
+    edge is none of `EDGES`, or the count is negative.
     """
     check_count(count)
     check_known("table edge", edge, EDGES)
@@ -112,8 +110,7 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
 def random_scenarios(placement: str, count: int, generator: Generator) -> Scenarios:
     """Random placements along one edge or, with "perimeter", along all four.
 
-    Raises:
-        SettingsError: the placement is none of `PLACEMENTS`, or the count is negative.
+    SettingsError if the placement is none of `PLACEMENTS`, or the count is negative.
     """
     check_count(count)
     check_known("placement", placement, PLACEMENTS)
