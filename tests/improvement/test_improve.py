@@ -28,7 +28,6 @@ from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import (
     Scenarios,
     TabletopWorld,
-    concatenate_scenarios,
     random_scenarios,
     stage_scenarios,
 )
@@ -41,9 +40,7 @@ def stage(
     method: str, setup: Setup, progress: Progress, name: str, edge: str, seed: int
 ) -> tuple[Progress, Told]:
     """One stage on an edge: five placements and five of practice."""
-    scenarios = concatenate_scenarios(
-        [stage_scenarios(edge), random_scenarios(edge, 5, seeded(seed))]
-    )
+    scenarios = stage_scenarios(edge).joined(random_scenarios(edge, 5, seeded(seed)))
     told: Told = []
     after = METHODS[method](
         setup,

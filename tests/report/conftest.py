@@ -36,7 +36,7 @@ from cgtorch.tabletop.models import (
     transition_quality,
 )
 from cgtorch.tabletop.models.summary import Fresh, tabletop_summary
-from cgtorch.tabletop.world import Scenarios, TabletopWorld, concatenate_scenarios, random_scenarios
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios
 from cgtorch.tabletop.world.scenarios import stage_scenarios
 
 GENERATIONS = 45  # of the first candidate; the second has two
@@ -94,9 +94,7 @@ def events(models: Models) -> list[Event]:
     """Two candidates of stage S1, the models between them, and the skill made of both."""
     told: list[Event] = []
     actions, generator = paper_actions(), seeded(3)
-    scenarios = concatenate_scenarios(
-        [random_scenarios("near", 6, generator), stage_scenarios("left")]
-    )
+    scenarios = random_scenarios("near", 6, generator).joined(stage_scenarios("left"))
     targets = torch.arange(11) >= 6
     world, keep = _world_of(scenarios), ~targets
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))

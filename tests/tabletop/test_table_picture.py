@@ -11,7 +11,6 @@ from cgtorch.tabletop.table_picture import SCENES, draw_placements, draw_scenes,
 from cgtorch.tabletop.world import (
     Scenarios,
     cluttered_scenarios,
-    concatenate_scenarios,
     random_scenarios,
     stage_scenarios,
 )
@@ -19,9 +18,9 @@ from cgtorch.tabletop.world.geometry import corners
 
 
 def some() -> tuple[Scenarios, torch.Tensor, torch.Tensor]:
-    parts = [random_scenarios("perimeter", 30, seeded(0)), stage_scenarios("right")]
+    scenarios = random_scenarios("perimeter", 30, seeded(0)).joined(stage_scenarios("right"))
     succeeded = torch.rand(35, generator=seeded(1)) < 0.7
-    return concatenate_scenarios(parts), succeeded, torch.arange(35) >= 30
+    return scenarios, succeeded, torch.arange(35) >= 30
 
 
 def by_gid(figure: Any) -> dict[str, Any]:

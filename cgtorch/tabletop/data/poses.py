@@ -6,13 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.tabletop.world import (
-    PLACEMENTS,
-    Scenarios,
-    TabletopWorld,
-    concatenate_scenarios,
-    draw_of,
-)
+from cgtorch.tabletop.world import PLACEMENTS, Scenarios, TabletopWorld, draw_of
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate
 from cgtorch.tabletop.world.percepts import present
 from cgtorch.tabletop.world.sweep import sweep_blocked
@@ -98,11 +92,9 @@ def _free_poses(
     scenes: Scenes, count: int, generator: Generator, put: Callable[[Scenarios], Tensor]
 ) -> Scenarios:
     """`count` scenarios with the robot put (n, 3) where the base does not stand in the table."""
-    parts: list[Scenarios] = []
-    have, footprint = 0, scenes.footprint
-    while have < count:
-        base = scenes.draw(2 * (count - have) + 8, generator)
-        scenarios = replace(base, pose=put(base))
-        parts.append(scenarios[~in_table(scenarios, footprint)])
-        have += len(parts[-1])
-    return concatenate_scenarios(parts)[:count]
+    found, footprint = scenes.draw(0, Generator()), scenes.footprint
+    while len(found) < count:
+        base = scenes.draw(2 * (count - len(found)) + 8, generator)
+        drawn = replace(base, pose=put(base))
+        found = found.joined(drawn[~in_table(drawn, footprint)])
+    return found[:count]

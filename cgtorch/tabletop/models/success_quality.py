@@ -18,7 +18,7 @@ from cgtorch.svm.scores import balanced_accuracy
 from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import in_table, poses_around, poses_at_object
 from cgtorch.tabletop.models.table_posterior import placement_density, tables_behind
-from cgtorch.tabletop.world import Scenarios, concatenate_scenarios
+from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.geometry import bounding_box, box_rectangle, rotate
 from cgtorch.tabletop.world.percepts import TABLETOP, parts_of
 
@@ -92,7 +92,7 @@ def fresh_labels(scenes: Scenes, count: int, generator: Generator) -> FreshLabel
     poses = poses_at_object(scenes, count, generator)
     moved, around = displaced(poses, generator), poses_around(scenes, count, generator)
     # One batch of labels costs far less than three.
-    percept, graspable = label(scenes, concatenate_scenarios([poses, moved, around]))
+    percept, graspable = label(scenes, poses.joined(moved, around))
     crossed = graspable[:count] != graspable[count : 2 * count]
     crossed &= ~in_table(moved, scenes.footprint)
     return FreshLabels(percept, graspable, count + crossed.nonzero()[:, 0])

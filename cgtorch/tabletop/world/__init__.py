@@ -11,7 +11,6 @@ from cgtorch.tabletop.world.percepts import percept_of as percept_of
 from cgtorch.tabletop.world.scenarios import EDGES as EDGES
 from cgtorch.tabletop.world.scenarios import PLACEMENTS as PLACEMENTS
 from cgtorch.tabletop.world.scenarios import Scenarios as Scenarios
-from cgtorch.tabletop.world.scenarios import concatenate_scenarios as concatenate_scenarios
 from cgtorch.tabletop.world.scenarios import random_scenarios as random_scenarios
 from cgtorch.tabletop.world.scenarios import stage_scenarios as stage_scenarios
 from cgtorch.tabletop.world.tabletop import LAB_NOISE as LAB_NOISE

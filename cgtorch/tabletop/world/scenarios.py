@@ -56,11 +56,6 @@ class Scenarios(ScenarioBatch):
         return replace(self, seed=(self.seed + copy * 0x9E3779B1) % 2**31)
 
 
-def concatenate_scenarios(parts: list[Scenarios]) -> Scenarios:
-    """All scenarios of several batches, at least one."""
-    return parts[0].joined(*parts[1:])
-
-
 def _padded(obstacles: Tensor, count: int) -> Tensor:
     """Obstacles (B, K, 5) as (B, count, 5)."""
     return torch.nn.functional.pad(obstacles, (0, 0, 0, count - obstacles.shape[1]))

@@ -9,7 +9,6 @@ from cgtorch.tabletop.world import (
     EDGES,
     PLACEMENTS,
     cluttered_scenarios,
-    concatenate_scenarios,
     random_scenarios,
     stage_scenarios,
 )
@@ -97,7 +96,7 @@ def test_scenarios_depend_on_the_generator_alone() -> None:
 
 def test_batches_can_be_joined_and_taken_apart() -> None:
     parts = [stage_scenarios(edge) for edge in EDGES]
-    whole = concatenate_scenarios(parts)
+    whole = parts[0].joined(*parts[1:])
     assert len(whole) == 20
     for name, value in vars(whole[5:10]).items():
         assert torch.equal(value, getattr(parts[1], name))
@@ -105,13 +104,11 @@ def test_batches_can_be_joined_and_taken_apart() -> None:
 
 def test_those_without_obstacles_get_some_of_size_zero_beside_others() -> None:
     with_some = cluttered_scenarios(4, seeded(0))
-    whole = concatenate_scenarios([stage_scenarios("near", 2), with_some, with_some[:0]])
+    whole = stage_scenarios("near", 2).joined(with_some, with_some[:0])
     assert whole.obstacles.shape == (6, 1, 5)
     assert not whole.obstacles[:2].any()
     assert torch.equal(whole.obstacles[2:], with_some.obstacles)
-    assert (
-        concatenate_scenarios([with_some[:0], stage_scenarios("near", 0)]).obstacles.shape[1] == 1
-    )
+    assert with_some[:0].joined(stage_scenarios("near", 0)).obstacles.shape[1] == 1
     assert stage_scenarios("near", 2).obstacles.shape == (2, 0, 5)
 
 

@@ -16,7 +16,6 @@ from cgtorch.tabletop.world import (
     Scenarios,
     TabletopWorld,
     cluttered_scenarios,
-    concatenate_scenarios,
     motion_possible,
     percept_of,
     random_scenarios,
@@ -267,7 +266,7 @@ def test_obstacles_have_noise_of_the_same_size() -> None:
 def test_room_for_obstacles_changes_nothing_about_a_scenario() -> None:
     """Beside cluttered scenes, the paper's meet the noise they meet alone."""
     alone = random_scenarios("perimeter", 5, seeded(0))
-    mixed = concatenate_scenarios([cluttered_scenarios(3, seeded(1)), alone])
+    mixed = cluttered_scenarios(3, seeded(1)).joined(alone)
     assert mixed.obstacles.shape == (8, 1, 5)
     one, two = (TabletopWorld(s, graspable, FOOTPRINT) for s in (alone, mixed))
     first = lanes_of(one)
