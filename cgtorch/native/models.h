@@ -156,10 +156,6 @@ INLINE void edges(const Rectangle *table, const vec *placed, vec *out) {
 }
 
 INLINE void features_of_c(Layout layout, const vec *p, vec *x) {
-  if (layout.boxes > 1) { /* percepts of other lengths are learnt from as they are */
-    for (int i = 0; i < layout.size; i++) x[i] = p[i];
-    return;
-  }
   vec far = vec_max(all((real)1e-6), vec_sqrt(p[4] * p[4] + p[5] * p[5]));
   vec *polar = layout.side ? x : x + 4;
   polar[0] = STRETCH * far, polar[1] = TURN * p[4] / far, polar[2] = TURN * p[5] / far;

@@ -3,10 +3,8 @@
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.world.percepts import BOX, PERCEPTS, parts_of
+from cgtorch.tabletop.world.percepts import parts_of
 
-SIZES = tuple(size + obstacle for size in PERCEPTS.values() for obstacle in (0, 4))
-"""Lengths of percepts that are those of a tabletop: box or yaw, with an obstacle or without."""
 FLAT = 7  # features of box percepts, without the height, where all tables are as high
 SAME_HEIGHT = 0.02  # m, a standard deviation of heights that is hardly more than noise
 NEAR = 0.5  # m over which a side of the table stops to matter
@@ -17,7 +15,7 @@ EDGES = 2  # that matter, those that the robot stands farthest in front of
 
 
 def grasp_features(percept: Tensor) -> Tensor:
-    """Features (..., F) of tabletop percepts (..., D); percepts of other lengths stay as they are.
+    """Features (..., F) of tabletop percepts (..., D); errors are those of `parts_of`.
 
     An arm reaches a ring about its shoulder, not a box, so the object is given by its distance, the
     two numbers of its direction, and its height. Obstacles are reached over and left out. Of the
@@ -25,8 +23,6 @@ def grasp_features(percept: Tensor) -> Tensor:
     beyond the reach of the arms changes nothing; the height is last. Where the percept tells the
     table's yaw, F = 10: last come the two edges that the robot stands in front of (`edges`).
     """
-    if percept.shape[-1] not in SIZES:
-        return percept
     seen = parts_of(percept)
     placed = seen.object
     distance = placed.norm(dim=-1, keepdim=True).clamp_min(1e-6)
@@ -59,14 +55,7 @@ def used_features(percept: Tensor) -> int:
 
     All, but not the height of box percepts where all tables are as high.
     """
-    features = grasp_features(percept[:1]).shape[-1]
-    if features != FLAT + 1 or percept.shape[-1] not in SIZES:
-        return features
-    return FLAT + int(bool(parts_of(percept).height.std(correction=0) > SAME_HEIGHT))
-
-
-def compiled_features(size: int, used: int) -> bool:
-    """Whether compiled code knows the `used` features of percepts of a size (models.h)."""
-    if size in SIZES:
-        return used == FLAT + 3 if size % BOX == 1 else used in (FLAT, FLAT + 1)
-    return size > max(SIZES) and size % BOX in (1, 3) and used == size
+    seen = parts_of(percept)
+    if seen.side.shape[-1]:
+        return FLAT + 3
+    return FLAT + int(bool(seen.height.std(correction=0) > SAME_HEIGHT))

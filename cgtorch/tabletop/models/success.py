@@ -8,13 +8,8 @@ from cgtorch.ground.errors import DataError
 from cgtorch.native import function
 from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
 from cgtorch.svm.compiled import Compiled, machine_structure, threads_for
-from cgtorch.tabletop.models.grasp_features import (
-    FLAT,
-    SIZES,
-    compiled_features,
-    grasp_features,
-    used_features,
-)
+from cgtorch.tabletop.models.grasp_features import FLAT, grasp_features, used_features
+from cgtorch.tabletop.world.percepts import parts_of
 
 COSTS, GAMMAS = (100.0, 300.0), (0.5, 1.0, 2.0)
 """The hyper-parameters that cross-validation chooses from."""
@@ -47,7 +42,8 @@ class GraspClassifier(SuccessClassifier):
             return None
         if machine.kernel != "rbf" or not machine.fitted:
             return None
-        if not compiled_features(percept.shape[-1], len(mean)):
+        known = (FLAT + 3,) if parts_of(percept).side.shape[-1] else (FLAT, FLAT + 1)
+        if len(mean) not in known:
             return None
         made = machine_structure(*machine._machine)
         if made is None or made.structure.k != 1 or not bool(machine.platt.isfinite().all()):
@@ -60,7 +56,7 @@ class GraspClassifier(SuccessClassifier):
     def raw_features(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.raw_features`: those that were worth learning from."""
         features, used = grasp_features(percept), len(self.mean)
-        flat = used == FLAT and features.shape[-1] == FLAT + 1 and percept.shape[-1] in SIZES
+        flat = used == FLAT and features.shape[-1] == FLAT + 1
         if features.shape[-1] != used and not flat:
             raise DataError(
                 f"a percept has {percept.shape[-1]} coordinates, which make {features.shape[-1]} "

@@ -89,6 +89,9 @@ def test_gradients_with_the_yaw_equal_finite_differences():
     assert torch.autograd.gradcheck(grasp_features, (percept,))
 
 
-def test_percepts_of_another_size_stay_as_they_are():
-    percept = torch.rand(4, 3, 2)
-    assert grasp_features(percept) is percept
+@pytest.mark.parametrize("size", [7, 9])
+def test_obstacles_of_any_number_are_left_out(size):
+    percept = torch.rand(4, 3, size)
+    for boxes in (1, 2, 3):
+        more = torch.cat([percept, torch.rand(4, 3, 4 * boxes)], -1)
+        assert torch.equal(grasp_features(more), grasp_features(percept))

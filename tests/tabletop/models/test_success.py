@@ -40,12 +40,14 @@ def test_gradients_equal_finite_differences():
     assert torch.autograd.gradcheck(small, (x,))
 
 
-def test_any_number_of_coordinates(fitted):
+def test_percepts_of_any_shape_but_of_a_tabletop(fitted):
     x, y = labelled(150, 5)
-    model, _ = fit_success_classifier(GraspClassifier(), x[:, 4:6], y, **GRID)
-    assert model(torch.tensor(x[:, 4:6]).reshape(3, 50, 2)).shape == (3, 50)
-    with pytest.raises(DataError, match="coordinates"):
-        model(torch.tensor(x))
+    model, _ = fitted
+    assert model(torch.tensor(x).reshape(3, 50, 7)).shape == (3, 50)
+    with pytest.raises(DataError, match="a percept has 2 numbers; give 7"):
+        model(torch.tensor(x[:, 4:6]))
+    with pytest.raises(DataError, match="a percept has 2 numbers; give 7"):
+        fit_success_classifier(GraspClassifier(), x[:, 4:6], y, **GRID)
 
 
 def test_one_class_and_tiny_data_are_refused():

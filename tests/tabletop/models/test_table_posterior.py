@@ -163,5 +163,6 @@ def test_obstacles_say_nothing_about_grasps():
     model, _ = fit_success_classifier(GraspClassifier(), rows, answer, C=[100.0], gamma=[0.5])
     box = torch.tensor([1.0, 1.4, -0.2, 0.3]).expand(len(rows), 4)
     assert torch.equal(model(torch.cat([rows, box], 1)), model(rows))
+    assert torch.equal(model(torch.cat([rows, box, box], 1)), model(rows))
     with pytest.raises(DataError, match="which make 8 features; the classifier was fitted on 10"):
         model(rows[:, :7])
