@@ -120,27 +120,6 @@ def _outside(point: Tensor, half: Tensor) -> Tensor:
     return point - torch.maximum(torch.minimum(point, half), -half)
 
 
-def rectangles_overlap(first: Tensor, second: Tensor) -> Tensor:
-    """Whether two turned rectangles overlap (B,), by separating axes; touching does not count.
-
-    Each is (B, 5) centre x, centre y, yaw, size x, size y (m, rad).
-    """
-    between = second[:, :2] - first[:, :2]
-    axes = torch.cat([_axes(first[:, 2]), _axes(second[:, 2])], dim=1)
-    gap = (axes * between[:, None]).sum(-1).abs()
-    reach = sum(
-        ((axes[:, :, None] * _axes(r[:, 2])[:, None]).sum(-1).abs() * r[:, None, 3:] / 2).sum(-1)
-        for r in (first, second)
-    )
-    return (gap < reach).all(dim=1)
-
-
-def _axes(yaw: Tensor) -> Tensor:
-    """(B, 2, 2): the two axes of turned rectangles, as rows."""
-    cos, sin = yaw.cos(), yaw.sin()
-    return torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], dim=1)
-
-
 def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]]:
     """A URDF collision element as capsules (start (3,), end (3,), radius), m, in its link's frame.
 

@@ -13,9 +13,10 @@ from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.collision import Boxes, rectangles_overlap
+from cgtorch.tabletop.kinematics.collision import Boxes
 from cgtorch.tabletop.kinematics.robot import Robot
 from cgtorch.tabletop.kinematics.touching import touches
+from cgtorch.tabletop.world.geometry import rectangles_overlap
 
 GRASP_HEIGHT = 0.05  # m above the table top: the middle of an object 0.10 m high
 PRE_GRASP = 0.10  # m behind the grasp, where the straight approach starts

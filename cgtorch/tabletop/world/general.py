@@ -9,7 +9,7 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.tabletop.world.geometry import corners, polygons_overlap, rotate
+from cgtorch.tabletop.world.geometry import rectangles_overlap, rotate
 from cgtorch.tabletop.world.scenarios import (
     PLACEMENTS,
     Scenarios,
@@ -123,11 +123,9 @@ def _obstacles(scenes: Scenarios, generator: Generator) -> Tensor:
 
 def _in_the_way(obstacle: Tensor, scenes: Scenarios) -> Tensor:
     """(n,) bool, whether boxes (n, 5) stand in the table or too near to the robot."""
-    one, two = corners(obstacle), corners(scenes.table[:, :5])
-    axes = torch.cat([one[:, 1:3] - one[:, 0:2], two[:, 1:3] - two[:, 0:2]], 1)
     at = rotate(scenes.pose[:, :2] - obstacle[:, :2], -obstacle[:, 2])
     gap = (at.abs() - obstacle[:, 3:5] / 2).clamp_min(0).norm(dim=1)
-    return polygons_overlap(one, two, axes) | (gap < ROOM)
+    return rectangles_overlap(obstacle, scenes.table[:, :5]) | (gap < ROOM)
 
 
 Draw: TypeAlias = Callable[[int, Generator], Scenarios]

@@ -61,12 +61,22 @@ def corners(rectangle: Tensor) -> Tensor:
     return rectangle[..., None, :2] + rotate(offset, rectangle[..., None, 2])
 
 
-def polygons_overlap(a: Tensor, b: Tensor, axes: Tensor) -> Tensor:
-    """(...) bool, whether convex polygons share a point, by the separating-axis test.
+def rectangles_overlap(first: Tensor, second: Tensor) -> Tensor:
+    """Whether two turned rectangles overlap (B,), by separating axes; touching does not count.
 
-    Their corners are (..., A, 2) and (..., B, 2), `axes` (..., K, 2) the normals of all edges of
-    both; a zero axis separates nothing.
+    Each is (B, 5) centre x, centre y, yaw, size x, size y (m, rad).
     """
-    pa, pb = a @ axes.mT, b @ axes.mT
-    apart = (pa.amax(-2) < pb.amin(-2)) | (pb.amax(-2) < pa.amin(-2))
-    return ~apart.any(-1)
+    between = second[:, :2] - first[:, :2]
+    axes = torch.cat([_axes(first[:, 2]), _axes(second[:, 2])], dim=1)
+    gap = (axes * between[:, None]).sum(-1).abs()
+    reach = sum(
+        ((axes[:, :, None] * _axes(r[:, 2])[:, None]).sum(-1).abs() * r[:, None, 3:] / 2).sum(-1)
+        for r in (first, second)
+    )
+    return (gap < reach).all(dim=1)
+
+
+def _axes(yaw: Tensor) -> Tensor:
+    """(B, 2, 2): the two axes of turned rectangles, as rows."""
+    cos, sin = yaw.cos(), yaw.sin()
+    return torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], dim=1)

@@ -2,13 +2,10 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cgtorch.tabletop.kinematics.collision import (
     Boxes,
     collide,
-    rectangles_overlap,
     segment_box_distance,
 )
 
@@ -87,53 +84,3 @@ def test_nothing_touches_nothing():
     none = Boxes(torch.zeros(1, 0, 3), torch.zeros(1, 0, 3, 3), torch.zeros(1, 0, 3))
     ends = torch.zeros(4, 2, 3)
     assert not collide(ends, ends, torch.ones(2), none).any()
-
-
-@pytest.mark.parametrize(
-    ("second", "overlap"),
-    [
-        ((1.4, 0.0, 0.0, 1.0, 1.0), False),
-        ((0.9, 0.0, 0.0, 1.0, 1.0), True),
-        ((1.0, 0.0, 0.0, 1.0, 1.0), False),
-        ((1.15, 0.0, math.pi / 4, 1.0, 1.0), True),
-        ((1.25, 0.0, math.pi / 4, 1.0, 1.0), False),
-        ((0.8, 0.8, math.pi / 4, 1.0, 1.0), True),
-        ((0.9, 0.9, math.pi / 4, 1.0, 1.0), False),
-        ((0.0, 0.0, 0.3, 0.1, 0.1), True),
-        ((0.0, 0.0, 0.3, 9.0, 9.0), True),
-    ],
-)
-def test_rectangles(second, overlap):
-    unit, second = torch.tensor([[0.0, 0.0, 0.0, 1.0, 1.0]]), torch.tensor([second])
-    assert rectangles_overlap(unit, second).item() is overlap
-    assert rectangles_overlap(second, unit).item() is overlap
-
-
-side = st.floats(0.2, 2.0)
-place = st.floats(-2.0, 2.0)
-turn = st.floats(-math.pi, math.pi)
-rectangle = st.tuples(place, place, turn, side, side)
-
-
-@given(rectangle, rectangle)
-def test_rectangles_agree_with_points(first, second):
-    """A grid point of one inside the other proves overlap."""
-    grid = torch.linspace(-0.5, 0.5, 21, dtype=torch.float64)
-    x, y = torch.meshgrid(grid, grid, indexing="ij")
-
-    def inside(one, other):
-        cos, sin = math.cos(one[2]), math.sin(one[2])
-        px = one[0] + cos * x * one[3] - sin * y * one[4] - other[0]
-        py = one[1] + sin * x * one[3] + cos * y * one[4] - other[1]
-        cos, sin = math.cos(other[2]), math.sin(other[2])
-        u, v = cos * px + sin * py, cos * py - sin * px
-        return bool(((u.abs() < other[3] / 2 - 1e-9) & (v.abs() < other[4] / 2 - 1e-9)).any())
-
-    got = rectangles_overlap(
-        torch.tensor([first], dtype=torch.float64), torch.tensor([second], dtype=torch.float64)
-    ).item()
-    if inside(first, second) or inside(second, first):
-        assert got
-    far = math.hypot(first[0] - second[0], first[1] - second[1])
-    if far > (math.hypot(*first[3:]) + math.hypot(*second[3:])) / 2:
-        assert not got

@@ -14,8 +14,8 @@ from cgtorch.tabletop.world.geometry import (
     box_rectangle,
     corners,
     moved,
-    polygons_overlap,
     rectangle_in_frame,
+    rectangles_overlap,
     rotate,
     to_frame,
     wrap,
@@ -60,13 +60,12 @@ def test_boxes_and_corners_in_the_robots_frame(
 
 @given(rectangles, rectangles)
 def test_overlap_is_that_of_polygons(first: tuple[float, ...], second: tuple[float, ...]) -> None:
-    a, b = corners(tensor(first)), corners(tensor(second))
-    axes = torch.cat([a[:, 1:3] - a[:, 0:2], b[:, 1:3] - b[:, 0:2]], 1)
+    overlap = rectangles_overlap(tensor(first), tensor(second)).item()
     one, two = polygon(first), polygon(second)
     if one.intersection(two).area > 1e-6:
-        assert polygons_overlap(a, b, axes).item()
+        assert overlap
     elif one.distance(two) > 1e-6:
-        assert not polygons_overlap(a, b, axes).item()
+        assert not overlap
 
 
 @given(poses, poses, st.tuples(metres, metres))
@@ -88,3 +87,23 @@ def test_wrapping(angle: float) -> None:
     assert -math.pi <= found < math.pi + 1e-9
     assert math.cos(found) == pytest.approx(math.cos(angle), abs=1e-9)
     assert math.sin(found) == pytest.approx(math.sin(angle), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("second", "overlap"),
+    [
+        ((1.4, 0.0, 0.0, 1.0, 1.0), False),
+        ((0.9, 0.0, 0.0, 1.0, 1.0), True),
+        ((1.0, 0.0, 0.0, 1.0, 1.0), False),
+        ((1.15, 0.0, math.pi / 4, 1.0, 1.0), True),
+        ((1.25, 0.0, math.pi / 4, 1.0, 1.0), False),
+        ((0.8, 0.8, math.pi / 4, 1.0, 1.0), True),
+        ((0.9, 0.9, math.pi / 4, 1.0, 1.0), False),
+        ((0.0, 0.0, 0.3, 0.1, 0.1), True),
+        ((0.0, 0.0, 0.3, 9.0, 9.0), True),
+    ],
+)
+def test_rectangles_that_nearly_touch(second: tuple[float, ...], overlap: bool) -> None:
+    unit, other = torch.tensor([[0.0, 0.0, 0.0, 1.0, 1.0]]), torch.tensor([second])
+    assert rectangles_overlap(unit, other).item() is overlap
+    assert rectangles_overlap(other, unit).item() is overlap
