@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Mapping
 
-from cgtorch.export.clusters import clusters_of as clusters_of
-from cgtorch.export.dot import to_dot as to_dot
-from cgtorch.export.graphml import to_graphml as to_graphml
-from cgtorch.export.mermaid import to_mermaid as to_mermaid
 from cgtorch.export.onnx_model import to_onnx as to_onnx
-from cgtorch.export.skill_file import to_json as to_json
 from cgtorch.export.state_machine import to_state_machine as to_state_machine
 from cgtorch.export.step import SkillStep as SkillStep
+from cgtorch.export.text import to_dot as to_dot
+from cgtorch.export.text import to_graphml as to_graphml
+from cgtorch.export.text import to_json as to_json
+from cgtorch.export.text import to_mermaid as to_mermaid
 from cgtorch.export.torch_module import to_module as to_module
 from cgtorch.graphs import Skill
 

@@ -1,14 +1,14 @@
 """A picture of a skill's computational graph, with a panel for every skill in it."""
 
-from collections.abc import Hashable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.graphs import Skill, SubSkill, to_networkx
+from cgtorch.graphs import Skill
+from cgtorch.graphs.clusters import Cluster, Edge, Node, clusters_of
 from cgtorch.ground.errors import printable
-from cgtorch.report.layers import Link
 from cgtorch.report.placing import Box, Placement, Point, Route, pieces, place
-from cgtorch.report.text_size import text_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,28 +33,13 @@ SKILL_FILL, SKILL_RIM = "#ffffff", "#3b4a6b"
 
 @dataclass(frozen=True)
 class Panel:
-    """One skill of the picture, laid out."""
+    """One skill of the picture, laid out; sizes in inches, its frame included."""
 
-    skill: Skill
-    path: str
+    cluster: Cluster
     title: str
-    labels: dict[Hashable, str]
-    kinds: dict[Hashable, str]
-    start: Hashable
-    links: list[Link]
     placement: Placement
-
-    @property
-    def width(self) -> float:
-        """Inches, frame included."""
-        return (
-            max(self.placement.width, text_width(self.title, TITLE_TEXT, True) + 0.1) + 2 * PADDING
-        )
-
-    @property
-    def height(self) -> float:
-        """Inches, frame included."""
-        return self.placement.height + TITLE + 2 * PADDING
+    width: float
+    height: float
 
 
 def draw_skill(skill: Skill) -> "Figure":
@@ -63,24 +48,16 @@ def draw_skill(skill: Skill) -> "Figure":
     Nodes are coloured by action, skills within the skill have a double rim and a panel of their
     own below. A terminal outcome ends in a small mark with its name. Edges that lead back up are
     brown. Every artist that stands for something has a gid: "node:", "edge:" or "end:" and
-    the skill's name, then the node, edge or end.
+    the skill's path, then the node, edge or end.
     """
-    return _drawn([_panel(s, path) for s, path in skills_of(skill)])
+    return draw_clusters(clusters_of(skill))
 
 
-def draw_level(skill: Skill, path: str) -> "Figure":
-    """One panel of that picture, of a skill without those in it.
-
-    Args:
-        skill: the skill.
-        path: the names on the way to it, as `skills_of` tells them.
-    """
-    return _drawn([_panel(skill, path)])
-
-
-def _drawn(panels: list[Panel]) -> "Figure":
+def draw_clusters(clusters: Sequence[Cluster]) -> "Figure":
+    """The panels of some skills of that picture."""
     from matplotlib.figure import Figure
 
+    panels = [_panel(cluster) for cluster in clusters]
     corners, width, height = _packed(panels)
     figure = Figure(figsize=(width, height), dpi=100, facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1))
@@ -92,41 +69,35 @@ def _drawn(panels: list[Panel]) -> "Figure":
     return figure
 
 
-def skills_of(skill: Skill) -> list[tuple[Skill, str]]:
-    """The skill and all skills in it, each once, by level; with the names on the way to it."""
-    found = [(skill, printable(skill.name))]
-    seen = {id(skill)}
-    for outer, path in found:  # grows on the way
-        for name, inner in outer.sub_skills.items():
-            if id(inner) not in seen:
-                seen.add(id(inner))
-                found.append((inner, f"{path} › {printable(name)}"))
-    return found
+def gid_of(cluster: Cluster, part: Node | Edge) -> str:
+    """The gid of a node, an edge or an end in these pictures."""
+    if isinstance(part, Node):
+        return f"node:{cluster.path}:{printable(part.label)}"
+    words = [cluster.path, printable(cluster.nodes[part.tail].label), part.outcome]
+    if part.head in cluster.ends:
+        return ":".join(["end", *words])
+    return ":".join(["edge", *words, printable(cluster.nodes[part.head].label)])
 
 
-def _panel(skill: Skill, path: str) -> Panel:
-    view = to_networkx(skill.graph, skill.actions)
-    labels: dict[Hashable, str] = {n: printable(d["label"]) for n, d in view.nodes(data=True)}
-    kinds: dict[Hashable, str] = {n: d["action"] for n, d in view.nodes(data=True)}
-    links = [Link(a, b, d["outcome"]) for a, b, d in view.edges(data=True)]
-    for node, kind in kinds.items():
-        action = skill.actions.actions[skill.actions.index(kind)]
-        links += [Link(node, None, outcome) for outcome in action.outcomes
-                  if outcome in action.terminal]  # fmt: skip
-    widths = {n: text_width(s, NODE_TEXT) + 0.24 for n, s in labels.items()}
-    outcome_widths = [text_width(e.outcome, LABEL_TEXT) for e in links]
-    count = f"{skill.num_nodes} node{'s' if skill.num_nodes != 1 else ''}"
-    start: Hashable = view.graph["start"]
-    return Panel(
-        skill,
-        path,
-        f"{path} · {count}",
-        labels,
-        kinds,
-        start,
-        links,
-        place(widths, start, links, outcome_widths),
-    )
+def _panel(cluster: Cluster) -> Panel:
+    nodes, edges = cluster.nodes, cluster.edges
+    title = f"{cluster.path} · {len(nodes)} node{'s' if len(nodes) != 1 else ''}"
+    widths = {n: text_width(printable(node.label), NODE_TEXT) + 0.24 for n, node in nodes.items()}
+    outcome_widths = [text_width(edge.outcome, LABEL_TEXT) for edge in edges]
+    placement = place(widths, cluster.start, edges, outcome_widths)
+    width = max(placement.width, text_width(title, TITLE_TEXT, bold=True) + 0.1) + 2 * PADDING
+    return Panel(cluster, title, placement, width, placement.height + TITLE + 2 * PADDING)
+
+
+@cache
+def text_width(text: str, size: float, bold: bool = False) -> float:
+    """Width in inches of one line of text in the default font, `size` in points."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(weight="bold" if bold else "normal", size=size)
+    # Not as mathematics, which a "$" in a name would be.
+    return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72
 
 
 def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
@@ -164,7 +135,8 @@ def _draw(axes: "Axes", panel: Panel, corner: Point) -> None:
     x, y = corner
     frame = FancyBboxPatch(
         (x, y), panel.width, panel.height, boxstyle="round,pad=0,rounding_size=0.08",
-        facecolor="#fbfbfc", edgecolor=FAINT, linewidth=0.8, zorder=0, gid=f"panel:{panel.path}",
+        facecolor="#fbfbfc", edgecolor=FAINT, linewidth=0.8, zorder=0,
+        gid=f"panel:{panel.cluster.path}",
     )  # fmt: skip
     axes.add_patch(frame)
     axes.text(
@@ -172,61 +144,54 @@ def _draw(axes: "Axes", panel: Panel, corner: Point) -> None:
         va="top", ha="left", parse_math=False,
     )  # fmt: skip
     origin = (x + (panel.width - panel.placement.width) / 2, y + TITLE + PADDING)
-    for link, route in zip(panel.links, panel.placement.routes, strict=True):
-        _draw_link(axes, panel, link, route, origin)
-    for node, box in panel.placement.boxes.items():
-        _draw_node(axes, panel, node, box, origin)
+    for edge, route in zip(panel.cluster.edges, panel.placement.routes, strict=True):
+        _draw_edge(axes, panel.cluster, edge, route, origin)
+    for key, box in panel.placement.boxes.items():
+        _draw_node(axes, panel.cluster, panel.cluster.nodes[key], box, origin)
 
 
-def _draw_node(axes: "Axes", panel: Panel, node: Hashable, box: Box, origin: Point) -> None:
+def _draw_node(axes: "Axes", cluster: Cluster, node: Node, box: Box, origin: Point) -> None:
     from matplotlib.patches import FancyBboxPatch
 
-    kind, is_start = panel.kinds[node], node == panel.start
-    action = panel.skill.actions.actions[panel.skill.actions.index(kind)]
-    is_skill = isinstance(action, SubSkill)
-    fill = START if is_start else SKILL_FILL if is_skill else colour_of(panel.skill, kind)
-    rim = INK if is_start else SKILL_RIM if is_skill else LINE
+    is_start = node.key == cluster.start
+    # The paper's actions have colours of their own, others take turns.
+    turn = cluster.skill.actions.index(node.name) % len(OTHERS)
+    fill, rim = COLOURS.get(node.name) or OTHERS[turn], LINE
+    if is_start:
+        fill, rim = START, INK
+    elif node.runs:
+        fill, rim = SKILL_FILL, SKILL_RIM
     shape = "square,pad=0" if is_start else "round,pad=0,rounding_size=0.1"
-    x, y = origin[0] + box.x - box.width / 2, origin[1] + box.y - box.height / 2
-    gid = f"node:{panel.path}:{panel.labels[node]}"
+    x, y = origin[0] + box.x, origin[1] + box.y
+    gid = gid_of(cluster, node)
 
     def add(inset: float, **style: Any) -> None:
-        size = (box.width - 2 * inset, box.height - 2 * inset)
-        axes.add_patch(FancyBboxPatch((x + inset, y + inset), *size, boxstyle=shape, **style))
+        width, height = box.width - 2 * inset, box.height - 2 * inset
+        at = (x - width / 2, y - height / 2)
+        axes.add_patch(FancyBboxPatch(at, width, height, boxstyle=shape, **style))
 
     add(0, facecolor=fill, edgecolor=rim, linewidth=1.0, zorder=3, gid=gid)
-    if is_skill:
+    if node.runs:
         inner = "white" if is_start else rim
         add(0.035, facecolor="none", edgecolor=inner, linewidth=0.8, zorder=4)
     axes.text(
-        origin[0] + box.x, origin[1] + box.y, panel.labels[node], fontsize=NODE_TEXT,
-        color="white" if is_start else INK, ha="center", va="center_baseline", zorder=5,
-        gid=f"text:{gid}", parse_math=False,
+        x, y, printable(node.label), fontsize=NODE_TEXT, color="white" if is_start else INK,
+        ha="center", va="center_baseline", zorder=5, gid=f"text:{gid}", parse_math=False,
     )  # fmt: skip
 
 
-def colour_of(skill: Skill, kind: str) -> str:
-    """The fill of an action's nodes: the paper's five have their own, others take turns."""
-    return COLOURS.get(kind) or OTHERS[skill.actions.index(kind) % len(OTHERS)]
-
-
-def _draw_link(axes: "Axes", panel: Panel, link: Link, route: Route, origin: Point) -> None:
+def _draw_edge(axes: "Axes", cluster: Cluster, edge: Edge, route: Route, origin: Point) -> None:
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.path import Path
 
     points = [(origin[0] + x, origin[1] + y) for x, y in route.points]
-    label = (origin[0] + route.label[0], origin[1] + route.label[1])
-    tail = panel.labels[link.tail]
-    head = panel.labels[link.head] if link.head is not None else None
-    gid = f"{'edge' if head else 'end'}:{panel.path}:{tail}:{link.outcome}" + (
-        f":{head}" if head else ""
-    )
+    gid = gid_of(cluster, edge)
     colour = BACK if route.upward or route.loop else LINE
-    if head is None:
-        good = panel.skill.actions.actions[
-            panel.skill.actions.index(panel.kinds[link.tail])
-        ].terminal[link.outcome]
-        colour = END_GOOD if good else END_BAD
+    style: dict[str, Any] = {"color": colour, "ha": "left"}
+    if (success := cluster.ends.get(edge.head)) is not None:
+        colour = END_GOOD if success else END_BAD
+        mark = {"boxstyle": "round,pad=0.25,rounding_size=0.6", "fc": colour, "ec": "none"}
+        style = {"color": "white", "ha": "center", "bbox": mark}
     vertices, codes = [points[0]], [Path.MOVETO]
     if route.loop:
         vertices += points[1:]
@@ -241,14 +206,7 @@ def _draw_link(axes: "Axes", panel: Panel, link: Link, route: Route, origin: Poi
         color=colour, shrinkA=0, shrinkB=0, zorder=2, gid=gid, joinstyle="round",
     )  # fmt: skip
     axes.add_patch(arrow)
-    if head is None:
-        axes.text(
-            *label, link.outcome, fontsize=LABEL_TEXT, color="white", ha="center", va="center",
-            zorder=4, gid=f"text:{gid}", parse_math=False,
-            bbox={"boxstyle": "round,pad=0.25,rounding_size=0.6", "fc": colour, "ec": "none"},
-        )  # fmt: skip
-    else:
-        axes.text(
-            *label, link.outcome, fontsize=LABEL_TEXT, color=colour, ha="left", va="center",
-            zorder=4, gid=f"text:{gid}", parse_math=False,
-        )  # fmt: skip
+    axes.text(
+        origin[0] + route.label[0], origin[1] + route.label[1], edge.outcome, fontsize=LABEL_TEXT,
+        va="center", zorder=4, gid=f"text:{gid}", parse_math=False, **style,
+    )  # fmt: skip

@@ -6,82 +6,70 @@ that few pieces cross. Every edge has a piece of its own in the row after its ta
 goes, so parallel edges never lie on each other and no label on a node.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import networkx as nx
 
+from cgtorch.graphs.clusters import Edge
+
 SWEEPS = 12
 
 
 @dataclass(frozen=True)
-class Link:
-    """An edge to be drawn; `head` None where the outcome ends the skill."""
-
-    tail: Hashable
-    head: Hashable | None
-    outcome: str
-
-
-@dataclass
 class Rows:
     """Items in rows from top to bottom: nodes in even rows, labels and ends in odd ones.
 
     Attributes:
         rows: the items of each row, from left to right.
         node: the item of each node.
-        chains: for each link that is no loop, its items from the upper end to the lower; an end
+        chains: for each edge that is no loop, its items from the upper end to the lower; an end
             is an item of its own.
-        upward: for each of these links, whether it leads upwards.
-        labels: the item with each link's label.
+        upward: which of these edges lead upwards.
         above: the items that each item is connected to in the row above.
         below: the same in the row below.
     """
 
     rows: list[list[int]]
-    node: dict[Hashable, int]
+    node: dict[str, int]
     chains: dict[int, list[int]]
-    upward: dict[int, bool]
-    labels: dict[int, int]
+    upward: set[int]
     above: dict[int, list[int]]
     below: dict[int, list[int]]
 
+    def label(self, edge: int) -> int:
+        """The item with an edge's label."""
+        return self.chains[edge][-2 if edge in self.upward else 1]
 
-def in_rows(nodes: Sequence[Hashable], start: Hashable, links: Sequence[Link]) -> Rows:
-    """Rows for a graph whose nodes can all be reached from `start`; loops are left out."""
-    found = [_ordered(_cut(nodes, links, order)) for order in _node_orders(nodes, start, links)]
+
+def in_rows(nodes: Sequence[str], start: str, edges: Sequence[Edge]) -> Rows:
+    """Rows for a graph whose nodes can all be reached from `start`; loops are left out.
+
+    Edges whose head is none of the nodes are ends. What leads upwards is told by an order of the
+    nodes; tried are depth first and breadth first.
+    """
+    graph = nx.DiGraph((e.tail, e.head) for e in edges if e.head in nodes)
+    graph.add_node(start)
+    deep = list(nx.dfs_postorder_nodes(graph, start))[::-1]
+    broad = [start, *(head for _, head in nx.bfs_edges(graph, start))]
+    found = [_ordered(_cut(edges, order)) for order in (deep, broad)]
     return min(found, key=lambda rows: 10 * crossings(rows) + len(rows.below))
 
 
-def _node_orders(
-    nodes: Sequence[Hashable], start: Hashable, links: Sequence[Link]
-) -> list[list[Hashable]]:
-    """Orders of the nodes, each of which says what edges lead upwards: depth and breadth first."""
-    graph: nx.DiGraph[Hashable] = nx.DiGraph()
-    graph.add_nodes_from(nodes)
-    graph.add_edges_from((e.tail, e.head) for e in links if e.head is not None)
-    deep = list(nx.dfs_postorder_nodes(graph, start))[::-1]
-    broad = [start, *(head for _, head in nx.bfs_edges(graph, start))]
-    return [deep, broad]
-
-
-def _cut(nodes: Sequence[Hashable], links: Sequence[Link], order: list[Hashable]) -> Rows:
-    """Rows by longest path, every link cut into pieces from row to row."""
+def _cut(edges: Sequence[Edge], order: list[str]) -> Rows:
+    """Rows by longest path, every edge cut into pieces from row to row."""
     place = {node: i for i, node in enumerate(order)}
-    rank = dict.fromkeys(order, 0)
-    ending = {edge.tail for edge in links if edge.head is None}
-    followers: dict[Hashable, list[Hashable]] = {node: [] for node in nodes}
-    for edge in links:
-        if edge.head is not None and edge.head != edge.tail:
-            first, second = sorted((edge.tail, edge.head), key=place.__getitem__)
-            followers[first].append(second)
-    for node in order:
-        for follower in followers[node]:
-            rank[follower] = max(rank[follower], rank[node] + 2)
-    height = 1 + max(rank[node] + (node in ending) for node in order)
-    rows: list[list[int]] = [[] for _ in range(height)]
-    result = Rows(rows, {}, {}, {}, {}, {}, {})
+    downwards: nx.DiGraph[str] = nx.DiGraph()
+    downwards.add_nodes_from(order)
+    for edge in edges:
+        if edge.head in place and edge.head != edge.tail:
+            downwards.add_edge(*sorted((edge.tail, edge.head), key=place.__getitem__))
+    layers = enumerate(nx.topological_generations(downwards))
+    rank = {node: 2 * number for number, layer in layers for node in layer}
+    ending = {edge.tail for edge in edges if edge.head not in place}
+    rows: list[list[int]] = [[] for _ in range(1 + max(rank[n] + (n in ending) for n in order))]
+    result = Rows(rows, {}, {}, set(), {}, {})
 
     def new(row: int) -> int:
         item = len(result.above)
@@ -91,19 +79,18 @@ def _cut(nodes: Sequence[Hashable], links: Sequence[Link], order: list[Hashable]
 
     for node in order:
         result.node[node] = new(rank[node])
-    for i, edge in sorted(enumerate(links), key=lambda e: place[e[1].tail]):
+    for i, edge in sorted(enumerate(edges), key=lambda e: place[e[1].tail]):
         if edge.head == edge.tail:
             continue
-        if edge.head is None:
+        if edge.head not in place:
             chain = [result.node[edge.tail], new(rank[edge.tail] + 1)]
-            up = False
         else:
-            up = place[edge.head] < place[edge.tail]
-            upper, lower = (edge.head, edge.tail) if up else (edge.tail, edge.head)
+            upper, lower = sorted((edge.tail, edge.head), key=place.__getitem__)
             between = [new(row) for row in range(rank[upper] + 1, rank[lower])]
             chain = [result.node[upper], *between, result.node[lower]]
-        result.chains[i], result.upward[i] = chain, up
-        result.labels[i] = chain[-2] if up else chain[1]
+            if upper == edge.head:
+                result.upward.add(i)
+        result.chains[i] = chain
         for a, b in pairwise(chain):
             result.below[a].append(b)
             result.above[b].append(a)
@@ -116,9 +103,8 @@ def _ordered(rows: Rows) -> Rows:
     for sweep in range(SWEEPS):
         down = sweep % 2 == 0
         numbers = range(1, len(rows.rows)) if down else range(len(rows.rows) - 2, -1, -1)
-        beside = rows.above if down else rows.below
         for r in numbers:
-            _sort_by_mean(rows.rows, r, r - 1 if down else r + 1, beside)
+            _sort_by_mean(rows, r, r - 1 if down else r + 1, rows.above if down else rows.below)
         _swap(rows)
         if (count := crossings(rows)) < fewest:
             best, fewest = [row[:] for row in rows.rows], count
@@ -126,35 +112,38 @@ def _ordered(rows: Rows) -> Rows:
     return rows
 
 
-def _sort_by_mean(rows: list[list[int]], r: int, other: int, beside: dict[int, list[int]]) -> None:
+def _places(rows: Rows, r: int) -> dict[int, int]:
+    """The place of each item in row `r`, if there is such a row."""
+    return {item: i for i, item in enumerate(rows.rows[r])} if 0 <= r < len(rows.rows) else {}
+
+
+def _sort_by_mean(rows: Rows, r: int, other: int, beside: Mapping[int, list[int]]) -> None:
     """Sort row `r` by the mean place of each item's neighbours in row `other`."""
-    place = {item: i / max(len(rows[other]) - 1, 1) for i, item in enumerate(rows[other])}
-    here = {item: i / max(len(rows[r]) - 1, 1) for i, item in enumerate(rows[r])}
+    there, here = _places(rows, other), _places(rows, r)
 
     def mean(item: int) -> float:
-        around = beside[item]
-        return sum(place[n] for n in around) / len(around) if around else here[item]
+        if not (around := beside[item]):
+            return here[item] / max(len(here) - 1, 1)
+        return sum(there[n] for n in around) / len(around) / max(len(there) - 1, 1)
 
-    rows[r].sort(key=mean)
+    rows.rows[r].sort(key=mean)
 
 
 def _swap(rows: Rows) -> None:
     """Swap neighbours as long as that saves crossings."""
     for r, row in enumerate(rows.rows):
-        above = {n: i for i, n in enumerate(rows.rows[r - 1])} if r else {}
-        below = {n: i for i, n in enumerate(rows.rows[r + 1])} if r + 1 < len(rows.rows) else {}
+        sides = (rows.above, _places(rows, r - 1)), (rows.below, _places(rows, r + 1))
         swapped = True
         while swapped:
             swapped = False
             for i in range(len(row) - 1):
                 a, b = row[i], row[i + 1]
-                now = _pair(rows.above, above, a, b) + _pair(rows.below, below, a, b)
-                then = _pair(rows.above, above, b, a) + _pair(rows.below, below, b, a)
-                if then < now:
+                saved = sum(_pair(*side, a, b) - _pair(*side, b, a) for side in sides)
+                if saved > 0:
                     row[i], row[i + 1], swapped = b, a, True
 
 
-def _pair(beside: dict[int, list[int]], place: dict[int, int], a: int, b: int) -> int:
+def _pair(beside: Mapping[int, list[int]], place: Mapping[int, int], a: int, b: int) -> int:
     """Crossings between the pieces of `a` and those of `b`, `a` to the left."""
     return sum(place[m] > place[n] for m in beside[a] for n in beside[b])
 

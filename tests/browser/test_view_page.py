@@ -108,8 +108,8 @@ def test_the_active_node_is_lit_on_every_level(opened: Visit) -> None:
     count = levels.count()
     assert count >= 3
     colours = page.evaluate(
-        "() => [...document.querySelectorAll('.graph-levels [id^=\"node:\"]')].map(node => "
-        "[node.id, getComputedStyle(node.querySelector('path')).fill])"
+        "() => [...document.querySelectorAll('.graph-levels [data-part^=\"node:\"]')].map(node => "
+        "[node.dataset.part, getComputedStyle(node.querySelector('path')).fill])"
     )
     lit = [gid for gid, fill in colours if fill == "rgb(255, 214, 10)"]
     assert len(lit) == count

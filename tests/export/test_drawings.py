@@ -19,8 +19,9 @@ from support import (
 )
 
 from cgtorch.actions import ActionSet
-from cgtorch.export import clusters_of, to_dot, to_graphml, to_mermaid
+from cgtorch.export import to_dot, to_graphml, to_mermaid
 from cgtorch.graphs import Skill, SubSkill, to_networkx
+from cgtorch.graphs.clusters import clusters_of
 
 Triple = tuple[str, str, str]
 
@@ -37,11 +38,11 @@ def said(skill: Skill) -> tuple[dict[str, str], set[Triple], set[Triple], dict[s
     clusters = {c.key: c for c in clusters_of(skill)}
     labels, edges, calls, members = {}, set(), set(), {}
     for c in clusters.values():
-        labels |= {n.key: n.label for n in c.nodes}
+        labels |= {n.key: n.label for n in c.nodes.values()}
         labels |= {end: "success" if good else "failure" for end, good in c.ends.items()}
         edges |= {(e.tail, e.head, e.outcome) for e in c.edges}
-        calls |= {(n.key, clusters[n.runs].start, n.runs) for n in c.nodes if n.runs}
-        members[c.key] = {*c.ends, *(n.key for n in c.nodes)}
+        calls |= {(n.key, clusters[n.runs].start, n.runs) for n in c.nodes.values() if n.runs}
+        members[c.key] = {*c.ends, *c.nodes}
     return labels, edges, calls, members
 
 
@@ -63,7 +64,7 @@ def test_clusters_are_the_skill(skill: Skill) -> None:
     labels, drawn, calls, _ = said(skill)
     assert len(labels) == nodes + sum(len(c.ends) for c in clusters)
     assert len(drawn) == edges
-    subs = [n for c in clusters for n in c.nodes if n.runs]
+    subs = [n for c in clusters for n in c.nodes.values() if n.runs]
     assert len(calls) == len(subs)
     assert clusters[0].name == skill.name
 
@@ -114,7 +115,7 @@ def test_graphml_as_networkx_reads_it(skill: Skill) -> None:
     starts = {n for n, start in graph.nodes(data="start") if start}
     assert starts == {c.start for c in clusters_of(skill)}
     for cluster in clusters_of(skill):
-        for node in cluster.nodes:
+        for node in cluster.nodes.values():
             values = graph.nodes[node.key].get("parameters") or ""
             assert tuple(map(float, values.split())) == node.parameters
         assert all(graph.nodes[end]["success"] == good for end, good in cluster.ends.items())

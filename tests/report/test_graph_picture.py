@@ -16,11 +16,17 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.graphs import Graphs, Skill, SubSkill, to_networkx
+from cgtorch.graphs.clusters import clusters_of
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.report import draw_skill
-from cgtorch.report.graph_picture import COLOURS, START, skills_of
+from cgtorch.report.graph_picture import COLOURS, START
 
 PAPER = paper_actions()
+
+
+def skills_of(skill: Skill) -> list[tuple[Skill, str]]:
+    """All skills in a skill, with the names on the way to them."""
+    return [(cluster.skill, cluster.path) for cluster in clusters_of(skill)]
 
 
 def skill_of(n: int, seed: int, actions: ActionSet = PAPER) -> Skill:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from markupsafe import Markup
 from matplotlib import rc_context
 
+from cgtorch.report.html import STYLE, inline_svg
 from cgtorch.report.page.contents import Contents
 from cgtorch.report.page.event_files import Told
 from cgtorch.report.page.plots import Curve, draw_learning
-from cgtorch.report.page.vector import STYLE, inline_svg
 from cgtorch.report.reliability_picture import draw_reliability
 
 Row = tuple[str, ...]

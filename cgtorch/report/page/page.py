@@ -15,6 +15,7 @@ from cgtorch.domains.registry import is_code
 from cgtorch.ground.errors import printable
 from cgtorch.ground.version import __version__
 from cgtorch.report.estimate import as_time
+from cgtorch.report.html import STYLE, inline_svg
 from cgtorch.report.page.contents import Contents, Stage, read_contents
 from cgtorch.report.page.course import course_of
 from cgtorch.report.page.models import model_quality
@@ -22,7 +23,6 @@ from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.shares import counted, interval, share, share_of
 from cgtorch.report.page.stages import stage_sections
-from cgtorch.report.page.vector import STYLE, inline_svg
 from cgtorch.runs.run import Run, versions
 from cgtorch.runs.settings import all_fields, defaults_of
 

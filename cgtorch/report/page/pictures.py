@@ -1,6 +1,5 @@
 """The pictures of a stage: what its skill solved, and its graph."""
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +9,11 @@ from matplotlib import rc_context
 from torch import Tensor
 
 from cgtorch.domains.domain import Domain
-from cgtorch.graphs import Skill, to_networkx
+from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import printable
-from cgtorch.report.graph_picture import draw_skill, skills_of
+from cgtorch.report.graph_picture import draw_clusters
+from cgtorch.report.html import STYLE, inline_svg
 from cgtorch.report.page.contents import Stage
-from cgtorch.report.page.vector import STYLE, inline_svg
 
 
 @dataclass(frozen=True)
@@ -81,27 +80,20 @@ class Panel:
 
 def graph_picture(stage: Stage) -> tuple[Picture, tuple[Panel, ...]]:
     """The skill's graph like the paper's figures, and the same in words."""
+    clusters, name = clusters_of(stage.skill), stage.skill.name
     with rc_context(STYLE):
-        figure = draw_skill(stage.skill)
-    skill = stage.skill
-    panels = tuple(_panel(inner, path) for inner, path in skills_of(skill))
-    nodes, inner = skill.num_nodes, len(panels) - 1
-    words = f"{skill.name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {panels[0].start}"
+        figure = draw_clusters(clusters)
+    panels = tuple(_panel(cluster) for cluster in clusters)
+    nodes, inner = stage.skill.num_nodes, len(panels) - 1
+    words = f"{name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {panels[0].start}"
     words += f", and {inner} skill{'s' if inner != 1 else ''} within" if inner else ""
     return Picture(inline_svg(figure, f"{stage.name}-graph", f"Graph of {words}"), words), panels
 
 
-def _panel(skill: Skill, path: str) -> Panel:
-    view = to_networkx(skill.graph, skill.actions)
-    labels: dict[Hashable, str] = {n: printable(d["label"]) for n, d in view.nodes(data=True)}
-    edges = [(labels[a], d["outcome"], labels[b]) for a, b, d in view.edges(data=True)]
-    for node, data in view.nodes(data=True):
-        action = skill.actions.actions[skill.actions.index(data["action"])]
-        ends = ((o, good) for o, good in action.terminal.items() if o in action.outcomes)
-        edges += [
-            (labels[node], outcome, "the skill succeeds" if good else "the skill fails")
-            for outcome, good in ends
-        ]
-    order = list(labels.values())
-    edges.sort(key=lambda edge: order.index(edge[0]))
-    return Panel(path, labels[view.graph["start"]], tuple(edges))
+def _panel(cluster: Cluster) -> Panel:
+    said = {key: printable(node.label) for key, node in cluster.nodes.items()}
+    ends = {key: f"the skill {'succeeds' if ok else 'fails'}" for key, ok in cluster.ends.items()}
+    order = {key: i for i, key in enumerate(cluster.nodes)}
+    edges = sorted(cluster.edges, key=lambda edge: order[edge.tail])
+    rows = tuple((said[e.tail], e.outcome, (said | ends)[e.head]) for e in edges)
+    return Panel(cluster.path, said[cluster.start], rows)

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from cgtorch.actions import Action
 from cgtorch.environment import Lanes, start_lanes
-from cgtorch.graphs import Skill, SubSkill
-from cgtorch.simulation import MAX_STEPS
-from cgtorch.simulation.action_table import FAILURE, SUCCESS
+from cgtorch.graphs import Skill
+from cgtorch.simulation import most_steps
 from cgtorch.simulation.call_stack import Frames, first_frames, follow
 from cgtorch.simulation.program import Program, compile_graphs
+from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.tabletop.world import Scenarios, TabletopWorld
 
 Place: TypeAlias = tuple[Skill, int]
@@ -62,59 +62,47 @@ class Execution:
 
 
 def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
-    """Run a skill on one scenario of a world, exactly as `cgtorch.simulation.rollout` does.
-
-    Args:
-        skill: what to run.
-        world: where; its percepts must be those that the skill reads.
-        scenario: index into the world's scenarios.
-    """
-    program = compile_graphs(skill.graph, skill.actions)
-    sizes = program.message_size, program.memory_size
-    lanes = start_lanes(world, torch.tensor([scenario]), *sizes)
+    """Run a skill on one scenario of a world, whose percepts must be those that the skill reads."""
+    program, which = compile_graphs(skill.graph, skill.actions), torch.tensor([scenario])
     frames = first_frames(program, 1, skill.max_transitions)
-    seen, steps, end = [lanes], list[Step](), torch.zeros(1)
-    while not end.any() and len(steps) < MAX_STEPS:
-        node = frames.node
-        action = program.primitives[int(program.kind[node])]
-        parameters = program.parameters[node, : action.num_parameters]
-        lanes, outcome = action(lanes, parameters, world)
-        steps.append(_step(skill, program, frames, action, int(outcome)))
-        seen.append(lanes)
+    seen = [start_lanes(world, which, program.message_size, program.memory_size)]
+    steps: list[Step] = []
+
+    def trace(active: Tensor, node: Tensor, outcome: Tensor, lanes: Lanes) -> None:
+        nonlocal frames
+        steps.append(_step(skill, program, frames, int(outcome)))
+        seen.append(lanes.rows(torch.zeros_like(active)))
         # That something has changed keeps loops from being skipped, which only saves time.
-        frames, end, _ = follow(program, frames, outcome, torch.ones(1, dtype=torch.bool))
+        frames, _, _ = follow(program, frames, outcome, torch.ones(1, dtype=torch.bool))
+
+    most = most_steps(skill.actions, skill.max_transitions)
+    run = rollout_in_torch(program, world, which, skill.max_transitions, most, trace)
     return Execution(
         skill,
-        world.scenarios[torch.tensor([scenario])],
+        world.scenarios[which],
         tuple(steps),
-        {SUCCESS: "success", FAILURE: "failure"}.get(int(end), "timeout"),
+        "success" if run.succeeded else "timeout" if run.timed_out else "failure",
         pose=torch.cat([x.state[:, :3] for x in seen]),
         percept=torch.cat([x.percept for x in seen]),
-        message=torch.cat([_message(x) for x in seen]),
+        message=torch.cat([x.message.where(x.has_message[:, None], torch.nan) for x in seen]),
         memory=torch.cat([x.memory for x in seen]),
     )
 
 
-def _message(lanes: Lanes) -> Tensor:
-    return lanes.message.masked_fill(~lanes.has_message[:, None], float("nan"))
-
-
-def _step(skill: Skill, program: Program, frames: Frames, action: Action, outcome: int) -> Step:
+def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
     """The step that the only lane is about to make, named by the nodes that it is at."""
     callers = frames.caller[0, 1 : int(frames.level) + 1].tolist()
     places, within, offset = [], skill, 0
     for row in callers:
         places.append((within, row - offset))
-        within = _inner(*places[-1])
+        within = within.sub_skills[_name(*places[-1])]
         first = program.entry[int(program.kind[row]) - len(program.primitives)]
         offset = int(first) - int(within.graph.start)
     places.append((within, int(frames.node) - offset))
-    name = within.actions.names[int(within.graph.action[0, places[-1][1]])]
-    return Step(tuple(places), name, action, action.outcomes[outcome])
+    action = program.primitives[int(program.kind[frames.node])]
+    return Step(tuple(places), _name(*places[-1]), action, action.outcomes[outcome])
 
 
-def _inner(skill: Skill, slot: int) -> Skill:
-    """The skill that a node of another one stands for."""
-    action = skill.actions.actions[int(skill.graph.action[0, slot])]
-    assert isinstance(action, SubSkill)  # noqa: S101 - the engine only calls these
-    return action.skill
+def _name(skill: Skill, slot: int) -> str:
+    """Of the action at a node."""
+    return skill.actions.names[int(skill.graph.action[0, slot])]

@@ -1,20 +1,21 @@
 """The skill's graph as the page shows it: each level that is running, its active node lit."""
 
-import html
-import io
-import math
 import re
 from functools import cache
 
-from cgtorch.graphs import NO_NODE, Skill
-from cgtorch.report.graph_picture import draw_level, skills_of
+from markupsafe import Markup
+from matplotlib import rc_context
+
+from cgtorch.graphs import Skill
+from cgtorch.graphs.clusters import Cluster, clusters_of
+from cgtorch.report.graph_picture import draw_clusters, gid_of
+from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.tabletop.viewer.execution import Step
 
 LIT, RIM = "#ffd60a", "#1c1f24"
-RIM_OF = f"stroke: {RIM} !important; stroke-width: {{}}px !important"
-SCALE, OUTER_HEIGHT = 90, 200
-"""Pixels per inch, and at most of the height of a level that only waits for the one within it."""
-POINTS_PER_INCH = 72
+SCALE = 0.94
+OUTER_HEIGHT = 2.1
+"""At most, in inches, of a level that only waits for the one within it."""
 
 
 def levels_html(skill: Skill, step: Step) -> str:
@@ -26,56 +27,37 @@ def levels_html(skill: Skill, step: Step) -> str:
         skill: the whole skill.
         step: one of its steps.
     """
-    paths = {id(inner): path for inner, path in skills_of(skill)}
-    parts = []
-    for level, (inner, slot) in enumerate(step.places):
-        path, last = paths[id(inner)], level == len(step.places) - 1
-        node = f"node:{path}:{_label(inner, slot)}"
-        marks = [
-            f"{_selector(node)} path {{fill: {LIT} !important; {RIM_OF.format(2.5)}}}",
-            f"{_selector(f'text:{node}')} * {{fill: {RIM} !important}}",
-        ]
-        if last:
-            marks.append(f"{_selector(_edge(inner, path, slot, step))} path {{{RIM_OF.format(3)}}}")
-        most = math.inf if last else OUTER_HEIGHT
-        parts.append(f"<style>{' '.join(marks)}</style>{_picture(inner, path, most)}")
-    outer, innermost = parts[:-1], parts[-1]
-    rows = f'<div style="display:flex;flex-wrap:wrap;gap:6px">{"".join(outer)}</div>'
-    return f'<div class="graph-levels" style="padding:6px">{rows if outer else ""}{innermost}</div>'
+    clusters = [_clusters(skill)[id(inner)] for inner, _ in step.places]
+    nodes = [c.nodes[f"{c.key}_n{s}"] for c, (_, s) in zip(clusters, step.places, strict=True)]
+    ended = nodes[-1].key, step.outcome
+    (edge,) = (e for e in clusters[-1].edges if (e.tail, e.outcome) == ended)
+    gids = [gid_of(c, node) for c, node in zip(clusters, nodes, strict=True)]
+    template = templates("cgtorch.tabletop.viewer").get_template("levels.html")
+    return template.render(
+        nodes=[(_selector(gid), _selector(f"text:{gid}")) for gid in gids],
+        edge=_selector(gid_of(clusters[-1], edge)),
+        pictures=[_picture(skill, inner, inner is step.places[-1][0]) for inner, _ in step.places],
+        lit=LIT,
+        rim=RIM,
+    )
 
 
-def _selector(gid: str) -> str:
+def _selector(gid: str) -> Markup:
     """What selects an element in CSS; names come from files and may hold anything."""
     escaped = re.sub(r"[^\w .:›-]", lambda found: f"\\{ord(found[0]):x} ", gid)
-    return f'[id="{escaped}"]'
-
-
-def _label(skill: Skill, slot: int) -> str:
-    return f"{skill.actions.names[int(skill.graph.action[0, slot])]}_{slot}"
-
-
-def _edge(skill: Skill, path: str, slot: int, step: Step) -> str:
-    """The gid of the edge or end that the step's outcome leads to."""
-    action = skill.actions.actions[int(skill.graph.action[0, slot])]
-    head = int(skill.graph.edges[0, slot, action.outcomes.index(step.outcome)])
-    if head == NO_NODE:
-        return f"end:{path}:{_label(skill, slot)}:{step.outcome}"
-    return f"edge:{path}:{_label(skill, slot)}:{step.outcome}:{_label(skill, head)}"
+    return Markup(f'[data-part="{escaped}"]')  # noqa: S704  nothing of HTML is left
 
 
 @cache
-def _picture(skill: Skill, path: str, most: float) -> str:
-    """One level as an SVG element, `most` pixels high at most."""
-    file = io.StringIO()
-    figure = draw_level(skill, path)
-    figure.savefig(file, format="svg", metadata={"Date": None})
-    width, height = figure.get_size_inches()
-    scale = min(SCALE, most / height)
-    box = f"0 0 {width * POINTS_PER_INCH:.2f} {height * POINTS_PER_INCH:.2f}"
-    text = file.getvalue()
-    inside = text[text.index(">", text.index("<svg")) + 1 :]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="{box}" width="{width * scale:.0f}" style="max-width:100%;height:auto" '
-        f'role="img" aria-label="{html.escape(path)}">{inside}'
-    )
+def _clusters(skill: Skill) -> dict[int, Cluster]:
+    return {id(cluster.skill): cluster for cluster in clusters_of(skill)}
+
+
+@cache
+def _picture(skill: Skill, inner: Skill, last: bool) -> Markup:
+    """One level as an SVG element."""
+    cluster = _clusters(skill)[id(inner)]
+    with rc_context(STYLE):
+        figure = draw_clusters([cluster])
+    scale = SCALE if last else min(SCALE, OUTER_HEIGHT / figure.get_size_inches()[1])
+    return inline_svg(figure, cluster.key, cluster.path, scale)

@@ -13,8 +13,8 @@ from reaching import TABLE
 from report_pages import REFERENCE, STAGES, thinned, words
 
 from cgtorch.graphs import load_skill, to_networkx
+from cgtorch.graphs.clusters import clusters_of
 from cgtorch.report import final_text
-from cgtorch.report.graph_picture import skills_of
 from cgtorch.report.page import report_page
 from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_models, load_scenarios
@@ -208,7 +208,7 @@ def test_a_graph_is_the_skill(page: html.HtmlElement, name: str) -> None:
     here = part(page, name)
     picture = next(e for e in here.iter("svg") if "Graph" in e.get("aria-label"))
     nodes, edges, ends, starts, rows = [], [], [], [], []
-    for inner, path in skills_of(skill):
+    for inner, path in ((cluster.skill, cluster.path) for cluster in clusters_of(skill)):
         view = to_networkx(inner.graph, inner.actions)
         label = dict(view.nodes(data="label"))
         nodes += [f"{path}:{one}" for one in label.values()]

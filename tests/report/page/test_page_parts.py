@@ -18,11 +18,11 @@ from cgtorch.commands.train import command
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import printable
 from cgtorch.report import draw_skill
+from cgtorch.report.html import STYLE, inline_svg
 from cgtorch.report.page.contents import read_contents
 from cgtorch.report.page.course import course_of
 from cgtorch.report.page.event_files import read_event_files
 from cgtorch.report.page.reproduce import changes_of, training_commands
-from cgtorch.report.page.vector import STYLE, inline_svg
 from cgtorch.runs.run import Run, create_run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.settings import TabletopSettings

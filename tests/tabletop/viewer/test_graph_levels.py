@@ -12,8 +12,8 @@ from cgtorch.tabletop.viewer.execution import Execution, execute
 from cgtorch.tabletop.viewer.graph_levels import LIT, levels_html
 
 REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
-LIT_RULE = re.compile(rf'\[id="(node:[^"]+)"\] path {{fill: {LIT}')
-EDGE_RULE = re.compile(r'\[id="((?:edge|end):[^"]+)"\]')
+LIT_RULE = re.compile(rf'\[data-part="(node:[^"]+)"\] path {{ fill: {LIT}')
+EDGE_RULE = re.compile(r'\[data-part="((?:edge|end):[^"]+)"\]')
 
 
 @cache
@@ -38,7 +38,7 @@ def test_every_level_is_drawn_and_its_node_lit() -> None:
             lit = LIT_RULE.findall(text)
             assert [node.rsplit(":", 1)[1] for node in lit] == [label(*p) for p in step.places]
             for node in lit:
-                (group,) = page.xpath(".//*[@id=$id]", id=node)
+                (group,) = page.xpath(".//*[@data-part=$id]", id=node)
                 assert group.xpath(".//path"), node
     assert deepest == 4
 
@@ -48,7 +48,7 @@ def test_the_edge_of_the_outcome_is_lit() -> None:
         for k, step in enumerate(run.steps):
             text = levels_html(run.skill, step)
             (edge,) = EDGE_RULE.findall(text)
-            (group,) = html.fromstring(text).xpath(".//*[@id=$id]", id=edge)
+            (group,) = html.fromstring(text).xpath(".//*[@data-part=$id]", id=edge)
             assert group.xpath(".//path")
             kind, _, tail, outcome, *head = edge.split(":")
             assert (tail, outcome) == (label(*step.places[-1]), step.outcome)
@@ -63,6 +63,6 @@ def test_names_that_look_like_markup_stay_names() -> None:
     run = execute(random_skill(3, name, custom_actions()), world(3, 1))
     page = html.fromstring(levels_html(run.skill, run.steps[0]))
     assert not page.xpath(".//img") + page.xpath(".//b")
-    assert page.xpath(".//*[starts-with(@id, $id)]", id=f"node:{name}:")
+    assert page.xpath(".//*[starts-with(@data-part, $id)]", id=f"node:{name}:")
     (style,) = (s.text for s in page.xpath(".//style") if LIT in (s.text or ""))
     assert name not in style

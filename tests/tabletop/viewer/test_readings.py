@@ -16,9 +16,9 @@ from cgtorch.tabletop.viewer.timeline import timeline_of
     ("size", "names"),
     [
         (7, ["table x min", "object z"]),
-        (9, ["table side, cos 2φ", "table side, sin 2φ"]),
-        (15, ["box 1 x min", "box 2 y max"]),
-        (13, ["table side, sin 2φ", "box 1 y max"]),
+        (9, ["side x", "side y"]),
+        (15, ["obstacle 1 x min", "obstacle 2 y max"]),
+        (13, ["side y", "obstacle 1 y max"]),
     ],
 )
 def test_every_number_of_a_percept_has_a_name(size: int, names: list[str]) -> None:

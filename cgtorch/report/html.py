@@ -1,9 +1,11 @@
-"""A matplotlib figure as an inline SVG that takes its colours from the page."""
+"""What HTML is made of: templates, and matplotlib figures that take their colours from the page."""
 
 import io
 import re
+from functools import cache
 from typing import TYPE_CHECKING
 
+import jinja2
 from lxml import etree
 from markupsafe import Markup
 
@@ -29,7 +31,20 @@ _OF_MATPLOTLIB = re.compile(r"[A-Za-z][\w.]*_\d+")
 _FRACTION = re.compile(r"(\.\d\d)\d+")
 
 
-def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
+@cache
+def templates(package: str) -> jinja2.Environment:
+    """The HTML templates of a package; whatever text they are given stays printable text."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )
+
+
+def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Markup:
     """A figure as an `svg` element for the middle of an HTML page.
 
     Every colour becomes a CSS variable that is called after it, such as `var(--c-1c1f24, #1c1f24)`,
@@ -41,6 +56,7 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
         key: what tells its identifiers from those of other pictures on the page: letters, digits
             and hyphens.
         label: what it shows, for who cannot see it.
+        scale: pixels on the page for each that the figure has at 96 an inch.
     """
     from matplotlib import rc_context
 
@@ -56,11 +72,15 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
         remove_comments=True, remove_blank_text=True,
     )  # fmt: skip
     root = etree.fromstring(out.getvalue().encode(), parser)
-    _remove(root, "metadata", "style", "title")
+    etree.strip_elements(root, *(SVG + name for name in ("metadata", "style", "title")))
     _rename(root, key)
-    _round(root)
+    for element in root.iter(etree.Element):
+        # A hundredth of a point of every place stays, beyond which nobody can see anything.
+        for name in ("d", "x", "y", "width", "height", "transform"):
+            if (value := element.get(name)) is not None:
+                element.set(name, _FRACTION.sub(r"\1", value))
     _say_once(root)
-    width, height = (float(root.get(side)[:-2]) / POINTS for side in ("width", "height"))  # pt
+    width, height = (scale * float(root.get(side)[:-2]) / POINTS for side in ("width", "height"))
     root.set("width", f"{width:.0f}")
     root.set("height", f"{height:.0f}")
     root.set("style", f"min-width: {LEAST * width:.0f}px")
@@ -68,12 +88,6 @@ def inline_svg(figure: "Figure", key: str, label: str) -> Markup:
     root.set("aria-label", printable(label))
     etree.cleanup_namespaces(root)
     return Markup(etree.tostring(root, encoding="unicode"))  # noqa: S704  written by lxml
-
-
-def _remove(root: etree._Element, *names: str) -> None:
-    """Remove what would be about the whole page, or about the file."""
-    for element in list(root.iter(*(SVG + name for name in names))):
-        element.getparent().remove(element)
 
 
 def _rename(root: etree._Element, key: str) -> None:
@@ -100,14 +114,6 @@ def _rename(root: etree._Element, key: str) -> None:
             element.set("id", f"{key}-{name}")
         elif not _OF_MATPLOTLIB.fullmatch(name):
             element.set("data-part", name)
-
-
-def _round(root: etree._Element) -> None:
-    """Leave a hundredth of a point of every place, which nobody can see."""
-    for element in root.iter(etree.Element):
-        for name in ("d", "x", "y", "width", "height", "transform"):
-            if (value := element.get(name)) is not None:
-                element.set(name, _FRACTION.sub(r"\1", value))
 
 
 def _say_once(root: etree._Element) -> None:

@@ -1,0 +1,101 @@
+"""A skill as what is drawn of it: one cluster of nodes, edges and ends for every skill in it."""
+
+from dataclasses import dataclass
+
+from cgtorch.actions import Action
+from cgtorch.graphs.skill import Skill
+from cgtorch.graphs.view import to_networkx
+from cgtorch.ground.errors import printable
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node.
+
+    Attributes:
+        key: unique in the whole drawing; letters, digits and underscores.
+        label: as in the paper, name_slot.
+        name: of its action or skill.
+        action: that is done there.
+        parameters: of the action.
+        runs: the key of the cluster that it runs if it is a skill.
+    """
+
+    key: str
+    label: str
+    name: str
+    action: Action
+    parameters: tuple[float, ...]
+    runs: str | None
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge from node `tail` to node or end `head`, by their keys."""
+
+    tail: str
+    head: str
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """One skill.
+
+    Attributes:
+        key: unique in the whole drawing.
+        names: of the skills on the way to it, each by the name of the node that it is, and its own.
+        skill: the skill.
+        start: key of its start node.
+        nodes: its nodes by their keys, in the order of their slots.
+        ends: keys of its ends, and whether the skill then has succeeded.
+        edges: by outcome, terminal outcomes to ends.
+    """
+
+    key: str
+    names: tuple[str, ...]
+    skill: Skill
+    start: str
+    nodes: dict[str, Node]
+    ends: dict[str, bool]
+    edges: tuple[Edge, ...]
+
+    @property
+    def name(self) -> str:
+        """The skill's name where it first is a node, or the outermost skill's own."""
+        return self.names[-1]
+
+    @property
+    def path(self) -> str:
+        """All names on the way to it, as text that can be printed."""
+        return " › ".join(map(printable, self.names))
+
+
+def clusters_of(skill: Skill) -> list[Cluster]:
+    """The skill and all skills in it, each once, level by level from the outermost."""
+    found: list[tuple[tuple[str, ...], Skill]] = [((skill.name,), skill)]
+    number = {id(skill): 0}
+    for names, outer in found:  # grows on the way
+        for name, inner in outer.sub_skills.items():
+            if id(inner) not in number:
+                number[id(inner)] = len(found)
+                found.append(((*names, name), inner))
+    return [_cluster(i, names, one, number) for i, (names, one) in enumerate(found)]
+
+
+def _cluster(i: int, names: tuple[str, ...], skill: Skill, number: dict[int, int]) -> Cluster:
+    view = to_networkx(skill.graph, skill.actions)
+    key = {slot: f"s{i}_n{slot}" for slot in view}
+    runs = {inner: f"s{number[id(one)]}" for inner, one in skill.sub_skills.items()}
+    nodes, ends = dict[str, Node](), dict[str, bool]()
+    edges = [Edge(key[a], key[b], data["outcome"]) for a, b, data in view.edges(data=True)]
+    for slot, data in view.nodes(data=True):
+        name = data["action"]
+        action = skill.actions.actions[skill.actions.index(name)]
+        about = data["label"], name, action, tuple(data["parameters"]), runs.get(name)
+        nodes[key[slot]] = Node(key[slot], *about)
+        for outcome, success in action.terminal.items():
+            end = f"s{i}_{'success' if success else 'failure'}"
+            ends[end] = success
+            edges.append(Edge(key[slot], end, outcome))
+    return Cluster(f"s{i}", names, skill, key[view.graph["start"]], nodes, ends, tuple(edges))
