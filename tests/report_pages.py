@@ -1,12 +1,15 @@
 """Pages for the tests: of the reference run, of parts of it, and of one with hostile names."""
 
+import io
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
 from lxml import html
+from rich.console import Console
 
+from cgtorch.report import final_table
 from cgtorch.report.page import report_page
 
 REFERENCE = Path(__file__).parents[1] / "runs" / "reference"
@@ -76,6 +79,14 @@ def hostile_run(target: Path) -> Path:
 def parsed(folder: Path) -> html.HtmlElement:
     """The page of a run as a tree."""
     return html.document_fromstring(report_page(folder).decode())
+
+
+def final_text(results: list[dict[str, Any]], domain: Any) -> str:
+    """The final table as text on a wide screen, without rules and empty lines."""
+    screen = Console(file=io.StringIO(), width=200)
+    screen.print(final_table(results, domain))
+    lines = screen.file.getvalue().splitlines()
+    return "\n".join(line.rstrip() for line in lines if line.strip(" ─"))
 
 
 def words(element: html.HtmlElement) -> str:

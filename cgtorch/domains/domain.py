@@ -90,6 +90,9 @@ class Domain(ABC, Generic[S]):
         models: "learned" if skills are evolved in Γ and C, "none" if in the world itself.
         published: what others report of a stage or, under "", of all scenarios together.
         publisher: who reports that.
+        fresh_tests: what the tests of the first models in `summary` are about, by the beginning of
+            their tags: such as "gamma/fresh_x", followed by _error and _floor, or "classifier/x",
+            followed by _accuracy and _possible.
         solved: the word for a scenario that was solved, and for many of them.
         specialists: how missed scenarios are given to specialists.
     """
@@ -104,6 +107,7 @@ class Domain(ABC, Generic[S]):
     models: str = "learned"
     published: ClassVar[Mapping[str, Published]] = {}
     publisher: ClassVar[str] = "published"
+    fresh_tests: ClassVar[Mapping[str, str]] = {}
     solved: ClassVar[tuple[str, str]] = ("solved", "Scenarios solved")
     specialists: Specialists = Specialists()
 

@@ -1,14 +1,13 @@
 """Actions that only compute: those that an exported skill can carry in it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn, cast
 
 import torch
 from torch import Tensor, nn
 
 from cgtorch.actions import Action, MoveBase
-from cgtorch.environment import Lanes
+from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import NO_NODE, Skill, SubSkill
 from cgtorch.ground.errors import ActionError
 
@@ -38,22 +37,13 @@ def control_size_of(skill: Skill) -> int:
     return max(sent, default=3)
 
 
-@dataclass(frozen=True)
-class Sizes:
+class Sizes(NamedTuple):
     """Lengths of what an action reads and writes: percept, control, message, its own memory."""
 
     percept: int
     control: int
     message: int
     memory: int
-
-    def arguments(self, parameters: int) -> tuple[Tensor, ...]:
-        """Zeros for an action with that many parameters."""
-        percept, message, memory, values = (
-            torch.zeros(1, size) for size in (self.percept, self.message, self.memory, parameters)
-        )
-        has, step = torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.long)
-        return percept, message, has, memory, step, values
 
 
 class Computed(nn.Module):
@@ -77,8 +67,12 @@ class Computed(nn.Module):
 
     @property
     def arguments(self) -> tuple[Tensor, ...]:
-        """Arguments to try it with."""
-        return self.sizes.arguments(self.action.num_parameters)
+        """Zeros to try it with."""
+        size = self.sizes
+        wide = (size.percept, size.message, size.memory, self.action.num_parameters)
+        percept, message, memory, values = (torch.zeros(1, width) for width in wide)
+        has, step = torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.long)
+        return percept, message, has, memory, step, values
 
     def forward(
         self,
@@ -93,7 +87,7 @@ class Computed(nn.Module):
         (1,) long and parameters (1, K) to message, whether there is one, and memory as they are
         then, and the outcome (1,) long.
         """  # noqa: D205
-        nowhere = _Nowhere(self.sizes.percept, self.sizes.control)
+        nowhere = cast(Environment, _Nowhere(self.sizes))
         lanes = Lanes(percept, percept[:, :0], message, has, memory, torch.zeros_like(step), step)
         after, outcome = self.action(lanes, parameters, nowhere)
         for field in ("percept", "state", "scenario", "step"):
@@ -115,36 +109,14 @@ def traced(computed: Computed) -> nn.Module:
     return program.module(check_guards=False)
 
 
-@dataclass(frozen=True)
 class _Nowhere:
     """The environment of an exported skill: it has sizes, but nothing can be done in it."""
 
-    percept_size: int
-    control_size: int
+    def __init__(self, sizes: Sizes):
+        self.percept_size, self.control_size = sizes.percept, sizes.control
 
-    @property
-    def num_scenarios(self) -> int:
-        """None, and none are known."""
-        return self._missing("num_scenarios")
-
-    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
-        """Refused."""
-        return self._missing("start")
-
-    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """Refused."""
-        return self._missing("step")
-
-    def observe(self, lanes: Lanes) -> Lanes:
-        """Refused."""
-        return self._missing("observe")
-
-    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """Refused."""
-        return self._missing("success")
-
-    def _missing(self, what: str) -> NoReturn:
-        raise ActionError(f"it asks its environment for {what!r}")
+    def __getattr__(self, name: str) -> NoReturn:
+        raise ActionError(f"it asks its environment for {name!r}")
 
 
 def refused(name: str, reason: str) -> ActionError:

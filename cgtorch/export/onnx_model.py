@@ -100,14 +100,11 @@ def _tidy(graph: "onnx.GraphProto", used: set[str]) -> set[str]:
 @contextmanager
 def _silence() -> Iterator[None]:
     """Without what is said about optional packages and what could not be made smaller."""
-    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+        logging.disable(before)

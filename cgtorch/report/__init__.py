@@ -1,7 +1,6 @@
 """What one sees of a run: live progress, TensorBoard, pictures and the final table."""
 
 from cgtorch.report.final_table import final_table as final_table
-from cgtorch.report.final_table import final_text as final_text
 from cgtorch.report.graph_picture import draw_skill as draw_skill
 from cgtorch.report.progress import ProgressDisplay as ProgressDisplay
 from cgtorch.report.tensorboard import TensorBoardWatch as TensorBoardWatch

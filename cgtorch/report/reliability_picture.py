@@ -51,8 +51,7 @@ def draw_reliability(
     for axes in (upper, lower):
         axes.set_axisbelow(True)
         axes.grid(color=GRID, linewidth=0.6)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

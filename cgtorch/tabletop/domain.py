@@ -59,6 +59,14 @@ ACTIONS: Mapping[str, Callable[[int], ActionSet]] = {
     "edge": edge_actions,
 }
 """The actions of section VI by what their networks read."""
+FRESH_TESTS = {
+    "gamma/fresh_object": "the object, x and y",
+    "gamma/fresh_table": "the table's sides",
+    "classifier/near": "near the object, any side and heading",
+    "classifier/overall": "anywhere around the table",
+    "classifier/beside": "just across the boundary of what can be grasped",
+}
+"""See `Domain.fresh_tests`."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
 """Networks that read the percept itself can hold for scenarios near to one another only; those in
 the edge's frame for many, if they are evolved on many kinds."""
@@ -82,6 +90,7 @@ class Tabletop(Domain[Scenarios]):
     published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
     publisher = "the paper"
     solved = ("reached", "Objects reached")
+    fresh_tests: ClassVar[Mapping[str, str]] = FRESH_TESTS
     control = (
         *named("dx", "dy", unit="m", low=-2, high=2),
         Field("dθ", "rad", -torch.pi, torch.pi, "angle"),

@@ -1,13 +1,14 @@
 """Scenes from above: where the objects stood and which of them a skill reached."""
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, TypeAlias
 
 import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.world import Scenarios
-from cgtorch.tabletop.world.geometry import bounding_box, corners, rotate
+from cgtorch.tabletop.world.geometry import bounding_box, box_rectangle, corners, rotate
 from cgtorch.tabletop.world.percepts import present
 
 if TYPE_CHECKING:
@@ -17,13 +18,14 @@ if TYPE_CHECKING:
 GOOD, BAD, TARGET, ROBOT, TABLE, RIM, OBSTACLE = (
     "#1a7f37", "#c62828", "#1c1f24", "#4a6fa5", "#f1e7d6", "#a58f6b", "#8b929c",
 )  # fmt: skip
-FOOTPRINT = (-0.334, 0.334, -0.334, 0.334)
+Box: TypeAlias = tuple[float, float, float, float]
+FOOTPRINT: Box = (-0.334, 0.334, -0.334, 0.334)
 AROUND = 0.25  # m of room around everything
 LONGEST = 6.0  # inches of the longer side
 MOST_ROBOTS = 60  # start poses that are drawn
 PANEL = 2.2  # inches a side, of a scene of its own
 MOST_MARKS = 1500  # objects drawn in one picture
-SCENES = 24
+SCENES, COLUMNS = 24, 4  # panels, and how many are side by side
 
 
 def draw_table_top(
@@ -31,7 +33,7 @@ def draw_table_top(
     succeeded: Tensor,
     targets: Tensor | None = None,
     *,
-    footprint: tuple[float, float, float, float] = FOOTPRINT,
+    footprint: Box = FOOTPRINT,
     title: str = "",
 ) -> "Figure":
     """Top view in scale, as the robot sees it: away from it is up, its left is left.
@@ -52,22 +54,19 @@ def draw_table_top(
     from matplotlib.figure import Figure
 
     count = len(scenarios)
+    good = succeeded.bool()
     marks = torch.zeros(count, dtype=torch.bool) if targets is None else targets.bool()
-    if succeeded.shape != (count,) or marks.shape != (count,):
+    if good.shape != (count,) or marks.shape != (count,):
         raise DataError(
-            f"{count} scenarios with results of shape {tuple(succeeded.shape)} and targets of "
+            f"{count} scenarios with results of shape {tuple(good.shape)} and targets of "
             f"shape {tuple(marks.shape)}; give one of each for every scenario"
         )
-    good = succeeded.bool()
     figure = Figure(dpi=100, facecolor="white", layout="constrained")
     axes = figure.add_subplot()
     tables = torch.unique(scenarios.table, dim=0)
-    for table in tables:
-        _draw_table(axes, table, named=len(tables) == 1)
-    for obstacle in scenarios.obstacles.flatten(0, 1):
-        _draw_rectangle(axes, obstacle, OBSTACLE, TARGET, "obstacle")
-    _draw_robots(axes, scenarios.pose, footprint)
-    _draw_objects(axes, scenarios.object, good, marks)
+    _draw_all(axes, scenarios, good, marks, footprint)
+    if len(tables) == 1:
+        _name_edges(axes, tables[0])
     figure.set_size_inches(_frame(axes, scenarios, footprint))
     axes.set_title(_caption(title, good, marks), fontsize=11, color=TARGET)
     if count:
@@ -82,7 +81,7 @@ def draw_placements(
     succeeded: Tensor,
     targets: Tensor,
     *,
-    footprint: tuple[float, float, float, float] = FOOTPRINT,
+    footprint: Box = FOOTPRINT,
     title: str = "",
 ) -> "Figure":
     """`draw_table_top` of scenarios at one table, `draw_scenes` of others; of many, some.
@@ -114,12 +113,7 @@ def _some(good: Tensor, targets: Tensor, most: int) -> Tensor:
 
 
 def draw_scenes(
-    scenarios: Scenarios,
-    succeeded: Tensor,
-    *,
-    footprint: tuple[float, float, float, float] = FOOTPRINT,
-    columns: int = 4,
-    title: str = "",
+    scenarios: Scenarios, succeeded: Tensor, *, footprint: Box = FOOTPRINT, title: str = ""
 ) -> "Figure":
     """Each scene in a panel of its own, all in one scale, for tables that differ.
 
@@ -129,7 +123,6 @@ def draw_scenes(
         scenarios: the B scenarios.
         succeeded: (B,) bool.
         footprint: base x min, x max, y min, y max (m).
-        columns: panels side by side.
         title: stands before the counts.
 
     Raises:
@@ -144,7 +137,7 @@ def draw_scenes(
             "scenario and a result for each"
         )
     good, none = succeeded.bool(), torch.zeros(1, dtype=torch.bool)
-    columns = min(columns, count)
+    columns = min(COLUMNS, count)
     rows = -(-count // columns)
     size = (columns * PANEL, rows * PANEL + 0.5)
     figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
@@ -152,18 +145,11 @@ def draw_scenes(
     bounds = torch.stack([torch.stack(_bounds(scene, footprint)) for scene in scenes])
     half = float((bounds[:, 1] - bounds[:, 0]).amax() + AROUND) / 2
     for i, scene in enumerate(scenes):
-        axes = figure.add_subplot(rows, columns, i + 1)
-        _draw_table(axes, scene.table[0], named=False)
-        for obstacle in scene.obstacles[0]:
-            _draw_rectangle(axes, obstacle, OBSTACLE, TARGET, "obstacle")
-        _draw_robots(axes, scene.pose, footprint)
-        _draw_objects(axes, scene.object, good[i : i + 1], none)
+        axes = figure.add_subplot(rows, columns, i + 1, aspect="equal", xticks=[], yticks=[])
+        _draw_all(axes, scene, good[i : i + 1], none, footprint)
         x, y = bounds[i].mean(0).tolist()
         axes.set_xlim(y + half, y - half)
         axes.set_ylim(x - half, x + half)
-        axes.set_aspect("equal")
-        axes.set_xticks([])
-        axes.set_yticks([])
     figure.suptitle(f"{_caption(title, good, none)}; panels {2 * half:.1f} m across", fontsize=11)
     return figure
 
@@ -175,108 +161,85 @@ def _caption(title: str, good: Tensor, marks: Tensor) -> str:
     return f"{title}: {text}" if title else text
 
 
-def _corners(box: tuple[float, float, float, float]) -> Tensor:
-    """(4, 2) corners of x min, x max, y min, y max."""
-    x0, x1, y0, y1 = box
-    return torch.tensor([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-
-
 def _on_paper(points: Tensor) -> Tensor:
     """World x, y (..., 2) as plot coordinates: y, which grows to the left, and x."""
     return points.flip(-1)
 
 
-def _draw_rectangle(axes: "Axes", rectangle: Tensor, face: str, edge: str, gid: str) -> None:
-    """A rectangle (5,) of the world; one of size 0 is none."""
+def _draw_all(
+    axes: "Axes", scenarios: Scenarios, good: Tensor, marks: Tensor, footprint: Box
+) -> None:
+    """Tables, obstacles, robots and objects of scenarios, each once."""
     from matplotlib.patches import Polygon
 
-    if bool(present(rectangle)):
-        outline = _on_paper(corners(rectangle))
-        axes.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=1.4, zorder=1, gid=gid))
-
-
-def _draw_table(axes: "Axes", table: Tensor, named: bool) -> None:
-    _draw_rectangle(axes, table[:5], TABLE, RIM, "table")
-    x, y, yaw, depth, width = table[:5].tolist()
-    centre, angle = torch.tensor([x, y]), torch.tensor(yaw)
-    if not named:
-        return
-    out = 0.07
-    for name, at, turn in (
-        ("near", (-depth / 2 - out, 0.0), 0),
-        ("far", (depth / 2 + out, 0.0), 0),
-        ("left", (0.0, width / 2 + out), 90),
-        ("right", (0.0, -width / 2 - out), -90),
+    tables = torch.unique(scenarios.table[:, :5], dim=0)
+    for things, face, edge, name in (
+        (tables, TABLE, RIM, "table"),
+        (scenarios.obstacles.flatten(0, 1), OBSTACLE, TARGET, "obstacle"),
     ):
-        px, py = _on_paper(rotate(torch.tensor(at), angle) + centre).tolist()
+        for outline in _on_paper(corners(things[present(things)])):
+            style = {"facecolor": face, "edgecolor": edge, "lw": 1.4, "zorder": 1}
+            axes.add_patch(Polygon(outline, gid=name, **style))
+    _draw_robots(axes, torch.unique(scenarios.pose, dim=0), footprint)
+    _draw_objects(axes, _on_paper(scenarios.object), good, marks)
+
+
+def _name_edges(axes: "Axes", table: Tensor) -> None:
+    """What the table's edges are called, as the robot sees them."""
+    yaw, half = table[2], table[3:5] / 2 + 0.07
+    for name, side, turn in (
+        ("near", (-1, 0), 0), ("far", (1, 0), 0), ("left", (0, 1), 90), ("right", (0, -1), -90),
+    ):  # fmt: skip
+        place = _on_paper(rotate(half * torch.tensor(side), yaw) + table[:2]).tolist()
         axes.text(
-            px, py, name, color="#7a6745", fontsize=10, style="italic", ha="center", va="center",
-            rotation=turn + yaw * 57.2958, zorder=2,
+            *place, name, color="#7a6745", fontsize=10, style="italic", ha="center", va="center",
+            rotation=turn + math.degrees(yaw), zorder=2,
         )  # fmt: skip
 
 
-def _draw_robots(axes: "Axes", pose: Tensor, footprint: tuple[float, float, float, float]) -> None:
+def _draw_robots(axes: "Axes", poses: Tensor, footprint: Box) -> None:
+    """Robots at poses (n, 3), some of them if they are many."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    poses = torch.unique(pose, dim=0)
-    step = max(1, -(-len(poses) // MOST_ROBOTS))
-    poses = poses[::step]
+    poses = poses[:: max(1, -(-len(poses) // MOST_ROBOTS))]
     if not len(poses):
         return
-    outline = rotate(_corners(footprint)[None], poses[:, 2, None]) + poses[:, None, :2]
+    ring = corners(box_rectangle(torch.tensor(footprint)))
     nose = torch.tensor([[0.0, 0.0], [footprint[1], 0.0]])
-    heading = rotate(nose[None], poses[:, 2, None]) + poses[:, None, :2]
-    faint = min(0.8, max(0.12, 8 / len(poses)))
-    fill = (*_rgb(ROBOT), 0.12 if len(poses) == 1 else 0.0)
-    axes.add_collection(
-        PolyCollection(
-            list(_on_paper(outline).numpy()),
-            facecolors=[fill],
-            edgecolors=[(*_rgb(ROBOT), faint)],
-            linewidths=0.9,
-            zorder=2,
-            gid="robots",
-            label="robot at its start",
-        )
+    outline, heading = (
+        list(_on_paper(rotate(line[None], poses[:, 2, None]) + poses[:, None, :2]).numpy())
+        for line in (ring, nose)
     )
-    axes.add_collection(
-        LineCollection(
-            list(_on_paper(heading).numpy()),
-            colors=[(*_rgb(ROBOT), faint)],
-            linewidths=0.9,
-            zorder=2,
-        )
-    )
+    faint = (ROBOT, min(0.8, max(0.12, 8 / len(poses))))
+    fill = (ROBOT, 0.12 if len(poses) == 1 else 0.0)
+    style = {"edgecolors": [faint], "linewidths": 0.9, "zorder": 2}
+    label = {"gid": "robots", "label": "robot at its start"}
+    axes.add_collection(PolyCollection(outline, facecolors=[fill], **style, **label))
+    axes.add_collection(LineCollection(heading, **style))
 
 
-def _rgb(colour: str) -> tuple[float, float, float]:
-    r, g, b = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return r, g, b
-
-
-def _draw_objects(axes: "Axes", placed: Tensor, good: Tensor, marks: Tensor) -> None:
-    at = _on_paper(placed)
+def _draw_objects(axes: "Axes", at: Tensor, good: Tensor, marks: Tensor) -> None:
+    """Objects at places (n, 2) on the paper."""
     crowd = 26 if len(at) > 120 else 40
-    for name, chosen, marker, colour in (("reached", good, "o", GOOD), ("missed", ~good, "X", BAD)):
+    missed = {"marker": "X", "facecolors": BAD, "zorder": 5}
+    for name, chosen, style in (
+        ("reached", good, {"marker": "o", "facecolors": GOOD, "zorder": 4}),
+        ("missed", ~good, missed),
+    ):
         if chosen.any():
             axes.scatter(
-                at[chosen, 0].numpy(), at[chosen, 1].numpy(), s=crowd, marker=marker,
-                facecolors=colour, edgecolors="white", linewidths=0.6,
-                zorder=4 + (name == "missed"), gid=name, label=f"{name} ({int(chosen.sum())})",
+                *at[chosen].T.numpy(), s=crowd, edgecolors="white", linewidths=0.6, gid=name,
+                label=f"{name} ({int(chosen.sum())})", **style,
             )  # fmt: skip
     if marks.any():
         axes.scatter(
-            at[marks, 0].numpy(), at[marks, 1].numpy(), s=150, marker="o",
-            facecolors="none", edgecolors=TARGET, linewidths=1.6, zorder=6, gid="targets",
+            *at[marks].T.numpy(), s=150, marker="o", facecolors="none", edgecolors=TARGET,
+            linewidths=1.6, zorder=6, gid="targets",
             label=f"test placements ({int(marks.sum())})",
         )  # fmt: skip
 
 
-def _frame(
-    axes: "Axes",
-    scenarios: Scenarios,
-    footprint: tuple[float, float, float, float],
-) -> tuple[float, float]:
+def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, float]:
     """Limits around everything, the robot's left to the left; the size in inches that suits."""
     from matplotlib.ticker import MultipleLocator
 
@@ -289,20 +252,17 @@ def _frame(
         scale = LONGEST / max(width, height)
         size = (max(width * scale + 0.9, 4.2), height * scale + 1.3)
     axes.set_aspect("equal")
-    axes.xaxis.set_major_locator(MultipleLocator(0.5))
-    axes.yaxis.set_major_locator(MultipleLocator(0.5))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(0.5))
     axes.set_xlabel("y (m), to the robot's left")
     axes.set_ylabel("x (m), away from the robot")
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     return size
 
 
-def _bounds(
-    scenarios: Scenarios, footprint: tuple[float, float, float, float]
-) -> tuple[Tensor, Tensor]:
+def _bounds(scenarios: Scenarios, footprint: Box) -> tuple[Tensor, Tensor]:
     """Least and largest x, y (2,) of all that is in at least one scenario."""
     base = max(abs(v) for v in footprint) * 1.2
     obstacles = scenarios.obstacles[present(scenarios.obstacles)]

@@ -3,9 +3,10 @@ import re
 
 import pytest
 from reaching import TABLE
+from report_pages import final_text
 from rich.console import Console
 
-from cgtorch.report import final_table, final_text
+from cgtorch.report import final_table
 
 
 def result(stage: str, kind: str, succeeded: int, **changes: object) -> dict[str, object]:

@@ -129,7 +129,7 @@ def test_wrong_shapes_are_refused() -> None:
 def test_scenes_have_a_panel_each_in_one_scale() -> None:
     scenarios = cluttered_scenarios(7, seeded(0))
     succeeded = torch.arange(7) < 5
-    figure = draw_scenes(scenarios, succeeded, columns=3, title="S1")
+    figure = draw_scenes(scenarios, succeeded, title="S1")
     assert figure.get_suptitle().startswith("S1: 5 of 7 reached; panels ")
     assert len(figure.axes) == 7
     spans = {

@@ -1,10 +1,10 @@
 """What there is to tell of a run: its folder, read as far as the run has come."""
 
-import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.graphs import Skill, load_skill
@@ -44,14 +44,6 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Begun:
-    """A stage that is not finished, and the generations its journal knows."""
-
-    name: str
-    generations: int
-
-
-@dataclass(frozen=True)
 class Fitted:
     """What the fits of Γ and C found, and the folder of the run that has it."""
 
@@ -68,7 +60,7 @@ class Contents:
     about: dict[str, Any]
     summary: dict[str, Any]
     stages: tuple[Stage, ...]
-    begun: tuple[Begun, ...]
+    begun: tuple[tuple[str, int], ...]
     fitted: Fitted | None
     told: Told
     by_rows: Told
@@ -114,10 +106,11 @@ def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
     return Stage(name, load_result(folder / "result.json"), skill, solved, missed, accepted)
 
 
-def _begun(run: Run) -> Iterable[Begun]:
+def _begun(run: Run) -> Iterable[tuple[str, int]]:
+    """Stages that are not finished, and the generations that their journals know."""
     for path in sorted((run.folder / JOURNAL).glob("*")):
         if path.is_dir() and path.name not in run.stages:
-            yield Begun(path.name, FileJournal(path).generations)
+            yield path.name, FileJournal(path).generations
 
 
 def _fitted(run: Run) -> Fitted | None:
@@ -134,46 +127,39 @@ def _fitted(run: Run) -> Fitted | None:
 
 
 def _sound_gamma(report: TransitionReport) -> bool:
+    columns = report.coordinates, report.units, report.error, report.baseline_error
     return (
-        _numbers((report.rows, report.centres, report.informative))
-        and isinstance(report.coordinates, tuple)
-        and isinstance(report.units, tuple)
-        and len(report.units) == len(report.coordinates)
-        and all(isinstance(name, str) for name in (*report.coordinates, *report.units))
-        and all(
-            isinstance(errors, tuple)
-            and len(errors) == len(report.coordinates)
-            and _numbers(errors)
-            for errors in (report.error, report.baseline_error)
-        )
-        and all(c is None or _numbers((c.C, c.gamma, c.epsilon)) for c in report.choice)
+        _fits(report, TransitionReport)
+        and len({*map(len, columns)}) == 1
         and _sound_curve(report.learning_curve)
     )
 
 
 def _sound_classifier(report: SuccessReport) -> bool:
-    shares = (report.positive, report.balanced_accuracy, report.brier, report.calibration_error)
     return (
-        _numbers((report.rows, report.centres, *shares, report.choice.C, report.choice.gamma))
-        and isinstance(report.reliability, tuple)
-        and all(isinstance(b, tuple) and len(b) == 3 for b in report.reliability)
-        and all(_numbers(b) and 0 <= b[0] <= 1 and b[2] >= 1 for b in report.reliability)
-        and all(0 <= b[1] <= 1 and b[2] == int(b[2]) for b in report.reliability)
+        _fits(report, SuccessReport)
+        and all(0 <= mean <= 1 and 0 <= often <= 1 for mean, often, _ in report.reliability)
+        and all(rows >= 1 for *_, rows in report.reliability)
         and _sound_curve(report.learning_curve)
     )
 
 
 def _sound_curve(curve: LearningCurve | None) -> bool:
-    if curve is None:
-        return True
-    scores = (curve.train_scores, curve.test_scores)
-    return (
-        isinstance(curve.sizes, tuple)
-        and _numbers(curve.sizes)
-        and all(isinstance(s, tuple) and len(s) == len(curve.sizes) for s in scores)
-        and all(isinstance(f, tuple) and f and _numbers(f) for s in scores for f in s)
-    )
+    scores = () if curve is None else (curve.train_scores, curve.test_scores)
+    return all(len(s) == len(curve.sizes) and all(s) for s in scores if curve)
 
 
-def _numbers(values: Iterable[Any]) -> bool:
-    return all(type(v) in (int, float) and math.isfinite(v) and abs(v) < 1e15 for v in values)
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is what its annotation says, numbers finite."""
+    origin, args = get_origin(kind), get_args(kind)
+    if kind in (int, float):
+        return type(value) in (int, kind) and abs(value) < 1e15
+    if is_dataclass(kind):
+        hints = get_type_hints(kind).items()
+        return isinstance(value, kind) and all(_fits(getattr(value, n), h) for n, h in hints)
+    if origin is UnionType:
+        return any(_fits(value, one) for one in args)
+    if origin is tuple and isinstance(value, tuple):
+        wanted = args[:1] * len(value) if args[-1] is ... else args
+        return len(value) == len(wanted) and all(map(_fits, value, wanted))
+    return origin is list or (origin is None and isinstance(value, kind))

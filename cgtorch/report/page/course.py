@@ -1,14 +1,15 @@
 """The course of the evolutions: TensorBoard's steps as generations, counted from 1."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from cgtorch.report.page.contents import Contents
-from cgtorch.report.page.event_files import Spread
 
 GENERATION = "fitness/best"
 TESTED = "world/solved_M"
+V = TypeVar("V")
 
 
 @dataclass(frozen=True)
@@ -31,20 +32,12 @@ class Course:
         """The number of generations done at a step."""
         return bisect_right(self.steps, step)
 
-    def lines(self, points: Sequence[tuple[int, float]]) -> list[list[tuple[int, float]]]:
+    def lines(self, points: Iterable[tuple[int, V]]) -> list[list[tuple[int, V]]]:
         """Points by generation, one line for each evolution, so that none joins two."""
-        lines: dict[int, list[tuple[int, float]]] = {}
+        lines: dict[int, list[tuple[int, V]]] = {}
         for step, value in points:
             number = self.generation(step)
             lines.setdefault(bisect_right(self.ends, number - 1), []).append((number, value))
-        return list(lines.values())
-
-    def spreads(self, spreads: Sequence[Spread]) -> list[list[tuple[int, Spread]]]:
-        """The same of histograms."""
-        lines: dict[int, list[tuple[int, Spread]]] = {}
-        for spread in spreads:
-            number = self.generation(spread.step)
-            lines.setdefault(bisect_right(self.ends, number - 1), []).append((number, spread))
         return list(lines.values())
 
 

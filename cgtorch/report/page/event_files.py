@@ -2,20 +2,26 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-Points: TypeAlias = tuple[tuple[int, float], ...]
-"""Steps and the values there, as often as they were written."""
+import numpy as np
+
+SHARE = 0.8
+"""Of a histogram's values that lie between `Spread.low` and `Spread.high`."""
 
 
-@dataclass(frozen=True)
-class Spread:
+class Spread(NamedTuple):
     """Where the values of a histogram lie."""
 
-    step: int
     low: float
     mean: float
     high: float
+
+
+Points: TypeAlias = tuple[tuple[int, float], ...]
+"""Steps and the values there, as often as they were written."""
+Spreads: TypeAlias = tuple[tuple[int, Spread], ...]
+"""The same of histograms."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +29,7 @@ class Told:
     """The scalars and histograms of the files in a folder, by tag; empty if there are none."""
 
     scalars: dict[str, Points]
-    histograms: dict[str, tuple[Spread, ...]]
+    histograms: dict[str, Spreads]
 
     def last(self, tag: str) -> float | None:
         """The last value of a scalar, None if it was never written."""
@@ -31,14 +37,10 @@ class Told:
         return points[-1][1] if points else None
 
 
-def read_event_files(folder: Path, share: float = 0.8) -> Told:
+def read_event_files(folder: Path) -> Told:
     """All scalars and histograms; what is hidden, as it was done again, stays hidden.
 
     A file that ends in the middle of a record, as after a power cut, is read up to there.
-
-    Args:
-        folder: that has the files.
-        share: of a histogram's values that lie between `Spread.low` and `Spread.high`.
     """
     if not any(folder.glob("events.out.tfevents.*")):
         return Told({}, {})
@@ -51,31 +53,23 @@ def read_event_files(folder: Path, share: float = 0.8) -> Told:
     return Told(
         {tag: tuple((e.step, e.value) for e in events.Scalars(tag)) for tag in tags["scalars"]},
         {
-            tag: tuple(_spread(e, share) for e in events.Histograms(tag))
+            tag: tuple((e.step, _spread(e.histogram_value)) for e in events.Histograms(tag))
             for tag in tags["histograms"]
         },
     )
 
 
-def _spread(event: Any, share: float) -> Spread:
-    """The middle of a histogram, as far as its buckets tell."""
-    value = event.histogram_value
-    count = max(value.num, 1.0)
-    bounds = [min(max(limit, value.min), value.max) for limit in value.bucket_limit]
-    low, high = ((1 - share) / 2 * count, (1 + share) / 2 * count)
-    return Spread(
-        event.step,
-        _quantile(low, value.bucket, [value.min, *bounds]),
-        value.sum / count,
-        _quantile(high, value.bucket, [value.min, *bounds]),
-    )
-
-
-def _quantile(rank: float, buckets: list[float], edges: list[float]) -> float:
-    """Below which so many values lie, if those of a bucket are spread evenly."""
-    below = 0.0
-    for i, count in enumerate(buckets):
-        if count and below + count >= rank:
-            return edges[i] + (edges[i + 1] - edges[i]) * (rank - below) / count
-        below += count
-    return edges[-1]
+def _spread(value: Any) -> Spread:
+    """The middle of a histogram, as far as its buckets tell, values evenly spread in each."""
+    filled = np.array(value.bucket) > 0
+    ends = np.clip(value.bucket_limit, value.min, value.max)
+    starts = np.concatenate([[value.min], ends[:-1]])
+    counts = np.array(value.bucket)[filled]
+    if not len(counts):
+        return Spread(value.max, value.sum, value.max)
+    before = np.cumsum(counts) - counts
+    ranks = np.array([1 - SHARE, 1 + SHARE]) / 2 * value.num
+    which = np.searchsorted(np.cumsum(counts), ranks).clip(max=len(counts) - 1)
+    inside = (ranks - before[which]) / counts[which]
+    low, high = starts[filled][which] + inside * (ends - starts)[filled][which]
+    return Spread(float(low), value.sum / value.num, float(high))

@@ -93,11 +93,10 @@ def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
     ):
         for tag, (colour, name) in tags.items():
             for i, line in enumerate(course.lines(told.scalars.get(tag, ()))):
-                known = [(x, y) for x, y in line if isfinite(y)]
-                marker = "." if len(known) == 1 else ""
+                known = [point for point in line if isfinite(point[1])]
                 axes.plot(
-                    [x for x, _ in known], [y for _, y in known], color=colour, lw=1.3,
-                    marker=marker, label=name if i == 0 else None,
+                    *(zip(*known, strict=True) if known else ((), ())), color=colour, lw=1.3,
+                    marker="." if len(known) == 1 else "", label=name if i == 0 else None,
                 )  # fmt: skip
         _stages(axes, course, named=axes is fitness)
     fitness.set_ylabel("mean return" if rewarded else "fitness (eq. 3)")
@@ -120,10 +119,9 @@ def draw_rates(told: Told, course: Course) -> "Figure | None":
         return None
     figure, grid = _figure(4.0, (1, 1), columns=4)
     for axes, (name, spreads) in zip(grid, rates.items(), strict=True):
-        for line in course.spreads(spreads):
-            known = [(x, s) for x, s in line if isfinite(s.low + s.mean + s.high)]
-            x = [x for x, _ in known]
-            low, mean, high = ([getattr(s, f) for _, s in known] for f in ("low", "mean", "high"))
+        for line in course.lines(spreads):
+            known = [(x, *spread) for x, spread in line if isfinite(sum(spread))]
+            x, low, mean, high = zip(*known, strict=True) if known else [()] * 4
             axes.vlines(x, low, high, color=LINE, lw=2.2, alpha=0.35)
             axes.plot(x, mean, color=LINE, lw=1.2, marker=".", ms=4)
         axes.set_title(RATES.get(name, name), fontsize=9, color=INK)
@@ -168,8 +166,7 @@ def _figure(
     for axes in grid.flat:
         axes.set_axisbelow(True)
         axes.grid(color=GRID, linewidth=0.6)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        axes.spines[["top", "right"]].set_visible(False)
     return figure, list(grid.flat)
 
 

@@ -1,15 +1,21 @@
-"""What the page says of each stage, beside what others report."""
+"""The stages of a run, made or not, with the pictures of what they reached."""
 
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from markupsafe import Markup
+from matplotlib import rc_context
+from torch import Tensor
 
-from cgtorch.domains.domain import Published
-from cgtorch.report.estimate import as_time
+from cgtorch.domains.domain import Domain, Published
+from cgtorch.graphs.clusters import Cluster, clusters_of
+from cgtorch.ground.errors import printable
+from cgtorch.report.graph_picture import draw_clusters
+from cgtorch.report.html import STYLE, inline_svg
 from cgtorch.report.page.contents import Contents, Stage
-from cgtorch.report.page.pictures import Panel, Picture, graph_picture, map_picture
-from cgtorch.report.page.shares import counted, share_of
+
+NONE = Markup("")
 
 
 @dataclass(frozen=True)
@@ -19,26 +25,24 @@ class StageSection:
     Attributes:
         name: of the stage.
         scenarios: the kind that it is about.
+        tested: whether it is one of the domain's stages, which have tests of their own.
         published: what others report; None if nobody has such a stage.
         drawing: of what it is about; empty if the domain has none.
-        reached: "5 of 5"; None if the stage is not made.
-        what: was reached.
-        facts: names and values.
-        map: what the skill solved.
-        graph: its graph.
-        panels: the same as tables.
+        stage: what was made; None if it is not made.
+        map: a picture of what the skill solved, empty if the domain has none, and its text.
+        graph: a picture of its graph, and its text.
+        panels: the graph as tables: title, start node, and for each outcome from node to node.
     """
 
     name: str
     scenarios: str
+    tested: bool
     published: Published | None
     drawing: Markup
-    reached: str | None
-    what: str = ""
-    facts: tuple[tuple[str, str], ...] = ()
-    map: Picture | None = None
-    graph: Picture | None = None
-    panels: tuple[Panel, ...] = ()
+    stage: Stage | None = None
+    map: tuple[Markup, str] = (NONE, "")
+    graph: tuple[Markup, str] = (NONE, "")
+    panels: tuple[tuple[str, str, list[tuple[str, str, str]]], ...] = ()
 
 
 def stage_sections(contents: Contents) -> list[StageSection]:
@@ -49,73 +53,66 @@ def stage_sections(contents: Contents) -> list[StageSection]:
         wanted = list(domain.stages)
     sections = []
     for name in wanted:
-        tests = domain.stages.get(name)
-        drawing = Markup(domain.draw_stage(name) if tests else "")  # noqa: S704  the domain's own
-        published = domain.published.get(name)
-        if name not in made:
-            sections.append(StageSection(name, tests or "", published, drawing, None))
+        kind, stage = domain.stages.get(name), made.get(name)
+        drawing = Markup(domain.draw_stage(name) if kind else "")  # noqa: S704  the domain's own
+        about = kind is not None, domain.published.get(name), drawing
+        if stage is None:
+            sections.append(StageSection(name, kind or "", *about))
             continue
-        stage = made[name]
-        graph, panels = graph_picture(stage)
-        sections.append(
-            StageSection(
-                name,
-                stage.result["scenarios"],
-                published,
-                drawing,
-                *_score(stage.result, domain.solved[0], tests is not None),
-                tuple(_facts(stage, run.learns)),
-                map_picture(stage, domain, tests),
-                graph,
-                panels,
-            )
-        )
+        clusters = clusters_of(stage.skill)
+        pictures = _map_of(stage, domain, kind), _graph_of(stage, clusters)
+        panels = tuple(map(_panel, clusters))
+        scenarios = stage.result["scenarios"]
+        sections.append(StageSection(name, scenarios, *about, stage, *pictures, panels))
     return sections
 
 
-def _score(result: dict[str, Any], solved: str, in_stages: bool) -> tuple[str, str]:
-    """How much a stage has reached, and of what: its tests, fresh scenarios if it has none."""
-    if in_stages and not result["targets"]:
-        return counted(result["fresh"]), f"fresh ones {solved}"
-    what = solved if in_stages else f"missed before, {solved} now"
-    return f"{result['targets_succeeded']} of {result['targets']}", what
+def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup, str]:
+    """All that is known of where a stage's skill succeeds; tests of a kind are marked."""
+    solved, missed = len(stage.solved), len(stage.missed)
+    if not solved + missed:
+        return NONE, f"{stage.skill.name}: nothing was tried"
+    words = f"{stage.skill.name}: {solved} scenarios {domain.solved[0]}, {missed} missed"
+    everything = stage.solved.joined(stage.missed)
+    good = torch.arange(solved + missed) < solved
+    targets = _among(everything, None if kind is None else domain.tests(kind))
+    with rc_context(STYLE):
+        figure = domain.draw_scenarios(everything, good, targets)
+        if figure is None:
+            return NONE, words
+        for axes in figure.axes[:1]:
+            axes.set_title("")  # which the caption says
+    words += ", the tests of this stage marked" if targets.any() else ""
+    words += f"; {figure.get_label()}" if figure.get_label() else ""
+    return inline_svg(figure, f"{stage.name}-map", words), words
 
 
-def _facts(stage: Stage, learns: bool) -> list[tuple[str, str]]:
-    r = stage.result
-    facts = [
-        ("Fresh scenarios", _tested(r["fresh"])),
-        ("All kinds together", _tested(r["overall"])),
-        ("Solved before, lost now (eq. 1a)", f"{r['w_lost']} of {r['w_size']}"),
-    ]
-    if r["earlier_failures"]:
-        earlier = f"{r['earlier_failures_succeeded']} of {r['earlier_failures']}"
-        facts.append(("Earlier failures reached now", earlier))
-    if (line := stage.accepted) is not None:
-        facts.append(
-            ("Missed before, solved now (eq. 1b)", f"{line['m_solved']} of {line['m_before']}")
-        )
-        if (again := line["w_other_noise"]) is not None:
-            facts.append(("Solved under other noise, too", share_of(again)))
-    else:
-        facts.append(("New skill", f"none was accepted; {stage.skill.name} goes on"))
-    return [
-        *facts,
-        ("Nodes, levels", f"{r['nodes']}, {r['depth']}"),
-        ("Generations", f"{r['generations']:,}"),
-        (f"Actions tried in the {'models' if learns else 'world'}", f"{r['transitions']:,}"),
-        ("Time", _time(stage)),
-    ]
+def _among(scenarios: Any, tests: Any) -> Tensor:
+    """Which of the scenarios (B,) are among those of a test."""
+    if tests is None or not len(tests):
+        return torch.zeros(len(scenarios), dtype=torch.bool)
+    found, wanted = (
+        torch.cat([v.double().reshape(len(s), -1) for v in vars(s).values()], 1)
+        for s in (scenarios, tests)
+    )
+    return (found[:, None] == wanted).all(2).any(1)
 
 
-def _tested(score: dict[str, Any]) -> str:
-    mean = score.get("mean_return")
-    more = "" if mean is None else f", mean return {mean:.5g}"
-    return f"{share_of(score)} on {score['scenarios']}{more}"
+def _graph_of(stage: Stage, clusters: list[Cluster]) -> tuple[Markup, str]:
+    """The skill's graph like the paper's figures."""
+    with rc_context(STYLE):
+        figure = draw_clusters(clusters)
+    nodes, inner = stage.skill.num_nodes, len(clusters) - 1
+    start = printable(clusters[0].nodes[clusters[0].start].label)
+    words = f"{stage.skill.name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {start}"
+    words += f", and {inner} skill{'s' if inner != 1 else ''} within" if inner else ""
+    return inline_svg(figure, f"{stage.name}-graph", f"Graph of {words}"), words
 
 
-def _time(stage: Stage) -> str:
-    search, words = stage.result.get("search_seconds"), as_time(stage.result["seconds"])
-    if isinstance(search, int | float) and 0 <= search < 1e12:
-        words += f", of which search {as_time(search)}"
-    return words
+def _panel(cluster: Cluster) -> tuple[str, str, list[tuple[str, str, str]]]:
+    said = {key: printable(node.label) for key, node in cluster.nodes.items()}
+    ends = {key: f"the skill {'succeeds' if ok else 'fails'}" for key, ok in cluster.ends.items()}
+    order = list(cluster.nodes)
+    edges = sorted(cluster.edges, key=lambda edge: order.index(edge.tail))
+    rows = [(said[e.tail], e.outcome, (said | ends)[e.head]) for e in edges]
+    return cluster.path, said[cluster.start], rows

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from lxml import html
-from report_pages import words
+from report_pages import final_text, words
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.report import TensorBoardWatch, final_text
+from cgtorch.report import TensorBoardWatch
 from cgtorch.report.page import report_page
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, create_run

@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 from lxml import html
 from reaching import TABLE
-from report_pages import REFERENCE, STAGES, thinned, words
+from report_pages import REFERENCE, STAGES, final_text, thinned, words
 
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
-from cgtorch.report import final_text
 from cgtorch.report.page import report_page
 from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_models, load_scenarios

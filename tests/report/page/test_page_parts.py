@@ -37,10 +37,9 @@ def test_the_middle_of_a_histogram(tmp_path: Path) -> None:
         writer.add_histogram("one", torch.full((7,), 0.25), 5, bins=24)
         writer.add_scalar("number", 3.5, 9)
     told = read_event_files(tmp_path)
-    (even,), (one,) = told.histograms["even"], told.histograms["one"]
-    assert (even.step, even.low, even.mean, even.high) == pytest.approx(
-        (5, 0.1, 0.5, 0.9), abs=0.02
-    )
+    ((step, even),), ((_, one),) = told.histograms["even"], told.histograms["one"]
+    assert step == 5
+    assert tuple(even) == pytest.approx((0.1, 0.5, 0.9), abs=0.02)
     assert (one.low, one.mean, one.high) == pytest.approx((0.25, 0.25, 0.25))
     assert told.scalars == {"number": ((9, 3.5),)}
     assert (told.last("number"), told.last("other")) == (3.5, None)
