@@ -126,8 +126,7 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
     if path.is_file():
         domain, kind, skill = lone_skill(path, actions, scenarios)
         assert isinstance(domain, Tabletop)  # noqa: S101  nothing else was asked for
-        lone = Candidate(skill, domain.robot, domain.world)
-        return Offer(path.resolve(), skill.name, kind, {skill.name: lone})
+        return Offer(path.resolve(), skill.name, kind, {skill.name: Candidate(skill, domain)})
     if (spec := stored_domain(path)) not in (None, TABLETOP):
         raise SettingsError(
             f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched; see "
@@ -143,7 +142,7 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
     names = [line["name"] for line in read_index(run.folder)]
     entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
     skills = entries | {skill.name: skill}
-    found = {n: Candidate(s, domain.robot, domain.world) for n, s in skills.items()}
+    found = {n: Candidate(s, domain) for n, s in skills.items()}
     return Offer(run.folder.resolve(), skill.name, scenarios or run.kind, found)
 
 

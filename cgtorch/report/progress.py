@@ -25,7 +25,7 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.report import event_messages as wording
+from cgtorch.report import event_messages
 from cgtorch.report.estimate import Estimate, as_time, stage_number
 
 
@@ -76,24 +76,24 @@ class ProgressDisplay:
             self._generation = event
             self._estimate.generation_done(event)
         elif isinstance(event, EvolutionRecalled | JournalDamaged):
-            self.say(wording.journal_read(event))
+            self.say(event_messages.journal_read(event))
         elif isinstance(event, StageStarted):
             self._stage, self._generation, self._world = event, None, ""
             self._estimate.stage_started(event)
-            self._plain(wording.stage_started(event))
+            self._plain(event_messages.stage_started(event))
         elif isinstance(event, ModelsFitted):
             # What Γ and C are worth before all learning on is a result and stays.
             tell = self.say if event.summary.first else self._plain
-            tell(wording.models_fitted(event))
+            tell(event_messages.models_fitted(event))
         elif isinstance(event, WorldTested):
             self._estimate.evolution_over()
-            self._world = wording.world_tested(event)
+            self._world = event_messages.world_tested(event)
             self._plain(self._world)
         elif isinstance(event, SkillAccepted):
             self._estimate.stage_over()
-            self.say(wording.skill_accepted(event), style="green")
+            self.say(event_messages.skill_accepted(event), style="green")
         elif isinstance(event, FreshTested):
-            self.say(wording.fresh_tested(event))
+            self.say(event_messages.fresh_tested(event))
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:
@@ -120,59 +120,62 @@ class ProgressDisplay:
         """What a terminal shows at this moment below the lines that stay."""
         lines: list[RenderableType] = []
         now = time.monotonic()
-        if self._stage is not None:
-            lines.append(self._headline(self._stage, now - self._began))
+        if (stage := self._stage) is not None:
+            number, count = stage_number(stage)
+            left = self._estimate.run_left
+            lines.append(
+                _line(
+                    (stage.stage, "bold"),
+                    f"  stage {number} of {count}  W {stage.size_w}, to solve {stage.size_m}",
+                    (f"  elapsed {as_time(now - self._began)}", "dim"),
+                    ("" if left is None else f"  left ≤ {as_time(left)}", "dim"),
+                )
+            )
         if self._generation is not None:
-            lines += [self._bar(self._generation), _numbers(self._generation, self._estimate)]
+            left = self._estimate.evolution_left or 0.0
+            lines += [
+                _bar(self._generation, left),
+                _numbers(self._generation, self._estimate.speed),
+            ]
         if self._world:
-            lines.append(Text(f"  {self._world}", style="dim", no_wrap=True, overflow="ellipsis"))
+            lines.append(_line((f"  {self._world}", "dim")))
         for message, began, spinner in list(self._working):
-            text = f" {message} … {as_time(now - began)}"
             frame = cast(Text, spinner.render(now))
-            lines.append(Text.assemble(frame, text, no_wrap=True, overflow="ellipsis"))
+            lines.append(_line(frame, f" {message} … {as_time(now - began)}"))
         return Group(*lines)
 
-    def _headline(self, stage: StageStarted, elapsed: float) -> Text:
-        number, count = stage_number(stage)
-        text = Text(no_wrap=True, overflow="ellipsis")
-        text.append(f"{stage.stage}", style="bold")
-        text.append(f"  stage {number} of {count}")
-        text.append(f"  W {stage.size_w}, to solve {stage.size_m}")
-        text.append(f"  elapsed {as_time(elapsed)}", style="dim")
-        if (left := self._estimate.run_left) is not None:
-            text.append(f"  left ≤ {as_time(left)}", style="dim")
-        return text
 
-    def _bar(self, event: GenerationDone) -> Table:
-        done = event.generation.number + 1
-        grid = Table.grid(padding=(0, 1))
-        for _ in range(4):
-            grid.add_column(no_wrap=True, overflow="ellipsis")
-        left = self._estimate.evolution_left or 0.0
-        grid.add_row(
-            Text(f"  {event.candidate}", style="cyan"),
-            ProgressBar(total=event.limit, completed=done, width=24),
-            Text(f"generation {done} of ≤ {event.limit}"),
-            Text(f"left ≤ {as_time(left)}", style="dim"),
-        )
-        return grid
+def _line(*parts: str | Text | tuple[str, str]) -> Text:
+    """One line, cut where the terminal ends."""
+    return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
 
 
-def _numbers(event: GenerationDone, estimate: Estimate) -> Text:
+def _bar(event: GenerationDone, left: float) -> Table:
+    """How far an evolution has come, with the most seconds it can still take."""
+    done = event.generation.number + 1
+    grid = Table.grid(padding=(0, 1))
+    for _ in range(4):
+        grid.add_column(no_wrap=True, overflow="ellipsis")
+    grid.add_row(
+        Text(f"  {event.candidate}", style="cyan"),
+        ProgressBar(total=event.limit, completed=done, width=24),
+        Text(f"generation {done} of ≤ {event.limit}"),
+        Text(f"left ≤ {as_time(left)}", style="dim"),
+    )
+    return grid
+
+
+def _numbers(event: GenerationDone, speed: float | None) -> Text:
     generation = event.generation
     counts = generation.fitness[generation.fitness > WORTHLESS]
     best = f"{generation.best:.3f}" if generation.best > WORTHLESS else "–"
     mean = f"{float(counts.mean()):.3f}" if len(counts) else "–"
-    speed = "" if estimate.speed is None else f"  {_short(estimate.speed)} transitions/s"
-    solved = f"  M {event.solved_m}/{event.size_m}"
-    if event.size_w:
-        solved = f"  W {event.solved_w}/{event.size_w}{solved}"
-    if generation.not_finite:
-        solved += f"  not finite {generation.not_finite}"
-    return Text(
-        f"  fitness best {best} mean {mean}{solved}{speed}",
-        no_wrap=True,
-        overflow="ellipsis",
+    return _line(
+        f"  fitness best {best} mean {mean}",
+        f"  W {event.solved_w}/{event.size_w}" if event.size_w else "",
+        f"  M {event.solved_m}/{event.size_m}",
+        f"  not finite {generation.not_finite}" if generation.not_finite else "",
+        "" if speed is None else f"  {_short(speed)} transitions/s",
     )
 
 

@@ -105,12 +105,10 @@ class TensorBoardWatch:
 
         Args:
             folder: of the event files; made if it is missing.
-            settings: hyper-parameters by name; what is no number, truth value or text is written
-                as its text.
+            settings: hyper-parameters by name, as for `Records`.
             first_step: first models fitted (one step), generations evaluated and stages finished
-                so far, where a run goes on. What
-                earlier files hold from this step on is hidden by TensorBoard, and written again as
-                it is told.
+                so far, where a run goes on. What earlier files hold from this step on is hidden by
+                TensorBoard, and written again as it is told.
             recalled: generations among these that will be told to be recalled.
             actions: what the nodes of evolved graphs do. Without it no graph is drawn before a
                 skill is accepted.
@@ -232,11 +230,10 @@ class TensorBoardWatch:
             for name, curve in curves.items():
                 if curve is None:
                     continue
-                points = zip(curve.sizes, curve.train_scores, curve.test_scores, strict=True)
-                for size, train, test in points:
-                    for kind, scores in (("train", train), ("test", test)):
-                        mean = sum(scores) / len(scores)
-                        writer.add_scalar(f"{name}/learning_curve/{kind}", mean, size)
+                for kind, scores in (("train", curve.train_scores), ("test", curve.test_scores)):
+                    for size, folds in zip(curve.sizes, scores, strict=True):
+                        tag = f"{name}/learning_curve/{kind}"
+                        writer.add_scalar(tag, sum(folds) / len(folds), size)
 
     def _world(self, event: WorldTested) -> None:
         values = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}

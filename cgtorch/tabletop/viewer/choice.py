@@ -1,44 +1,38 @@
 """What can be chosen to be shown: skills, scenarios, and where the object lies."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of
 from cgtorch.tabletop.world.geometry import rotate
+from cgtorch.training.evaluate import check_percepts
 
 FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A skill that can be shown.
-
-    Attributes:
-        skill: the skill.
-        robot: the robot that it is for.
-        world_of: makes the world that it acts in.
-    """
+    """A skill that can be shown, and the tabletop that it is for."""
 
     skill: Skill
-    robot: Robot
-    world_of: Callable[[Scenarios], TabletopWorld]
+    domain: Tabletop
+
+    def world(self, scenarios: Scenarios) -> TabletopWorld:
+        """The world that it acts in; SettingsError if the skill is for other percepts."""
+        world = self.domain.world(scenarios)
+        check_percepts(self.skill, world.percept_size, "such scenarios")
+        return world
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be shown first.
+    """What is to be shown first: names of candidates, one of them to compare with or none.
 
-    Attributes:
-        skill: name of a candidate.
-        against: name of another one, or None.
-        scenarios: which kind.
-        count: how many there are to choose from.
-        seed: of the scenarios and their noise.
+    Of so many scenarios of a kind one can be chosen; `seed` is that of them and their noise.
     """
 
     skill: str

@@ -22,9 +22,8 @@ from cgtorch.tabletop.viewer.postures import rest_postures
 from cgtorch.tabletop.viewer.readings import headline, readings_html
 from cgtorch.tabletop.viewer.scene import Scene
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
-from cgtorch.tabletop.world import Scenarios, TabletopWorld
+from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.general import DRAWS
-from cgtorch.training.evaluate import check_percepts
 
 NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
@@ -134,31 +133,29 @@ class Page:
             self.show(0)
 
     def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
-        world = candidate.world_of(scenario)
-        _check(candidate, world)
-        robot = candidate.robot
+        robot = candidate.domain.robot
         if id(robot) not in self.rest:
             self.rest[id(robot)] = rest_postures(robot)
-        return timeline_of(execute(candidate.skill, world), robot, self.rest[id(robot)])
+        return timeline_of(
+            execute(candidate.skill, candidate.world(scenario)), robot, self.rest[id(robot)]
+        )
 
     def _draw(self, chosen: list[Candidate], timelines: list[Timeline]) -> None:
         """Make as many scenes as there are skills, of their robots, side by side."""
-        if [id(s.robot) for s in self.scenes] != [id(c.robot) for c in chosen]:
+        robots = [c.domain.robot for c in chosen]
+        if [id(s.robot) for s in self.scenes] != [*map(id, robots)]:
             for scene in self.scenes:
                 scene.remove()
-            self.scenes = [Scene(self.server, f"/skill-{i}", c.robot) for i, c in enumerate(chosen)]
+            self.scenes = [Scene(self.server, f"/skill-{i}", r) for i, r in enumerate(robots)]
         self.timelines, self.shown = timelines, []
         for i, (scene, timeline) in enumerate(zip(self.scenes, timelines, strict=True)):
             scene.stand_at((0.0, -APART * i))
             scene.load(timeline)
         x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
         self.gizmo.position = np.array([x, y, z])
-        self._look_at(-APART / 2 * (len(chosen) - 1))
-
-    def _look_at(self, middle: float) -> None:
-        """Where a camera begins: beside one skill, behind two that stand left and right of it."""
-        camera = self.server.initial_camera
+        middle, camera = -APART / 2 * (len(chosen) - 1), self.server.initial_camera
         camera.fov = math.radians(45)
+        # Beside one skill, behind two that stand left and right of it.
         camera.position = (-2.6, -4.4, 3.6) if middle == 0 else (-8.2, middle, 6.6)
         camera.look_at = (-0.3, middle - 0.2, 0.3)
 
@@ -180,8 +177,7 @@ class Page:
         self.shown[i : i + 1] = [now]
         readings, graph = self.graphs[i]
         readings.content = readings_html(timeline, picture)
-        run = timeline.execution
-        graph.content = levels_html(run.skill, run.steps[step])
+        graph.content = levels_html(timeline.execution.skill, timeline.execution.steps[step])
 
     def toggle(self) -> None:
         """Play, or pause; at the end play from the start."""
@@ -210,16 +206,15 @@ class Page:
         """Go to the start of another step of the first skill."""
         with self.lock:
             self.pause()
-            timeline, here = self.timelines[0], int(self.frame.value)
+            timeline, here, last = self.timelines[0], int(self.frame.value), int(self.frame.max)
             now = int(timeline.step[min(here, len(timeline) - 1)])
-            last = int(self.frame.max)
-            targets = {
+            target = {
                 "first": 0,
                 "back": timeline.start_of(now if here > timeline.start_of(now) else now - 1),
                 "next": timeline.start_of(now + 1),
                 "last": last,
-            }
-            self.frame.value = min(max(0, targets[where]), last)
+            }[where]
+            self.frame.value = min(max(0, target), last)
 
     def _seek(self, event: Any) -> None:
         """Show the picture that the slider is at."""
@@ -246,10 +241,6 @@ class Page:
             self.run(put_object(self.scenario, at), play=True)
 
 
-def _check(candidate: Candidate, world: TabletopWorld) -> None:
-    check_percepts(candidate.skill, world.percept_size, "such scenarios")
-
-
 def open_page(
     candidates: Mapping[str, Candidate], wish: Wish, host: str, port: int
 ) -> tuple[Page, str]:
@@ -260,7 +251,7 @@ def open_page(
     """
     scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
     for name in filter(None, (wish.skill, wish.against)):
-        _check(candidates[name], candidates[name].world_of(scenario))
+        candidates[name].world(scenario)
     try:
         socket.create_server((host, 0)).close()
     except OSError as e:
