@@ -64,8 +64,7 @@ class SkillStep(nn.Module):
             skill: the skill.
             percept_size: D; what its networks read if not given.
             control_size: U; what its MoveBase sends if not given.
-            max_steps: actions on all levels together after which it has timed out; `most_steps`
-                (`cgtorch.simulation`) if not given.
+            max_steps: actions on all levels after which it has timed out; `most_steps` by default.
 
         Raises:
             ActionError: a node's action is neither a built-in routine nor one that only computes.
@@ -85,20 +84,18 @@ class SkillStep(nn.Module):
         self.mind_size = self.message_size + 1 + self.memory_size
         self.num_primitives = len(program.primitives)
         request = torch.full((self.num_primitives + len(program.limit),), -1)
-        self.kinds: list[int] = []
+        self.own: list[tuple[int, int, slice]] = []  # kind, parameters, part of the memory
         self.computed = nn.ModuleList()
         for name, action in named_primitives(skill):
             i = next(i for i, p in enumerate(program.primitives) if p is action)
             if type(action) in ROUTINES:
                 request[i] = REQUESTS.index(ROUTINES[type(action)])
             else:
-                self.kinds.append(i)
                 part = program.memory[i]
                 memory = part.stop - part.start
                 lengths = self.percept_size, self.control_size, self.message_size, memory
+                self.own.append((i, action.num_parameters, part))
                 self.computed.append(Computed(name, action, Sizes(*lengths)))
-        self.widths = [program.primitives[i].num_parameters for i in self.kinds]
-        self.parts = [program.memory[i] for i in self.kinds]
         self.register_buffer("kind", program.kind)
         self.register_buffer("heads", program.heads)
         self.register_buffer("values", program.parameters.detach().float())
@@ -217,8 +214,7 @@ class SkillStep(nn.Module):
         outcome = torch.ones_like(node)  # a MoveBase that is not possible fails
         message, has, memory = mind.split([self.message_size, 1, self.memory_size], 1)
         lanes = (percept, message, has[:, 0] > 0)
-        every = zip(self.kinds, self.widths, self.parts, self.computed, strict=True)
-        for i, width, part, action in every:
+        for (i, width, part), action in zip(self.own, self.computed, strict=True):
             here, values = thinks & (kind == i), self.values[node][:, :width]
             said, has_said, own, out = action(*lanes, memory[:, part], place[:, STEP], values)
             around = memory[:, : part.start], own, memory[:, part.stop :]
@@ -228,10 +224,7 @@ class SkillStep(nn.Module):
         return torch.where(thinks[:, None], self._follow(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Arguments of a first step where all that is perceived is zero.
-
-        They are a percept (D,), an outcome (), and `place` (place_size,) and `mind` (mind_size,).
-        """
+        """Arguments of a first step where all that is perceived is zero."""
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),

@@ -11,12 +11,10 @@ if TYPE_CHECKING:
 
 
 def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
-    """A histogram of each column, with bins of equal widths from its least to its greatest value.
+    """A histogram for each of S tags of finite values (P, S), P at least 1.
 
-    Args:
-        tags: S names.
-        values: (P, S), finite, P at least 1.
-        bins: of each. Where all of a column is one value, they are around it, 1 wide together.
+    Bins are of equal widths from the least to the greatest value; where all of a column is one
+    value, they are around it, 1 wide together.
     """
     from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
 

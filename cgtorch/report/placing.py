@@ -56,14 +56,7 @@ class Placement:
 def place(
     widths: Mapping[str, float], start: str, edges: Sequence[Edge], label_widths: Sequence[float]
 ) -> Placement:
-    """Lay out a graph whose nodes can all be reached from `start`.
-
-    Args:
-        widths: of the nodes' boxes, by node.
-        start: the start node.
-        edges: its edges, loops and ends.
-        label_widths: of the text of each edge.
-    """
+    """Lay out a graph of boxes whose nodes can all be reached from `start`, widths in inches."""
     rows = in_rows(list(widths), start, edges)
     loops = {node: [i for i, e in enumerate(edges) if e.tail == e.head == node] for node in widths}
     extent = dict.fromkeys(rows.above, (LINE_LEFT, LINE_LEFT))
@@ -134,7 +127,7 @@ def _columns(rows: Rows, extent: Mapping[int, tuple[float, float]]) -> dict[int,
     # In the middle between the leftmost and the rightmost of all best places.
     low = [(extent[item][0], None) for item in range(count)]
     left = linprog([1e-4] * count + pull, *limits, bounds=low + far).x[:count]
-    both = [(extent[item][0], left.max()) for item in range(count)]
+    both = [(extent[item][0], left.max() + 1e-6) for item in range(count)]
     right = linprog([-1e-4] * count + pull, *limits, bounds=both + far).x[:count]
     return dict(enumerate(((left + right) / 2).tolist()))
 

@@ -119,12 +119,6 @@ def draw_scenes(
 
     Marks are those of `draw_table_top`; obstacles are grey. The world's x is up, y to the left.
 
-    Args:
-        scenarios: the B scenarios.
-        succeeded: (B,) bool.
-        footprint: base x min, x max, y min, y max (m).
-        title: stands before the counts.
-
     Raises:
         DataError: another number of results than scenarios, or no scenario.
     """

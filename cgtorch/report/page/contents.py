@@ -67,12 +67,7 @@ class Contents:
 
 
 def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Contents:
-    """Read a run; nothing is tried or computed again.
-
-    Args:
-        folder: of the run.
-        trusted: actions of its own that may be imported, as in `open_run`.
-        domain: likewise.
+    """Read a run, as `open_run` does; nothing is tried or computed again.
 
     Raises:
         CgtorchError: there is no run, or a file of it is damaged.

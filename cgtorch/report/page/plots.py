@@ -35,14 +35,9 @@ Shares = Sequence[tuple[str, int, int]]
 def draw_success(
     shares: Shares, others: Shares, label: str, other: str, published: tuple[str, float] | None
 ) -> "Figure":
-    """Success by stage with 95 % confidence intervals.
+    """Success by stage, and on other scenarios, with 95 % confidence intervals.
 
-    Args:
-        shares: of each stage, drawn as circles.
-        others: of the same stages on other scenarios, drawn as squares.
-        label: what `shares` are.
-        other: what `others` are.
-        published: who has reported which share of all scenarios, drawn as a line; or None.
+    A line is who has reported which share of all scenarios, if anyone has.
     """
     figure, (axes,) = _figure(2.9)
     for data, shift, marker, colour, name in (
@@ -77,12 +72,8 @@ def draw_success(
 def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
     """Fitness over generations, above the share that is worth nothing and graph sizes.
 
-    A line is an evolution; where it ends its candidate is tried in the world.
-
-    Args:
-        told: by event files.
-        course: of the run.
-        rewarded: whether the fitness is the mean return of episodes.
+    A line is an evolution; where it ends its candidate is tried in the world. In a world with
+    rewards fitness is the mean return of episodes.
     """
     worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = _figure(5.4, (2.2, 1, 1))

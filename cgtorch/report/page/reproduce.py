@@ -17,14 +17,9 @@ ENGINE, TORCH = "engine", "torch"
 
 
 def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """What a run went on with otherwise than before, oldest first.
+    """What a run went on with otherwise than before, oldest first, as its run.json tells.
 
-    Args:
-        about: its run.json.
-
-    Returns:
-        The stage that was made next, the setting or version, its old and its new value; entries
-        that are none are left out.
+    They are the stage that was made next, the setting or version, its old and its new value.
     """
     history = about.get("history", [])
     found = []
@@ -37,14 +32,9 @@ def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, Any]) -> list[str]:
-    """The commands that train the run again, from nothing.
+    """The commands that train a run again, as its run.json and summary.json tell.
 
     What was taken over on the way is taken over at the same place.
-
-    Args:
-        run: that is to be made again.
-        about: its run.json.
-        summary: its summary.json, which knows the goal of `--stage auto`; empty if there is none.
     """
     names = {ENGINE, *run.all_settings()}
     taken = [c for c in changes_of(about) if c[1] in names]

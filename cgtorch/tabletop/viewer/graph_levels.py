@@ -22,10 +22,6 @@ def levels_html(skill: Skill, step: Step) -> str:
     """The levels that a step runs in, the outermost first, as HTML with pictures in SVG.
 
     Lit are the node that runs, on every level, and the edge of its outcome on the last one.
-
-    Args:
-        skill: the whole skill.
-        step: one of its steps.
     """
     clusters = [_clusters(skill)[id(inner)] for inner, _ in step.places]
     nodes = [c.nodes[f"{c.key}_n{s}"] for c, (_, s) in zip(clusters, step.places, strict=True)]

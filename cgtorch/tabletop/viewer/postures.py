@@ -72,16 +72,9 @@ def _mirrored(arm: ArmModel, other: ArmModel, q: Tensor) -> Tensor | None:
 def way_to(robot: Robot, arm: ArmModel, start: Tensor, goal: Tensor, table: Tensor) -> Tensor:
     """Postures (W, n) from `start` to `goal` without touching the table or the body, ends included.
 
-    Straight in joint space or, where that touches something, through one or two random postures
-    with which it does not, as in a probabilistic roadmap (Kavraki et al. 1996). If none of them
-    serves, it is straight nevertheless.
-
-    Args:
-        robot: the robot.
-        arm: the arm.
-        start: (n,) joint positions, rad or m.
-        goal: (n,) joint positions.
-        table: (6,) the table in the base frame, as for `cgtorch.tabletop.kinematics.graspable`.
+    Straight in joint space (rad or m) or, where that touches something, through one or two random
+    postures with which it does not, as in a probabilistic roadmap (Kavraki et al. 1996). If none of
+    them serves, it is straight nevertheless. The table (6,) is in the base frame.
     """
     goal = start + arm.difference(goal, start)
     free = partial(_free, arm, table_slab(table[None].to(goal)), robot.body.to(goal))

@@ -42,9 +42,11 @@ class Scene:
         visual = bool(model.scene.geometry)
         if not visual:
             model = _model(robot, build_collision_scene_graph=True)
-        root = self._root(model)
+        # Where the URDF's root link is in the base frame.
+        root = model.get_transform(model.base_link, robot.description.base_frame)
+        turn = viser.transforms.SO3.from_matrix(root[:3, :3]).wxyz
         server.scene.add_frame(
-            f"{name}/base/robot", show_axes=False, wxyz=root[0], position=root[1]
+            f"{name}/base/robot", show_axes=False, wxyz=turn, position=root[:3, 3]
         )
         self.drawn = ViserUrdf(
             server, model, root_node_name=f"{name}/base/robot",
@@ -57,11 +59,6 @@ class Scene:
         )
         self.timeline: Timeline | None = None
         self.frame = -1
-
-    def _root(self, model: Any) -> tuple[Array, Array]:
-        """Where the URDF's root link is in the base frame, as a quaternion and a position."""
-        pose = model.get_transform(model.base_link, self.robot.description.base_frame)
-        return viser.transforms.SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
 
     def remove(self) -> None:
         """Take everything away."""
@@ -93,8 +90,7 @@ class Scene:
 
     def show(self, frame: int) -> None:
         """Show one picture of the execution, the last one for numbers beyond it."""
-        timeline = self.timeline
-        if timeline is None:
+        if (timeline := self.timeline) is None:
             return
         frame = min(frame, len(timeline) - 1)
         if frame == self.frame:
@@ -152,13 +148,12 @@ class Scene:
     def _asked(self, timeline: Timeline, step: int) -> None:
         """The pose that the message asks for, as the outline of the base."""
         run = timeline.execution
-        drives = run.steps[step].name == "MoveBase"
         message = run.message[step + 1, :3]
         there = len(message) == 3 and bool(message.isfinite().all())
         goal = moved(run.pose[step], message) if there else run.pose[step]
         lines = self._footprints(goal[None])
         nose = torch.stack([goal[:2], goal[:2] + rotate(torch.tensor([0.33, 0.0]), goal[2])])
-        refused = drives and run.steps[step].outcome == "failure"
+        refused = (run.steps[step].name, run.steps[step].outcome) == ("MoveBase", "failure")
         self._lines("asked", torch.cat([lines, nose[None]]), REFUSED if refused else GOAL,
                     3 * FLOOR, 4, visible=there)  # fmt: skip
 

@@ -60,12 +60,8 @@ def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) ->
     """Lay an execution out in time.
 
     The base drives straight and then turns, as the world has it. Where a grasp succeeds, the arm
-    that the world's answer is about comes to the pre-grasp, grasps and lifts the object.
-
-    Args:
-        execution: what happened.
-        robot: the robot that it happened to.
-        rest: the posture of each arm while it does nothing (`cgtorch.tabletop.viewer.postures`).
+    that the world's answer is about comes from its posture at rest to the pre-grasp, grasps and
+    lifts the object.
     """
     scene = execution.scenario
     joints = torch.cat(rest).double()[None]
@@ -140,14 +136,12 @@ def _grasp(
     grasp = solution.joints[0, :, : len(arm.joint_names)].double()
     there = way_to(robot, arm, joints[mine], grasp[0], table[0])
     moving = [there[:1]]
-    for goal in there[1:]:  # not the short way round, which may not be free
-        here = moving[-1][-1]
-        moving.append(_line(here, goal, float((goal - here).abs().max()) / SWING))
-    for waypoint in grasp[1:]:
-        here = moving[-1][-1]
-        goal = here + arm.difference(waypoint, here)
+    for i, goal in enumerate((*there[1:], *grasp[1:]), 1):
+        here, near = moving[-1][-1], i >= len(there)
+        if near:  # the short way round, which may not be free before the grasp
+            goal = here + arm.difference(goal, here)
         seconds = float((goal - here).abs().max()) / SWING
-        moving.append(_line(here, goal, max(seconds, NEAR)))
+        moving.append(_line(here, goal, max(seconds, NEAR) if near else seconds))
     path = torch.cat(moving)
     grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
     all_joints = joints.expand(len(path), -1).clone()
