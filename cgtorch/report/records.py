@@ -26,15 +26,10 @@ class Records:
         metrics: Sequence[str],
         first_step: int,
     ):
-        """Open the file and write hyper-parameters.
+        """Open the file and write hyper-parameters, and of which tags the HPARAMS tab tells.
 
-        Args:
-            folder: of event files; made if it is missing.
-            settings: hyper-parameters by name; what is no number, truth value or text is written
-                as its text.
-            metrics: tags that the HPARAMS tab shows.
-            first_step: what earlier files hold from this step on is hidden by TensorBoard; what is
-                before it is not written again.
+        What is no number, truth value or text is written as its text. What earlier files hold from
+        the first step on is hidden by TensorBoard; what is before it is not written again.
 
         Raises:
             RunError: the folder cannot be written.

@@ -1,7 +1,7 @@
 """Scenes from above: where the objects stood and which of them a skill reached."""
 
 import math
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import torch
 from torch import Tensor
@@ -172,7 +172,7 @@ def _draw_all(
         (scenarios.obstacles.flatten(0, 1), OBSTACLE, TARGET, "obstacle"),
     ):
         for outline in _on_paper(corners(things[present(things)])):
-            style = {"facecolor": face, "edgecolor": edge, "lw": 1.4, "zorder": 1}
+            style: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "lw": 1.4, "zorder": 1}
             axes.add_patch(Polygon(outline, gid=name, **style))
     _draw_robots(axes, torch.unique(scenarios.pose, dim=0), footprint)
     _draw_objects(axes, _on_paper(scenarios.object), good, marks)
@@ -184,9 +184,9 @@ def _name_edges(axes: "Axes", table: Tensor) -> None:
     for name, side, turn in (
         ("near", (-1, 0), 0), ("far", (1, 0), 0), ("left", (0, 1), 90), ("right", (0, -1), -90),
     ):  # fmt: skip
-        place = _on_paper(rotate(half * torch.tensor(side), yaw) + table[:2]).tolist()
+        x, y = _on_paper(rotate(half * torch.tensor(side), yaw) + table[:2]).tolist()
         axes.text(
-            *place, name, color="#7a6745", fontsize=10, style="italic", ha="center", va="center",
+            x, y, name, color="#7a6745", fontsize=10, style="italic", ha="center", va="center",
             rotation=turn + math.degrees(yaw), zorder=2,
         )  # fmt: skip
 
@@ -206,31 +206,26 @@ def _draw_robots(axes: "Axes", poses: Tensor, footprint: Box) -> None:
     )
     faint = (ROBOT, min(0.8, max(0.12, 8 / len(poses))))
     fill = (ROBOT, 0.12 if len(poses) == 1 else 0.0)
-    style = {"edgecolors": [faint], "linewidths": 0.9, "zorder": 2}
-    label = {"gid": "robots", "label": "robot at its start"}
-    axes.add_collection(PolyCollection(outline, facecolors=[fill], **style, **label))
+    style: dict[str, Any] = {"edgecolors": [faint], "linewidths": 0.9, "zorder": 2}
+    about: dict[str, Any] = {"gid": "robots", "label": "robot at its start"}
+    axes.add_collection(PolyCollection(outline, facecolors=[fill], **style, **about))
     axes.add_collection(LineCollection(heading, **style))
 
 
 def _draw_objects(axes: "Axes", at: Tensor, good: Tensor, marks: Tensor) -> None:
     """Objects at places (n, 2) on the paper."""
-    crowd = 26 if len(at) > 120 else 40
-    missed = {"marker": "X", "facecolors": BAD, "zorder": 5}
-    for name, chosen, style in (
-        ("reached", good, {"marker": "o", "facecolors": GOOD, "zorder": 4}),
-        ("missed", ~good, missed),
+    fine: dict[str, Any] = {"s": 26 if len(at) > 120 else 40, "lw": 0.6, "ec": "white"}
+    ring: dict[str, Any] = {"s": 150, "lw": 1.6, "ec": TARGET}
+    for gid, name, chosen, marker, colour, zorder, style in (
+        ("reached", "reached", good, "o", GOOD, 4, fine),
+        ("missed", "missed", ~good, "X", BAD, 5, fine),
+        ("targets", "test placements", marks, "o", "none", 6, ring),
     ):
         if chosen.any():
             axes.scatter(
-                *at[chosen].T.numpy(), s=crowd, edgecolors="white", linewidths=0.6, gid=name,
-                label=f"{name} ({int(chosen.sum())})", **style,
+                at[chosen, 0].numpy(), at[chosen, 1].numpy(), marker=marker, fc=colour,
+                zorder=zorder, gid=gid, label=f"{name} ({int(chosen.sum())})", **style,
             )  # fmt: skip
-    if marks.any():
-        axes.scatter(
-            *at[marks].T.numpy(), s=150, marker="o", facecolors="none", edgecolors=TARGET,
-            linewidths=1.6, zorder=6, gid="targets",
-            label=f"test placements ({int(marks.sum())})",
-        )  # fmt: skip
 
 
 def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, float]:

@@ -149,7 +149,7 @@ def _fits(value: Any, kind: Any) -> bool:
     origin, args = get_origin(kind), get_args(kind)
     if kind in (int, float):
         return type(value) in (int, kind) and abs(value) < 1e15
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind).items()
         return isinstance(value, kind) and all(_fits(getattr(value, n), h) for n, h in hints)
     if origin is UnionType:

@@ -69,7 +69,7 @@ def _beside(
     told: Told, tests: Mapping[str, str], ours: str, best: str, text: Callable[[float], str]
 ) -> Rows:
     """What was told of fresh tests, beside the best possible."""
-    rows = []
+    rows: Rows = []
     for tag, words in tests.items():
         found, possible = told.last(f"{tag}_{ours}"), told.last(f"{tag}_{best}")
         if found is not None and possible is not None:
@@ -79,7 +79,7 @@ def _beside(
 
 def _curves(contents: Contents) -> list[Curve]:
     if contents.fitted is None:
-        scalars, curves = contents.by_rows.scalars, []
+        scalars, curves = contents.by_rows.scalars, list[Curve]()
         for model, name in SCORES.items():
             kinds = (f"{model}/learning_curve/{kind}" for kind in ("train", "test"))
             train, test = (dict(scalars.get(tag, ())) for tag in kinds)
