@@ -20,7 +20,7 @@ from support import (
 
 from cgtorch.actions import ActionSet
 from cgtorch.export import to_dot, to_graphml, to_mermaid
-from cgtorch.graphs import Skill, SubSkill, to_networkx
+from cgtorch.graphs import Skill, SubSkill
 from cgtorch.graphs.clusters import clusters_of
 
 Triple = tuple[str, str, str]
@@ -44,35 +44,6 @@ def said(skill: Skill) -> tuple[dict[str, str], set[Triple], set[Triple], dict[s
         calls |= {(n.key, clusters[n.runs].start, n.runs) for n in c.nodes.values() if n.runs}
         members[c.key] = {*c.ends, *c.nodes}
     return labels, edges, calls, members
-
-
-@pytest.mark.parametrize("skill", SKILLS, ids=lambda skill: skill.name)
-def test_clusters_are_the_skill(skill: Skill) -> None:
-    """Against the views that everything else is drawn and stored from."""
-    clusters = clusters_of(skill)
-    found = {id(skill): skill}
-    for one in list(found.values()):
-        _collect(one, found)
-    assert len(clusters) == len(found)
-    edges = nodes = 0
-    for one in found.values():
-        view = to_networkx(one.graph, one.actions)
-        nodes += view.number_of_nodes()
-        edges += view.number_of_edges()
-        for _, data in view.nodes(data=True):
-            edges += len(one.actions.actions[one.actions.index(data["action"])].terminal)
-    labels, drawn, calls, _ = said(skill)
-    assert len(labels) == nodes + sum(len(c.ends) for c in clusters)
-    assert len(drawn) == edges
-    subs = [n for c in clusters for n in c.nodes.values() if n.runs]
-    assert len(calls) == len(subs)
-    assert clusters[0].name == skill.name
-
-
-def _collect(skill: Skill, found: dict[int, Skill]) -> None:
-    for inner in skill.sub_skills.values():
-        found[id(inner)] = inner
-        _collect(inner, found)
 
 
 def plain(text: str) -> str:

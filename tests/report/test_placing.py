@@ -1,11 +1,13 @@
 import random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.graphs.clusters import Edge
 from cgtorch.report.estimate import as_time
 from cgtorch.report.layers import crossings, in_rows
+from cgtorch.report.placing import place
 
 
 @given(st.integers(1, 12), st.randoms(use_true_random=False))
@@ -54,6 +56,18 @@ def test_few_pieces_cross_in_tangled_graphs() -> None:
         links += [Edge(draw(10), draw(10), "") for _ in range(8)]
         total += crossings(in_rows(list(range(10)), 0, links))
     assert total <= 43
+
+
+def test_what_is_alone_stands_in_a_column_and_a_node_between_those_it_leads_to() -> None:
+    widths = {"a": 0.8, "b": 1.0, "c": 0.7, "d": 0.9}
+    chain = [Edge("a", "b", ""), Edge("b", "c", ""), Edge("c", "d", "")]
+    found = place(widths, "a", chain, [0.3, 0.1, 0.2])
+    assert [box.x for box in found.boxes.values()] == pytest.approx([found.boxes["a"].x] * 4)
+    assert all(len({x for x, _ in route.points}) == 1 for route in found.routes)
+    fork = [Edge("a", "b", ""), Edge("a", "c", ""), Edge("c", "d", "")]
+    boxes = place(widths, "a", fork, [0.2] * 3).boxes
+    assert boxes["b"].x < boxes["a"].x < boxes["c"].x
+    assert boxes["d"].x == pytest.approx(boxes["c"].x)
 
 
 def test_times() -> None:

@@ -2,10 +2,11 @@ from itertools import pairwise
 
 import pytest
 import torch
-from support import custom_actions, nested_actions, random_skill, world
+from support import Visits, custom_actions, nested_actions, random_skill, world
 
+from cgtorch.actions import ActionSet, Detect
 from cgtorch.environment import Lanes
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Graphs, Skill
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.viewer.execution import Step, execute
 
@@ -13,6 +14,9 @@ COUNT = 6
 KINDS = {
     "flat": lambda seed: random_skill(seed, "flat", custom_actions()),
     "nested": lambda seed: random_skill(seed, "nested", nested_actions(seed), max_transitions=7),
+    "memories": lambda seed: random_skill(
+        seed, "memories", nested_actions(seed, custom_actions().extended(["Visits"], [Visits()]))
+    ),
 }
 
 
@@ -86,3 +90,11 @@ def test_the_nodes_of_an_execution_are_joined_by_edges(seed: int) -> None:
 
 def skill_at(skill: Skill, slot: int) -> Skill:
     return skill.sub_skills[skill.actions.names[int(skill.graph.action[0, slot])]]
+
+
+def test_a_skill_runs_as_long_as_its_own_limit() -> None:
+    actions = ActionSet(("Detect",), (Detect(),))
+    loop = torch.zeros(1, 1, dtype=torch.long)
+    graph = Graphs(loop, loop[None], torch.zeros(1, 1, 0), torch.tensor([0]))
+    run = execute(Skill("loop", graph, actions, max_transitions=450), world(0, 1))
+    assert (len(run.steps), run.end) == (450, "timeout")
