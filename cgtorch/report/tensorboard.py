@@ -1,51 +1,9 @@
-"""TensorBoard event files of a run.
+"""TensorBoard event files of a run; docs/report.md says what each tag is.
 
 The step is that of the generation, counted from 0 over all stages; what is not of a generation has
 the step that comes next. What a stage ends with has a step of its own, so that a run that goes on
-can hide what an unfinished stage left behind and nothing else.
-
-==================================  ==========  ===================================================
-tag                                 kind        what it is
-==================================  ==========  ===================================================
-fitness/best, fitness/mean          scalar      of a generation, where it is evolved
-solved/W, solved/M                  scalar      scenarios of the evolution that its best solves
-graph/nodes_best, graph/nodes_mean  scalar      nodes of the best individual, and of all
-population/unsolved                 scalar      share of individuals that are worth nothing
-population/not_finite               scalar      individuals with a number that is not finite
-speed/transitions_per_second        scalar      actions executed by all, per second
-strategy/<name>                     histogram   a strategy parameter of eq. 2 in the population
-gamma/error_<coordinate>            scalar      cross-validated mean absolute error of Γ (m)
-gamma/object_error                  scalar      mean of those of object x and y (m)
-gamma/fresh_object_error            scalar      of Γ on fresh transitions, object x and y (m)
-gamma/fresh_object_floor            scalar      the least that any model could have there (m)
-gamma/fresh_table_error             scalar      of Γ on fresh transitions, the table's sides (m)
-gamma/fresh_table_floor             scalar      the least that any model could have there (m)
-classifier/balanced_accuracy        scalar      of C, cross-validated
-classifier/calibration_error        scalar      gap between C's probability and frequency
-classifier/<draw>_accuracy          scalar      of C on fresh labels: near, overall, beside
-classifier/<draw>_possible          scalar      the most that any classifier could have there
-classifier/near_calibration_error   scalar      gap between probability and frequency there
-classifier/reliability              image       C's probabilities against frequencies
-models/fit_seconds                  scalar      how long fitting Γ and C took
-models/rows                         scalar      transitions that Γ is fitted on
-world/solved_W, world/solved_M      scalar      what a candidate solves in the world
-world/fresh_rate                    scalar      share of fresh scenarios that a round solves
-world/mean_return                   scalar      of fresh episodes, where there are rewards
-world/promised, world/kept          scalar      scenarios its group solves in models, and in world
-stage/targets                       scalar      tests of its stage that an accepted skill solves
-graph/best                          image       the best graph after an evolution, or as accepted
-scenarios/solved                    image       what an accepted skill solves, if it can be drawn
-settings                            text        hyper-parameters; also in the HPARAMS tab
-==================================  ==========  ===================================================
-
-Where the fitness is a return, individuals that have not finished an episode are worth nothing and
-not part of the mean. Of several islands, the best is the best of all, and so are speeds and what is
-not finite counted; means, shares and histograms are of the first island, which the first rank
-always holds.
-
-What is told of the first Γ and C only is written once. Learning curves have the number of rows as
-their step, so they are in a folder of their own, `by_rows`: `gamma/learning_curve/train`,
-`gamma/learning_curve/test`, `classifier/learning_curve/train`, `classifier/learning_curve/test`.
+can hide what an unfinished stage left behind and nothing else. Of several islands the best, speeds
+and what is not finite are of all, the rest is of the first, which the first rank always holds.
 """
 
 import time

@@ -61,25 +61,24 @@ def _legs(
     """Words for each stretch under the same settings, and before what it was changed."""
     own = list(run.domain.stages)
     stages = [name for name in run.stages if name in own] or ([] if run.rounds else own[:1])
+    goal = [
+        f"{option_of(f.name)} {summary[f.name]}"
+        for f in fields(Goal)
+        if type(summary.get(f.name)) in (int, float)
+        and f.name != "rounds"
+        and not (run.domain.rewarded and f.name == "target")
+    ]
+    made = [(name, [f"--stage {name}"]) for name in stages]
+    made += [
+        (name, [f"--stage {AUTO}", *goal, f"--rounds {count}"])
+        for count, name in enumerate(run.rounds or ([] if own else [""]), 1)
+    ]
     legs: list[tuple[list[str], str | None]] = []
-    start: str | None = None
-    for i, name in enumerate(stages):
-        if i == len(stages) - 1 or stages[i + 1] in changed:
-            legs.append(([f"--stage {name}"], start))
-            start = stages[i + 1] if i + 1 < len(stages) else None
-    if run.rounds or not own:
-        goal = [
-            f"{option_of(f.name)} {summary[f.name]}"
-            for f in fields(Goal)
-            if type(summary.get(f.name)) in (int, float)
-            and f.name != "rounds"
-            and not (run.domain.rewarded and f.name == "target")
-        ]
-        words = [f"--stage {AUTO}", *goal]
-        ends = [i for i, name in enumerate(run.rounds) if i and name in changed]
-        for i, end in zip([0, *ends], [*ends, max(1, len(run.rounds))], strict=True):
-            before = run.rounds[i] if run.rounds[i:] and run.rounds[i] in changed else None
-            legs.append(([*words, f"--rounds {end}"], before))
+    for i, (name, words) in enumerate(made):
+        if i in (0, len(stages)) or name in changed:
+            legs.append((words, name if name in changed else None))
+        else:
+            legs[-1] = words, legs[-1][1]
     return legs
 
 
