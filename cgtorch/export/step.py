@@ -224,7 +224,10 @@ class SkillStep(nn.Module):
         return torch.where(thinks[:, None], self._follow(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Arguments of a first step where all that is perceived is zero."""
+        """Arguments of a first step where all that is perceived is zero.
+
+        They are a percept (D,), an outcome (), and `place` (place_size,) and `mind` (mind_size,).
+        """
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),

@@ -48,7 +48,6 @@ class Execution:
         pose: (T + 1, 3) base x, y (m), θ (rad) before the first step and after each.
         percept: (T + 1, D) what the robot had perceived by then.
         message: (T + 1, M) the message travelling along the edges, NaN where there is none.
-        memory: (T + 1, C) the common memory.
     """
 
     skill: Skill
@@ -58,7 +57,6 @@ class Execution:
     pose: Tensor
     percept: Tensor
     message: Tensor
-    memory: Tensor
 
 
 def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
@@ -85,7 +83,6 @@ def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
         pose=torch.cat([x.state[:, :3] for x in seen]),
         percept=torch.cat([x.percept for x in seen]),
         message=torch.cat([x.message.where(x.has_message[:, None], torch.nan) for x in seen]),
-        memory=torch.cat([x.memory for x in seen]),
     )
 
 

@@ -44,7 +44,6 @@ def test_an_execution_is_that_of_a_rollout(kind: str, seed: int) -> None:
             assert one.steps[k].outcome == one.steps[k].action.outcomes[outcome]
             assert torch.equal(one.percept[k + 1], lanes.percept[0])
             assert torch.equal(one.pose[k + 1], lanes.state[0, :3])
-            assert torch.equal(one.memory[k + 1], lanes.memory[0])
             sent = bool(lanes.has_message)
             assert torch.equal(one.message[k + 1], lanes.message[0]) == sent
             assert bool(one.message[k + 1].isnan().all()) != sent
