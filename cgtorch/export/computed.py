@@ -109,6 +109,10 @@ def traced(computed: Computed) -> nn.Module:
     return program.module(check_guards=False)
 
 
+class _MissingError(ActionError, AttributeError):
+    """An action asks its environment for something; to `isinstance` it is merely not there."""
+
+
 class _Nowhere:
     """The environment of an exported skill: it has sizes, but nothing can be done in it."""
 
@@ -116,7 +120,7 @@ class _Nowhere:
         self.percept_size, self.control_size = sizes.percept, sizes.control
 
     def __getattr__(self, name: str) -> NoReturn:
-        raise ActionError(f"it asks its environment for {name!r}")
+        raise _MissingError(f"it asks its environment for {name!r}")
 
 
 def refused(name: str, reason: str) -> ActionError:

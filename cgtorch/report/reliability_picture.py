@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cgtorch.domains.reports import Reliability
 from cgtorch.ground.errors import DataError
 
@@ -10,12 +12,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DOT, LINE, IDEAL, TEXT, GRID = "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6"
+BINS = 10  # of equal widths, that the probabilities were put into
 SPREAD = 2.0  # standard errors of a frequency that its bar spans
 
 
 def draw_reliability(
     curve: Reliability,
-    bins: int = 10,
     *,
     title: str = "the success classifier C",
     of: str = "fresh labels",
@@ -27,7 +29,6 @@ def draw_reliability(
 
     Args:
         curve: mean probability, frequency and rows of each bin that is not empty.
-        bins: equal bins that the probabilities were put into.
         title: whose probabilities they are.
         of: what the rows are.
 
@@ -42,7 +43,7 @@ def draw_reliability(
     figure = Figure(figsize=(5.2, 6.2), dpi=100, facecolor="white", layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     _draw_dots(upper, curve)
-    _draw_counts(lower, curve, bins)
+    _draw_counts(lower, curve)
     error = sum(abs(mean - frequency) * count for mean, frequency, count in curve) / rows
     upper.set_title(
         f"{title} on {rows} {of}\nexpected calibration error {error:.3f}",
@@ -56,16 +57,15 @@ def draw_reliability(
 
 
 def _draw_dots(axes: "Axes", curve: Reliability) -> None:
-    mean, frequency, count = zip(*curve, strict=True)
+    mean, frequency, count = np.array(curve).T
     # By the rule of succession, so that a bin where it always happens has a bar too.
-    sure = [(f * n + 1) / (n + 2) for f, n in zip(frequency, count, strict=True)]
-    bar = [SPREAD * (s * (1 - s) / n) ** 0.5 for s, n in zip(sure, count, strict=True)]
-    low = [min(b, f) for b, f in zip(bar, frequency, strict=True)]
-    high = [min(b, 1 - f) for b, f in zip(bar, frequency, strict=True)]
+    sure = (frequency * count + 1) / (count + 2)
+    bar = SPREAD * np.sqrt(sure * (1 - sure) / count)
+    ends = [np.minimum(bar, frequency), np.minimum(bar, 1 - frequency)]
     axes.plot([0, 1], [0, 1], "--", color=IDEAL, lw=1.4, zorder=1, label="as likely as it says")
     axes.plot(mean, frequency, color=LINE, lw=1.0, zorder=2)
     axes.errorbar(
-        mean, frequency, yerr=[low, high], fmt="o", color=DOT, ms=6, lw=1.2, capsize=3, zorder=3,
+        mean, frequency, yerr=ends, fmt="o", color=DOT, ms=6, lw=1.2, capsize=3, zorder=3,
         label="a bin of labels",
     )  # fmt: skip
     axes.set_xlim(-0.02, 1.02)
@@ -74,11 +74,11 @@ def _draw_dots(axes: "Axes", curve: Reliability) -> None:
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 
-def _draw_counts(axes: "Axes", curve: Reliability, bins: int) -> None:
+def _draw_counts(axes: "Axes", curve: Reliability) -> None:
     for mean, _, count in curve:
-        number = min(int(mean * bins), bins - 1)
-        place = (number + 0.5) / bins
-        axes.bar(place, count, width=0.92 / bins, color=LINE, gid="count")
+        number = min(int(mean * BINS), BINS - 1)
+        place = (number + 0.5) / BINS
+        axes.bar(place, count, width=0.92 / BINS, color=LINE, gid="count")
         axes.annotate(f"{count}", (place, count), ha="center", va="bottom", fontsize=8, color=TEXT)
     axes.set_yscale("log")
     axes.set_ylim(0.7, 4 * max(count for _, _, count in curve))

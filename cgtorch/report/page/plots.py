@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.interval import wilson
 from cgtorch.report.page.course import Course
@@ -48,11 +50,10 @@ def draw_success(
         if not rows:
             continue
         rate = [s / n for _, s, n in rows]
-        bounds = [wilson(s, n, 0.95) for _, s, n in rows]
-        low = [max(r - b[0], 0) for r, b in zip(rate, bounds, strict=True)]
-        high = [max(b[1] - r, 0) for r, b in zip(rate, bounds, strict=True)]
+        low, high = np.array([wilson(s, n, 0.95) for _, s, n in rows]).T
+        ends = np.maximum([rate - low, high - rate], 0)
         axes.errorbar(
-            [i + shift for i, _, _ in rows], rate, yerr=[low, high], fmt=marker, ms=5,
+            [i + shift for i, _, _ in rows], rate, yerr=ends, fmt=marker, ms=5,
             color=colour, capsize=3, lw=1.2, label=name, zorder=3,
         )  # fmt: skip
     if published is not None:

@@ -13,7 +13,7 @@ from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.tabletop.viewer.execution import Step
 
 LIT, RIM = "#ffd60a", "#1c1f24"
-SCALE = 0.94
+SCALE = 0.94  # of pictures, where 1 is 96 pixels an inch
 OUTER_HEIGHT = 2.1
 """At most, in inches, of a level that only waits for the one within it."""
 

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import viser
 from torch import Tensor
 
 from cgtorch.ground.errors import CgtorchError, SettingsError
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.graph_levels import levels_html
@@ -41,7 +43,6 @@ class Page:
         self.lock = threading.RLock()
         self.scenes: list[Scene] = []
         self.timelines: list[Timeline] = []
-        self.rest: dict[int, tuple[Tensor, ...]] = {}
         self.scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
         self.shown: list[tuple[int, int, str]] = []
         self.clock: float | None = None  # when the first picture would have been due, if playing
@@ -133,12 +134,8 @@ class Page:
             self.show(0)
 
     def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
-        robot = candidate.domain.robot
-        if id(robot) not in self.rest:
-            self.rest[id(robot)] = rest_postures(robot)
-        return timeline_of(
-            execute(candidate.skill, candidate.world(scenario)), robot, self.rest[id(robot)]
-        )
+        execution = execute(candidate.skill, candidate.world(scenario))
+        return timeline_of(execution, candidate.domain.robot, _rest(candidate.domain))
 
     def _draw(self, chosen: list[Candidate], timelines: list[Timeline]) -> None:
         """Make as many scenes as there are skills, of their robots, side by side."""
@@ -239,6 +236,12 @@ class Page:
         with self.lock:
             at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
             self.run(put_object(self.scenario, at), play=True)
+
+
+@cache
+def _rest(domain: Tabletop) -> tuple[Tensor, ...]:
+    """The postures of a robot's arms at rest, which take a while to find."""
+    return rest_postures(domain.robot)
 
 
 def open_page(
