@@ -43,8 +43,16 @@ def world_tested(event: WorldTested) -> str:
         f"M {event.solved_m}/{event.size_m}"
     )
     if event.kept is not None and event.promised is not None:
-        text += f"; of its group {event.kept} solved, {event.promised} promised by the models"
+        text += f"; of its group {event.promised} solved in the search, {event.kept} in the world"
     return text
+
+
+def few_kept(solved: int, kept: int) -> str:
+    """The line for scenarios of which the search has solved so many and the world has kept few."""
+    return (
+        f"of {solved} scenarios solved in the search, {kept} are solved in the world: Γ or C is "
+        "wrong where the search goes; see 'When it does not learn' in docs/own-domain.md"
+    )
 
 
 def skill_accepted(event: SkillAccepted[Any]) -> str:

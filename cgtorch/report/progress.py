@@ -28,6 +28,8 @@ from cgtorch.improvement.events import (
 from cgtorch.report import event_messages
 from cgtorch.report.estimate import Estimate, as_time, stage_number
 
+ENOUGH = 30  # scenarios solved in the search, to say how many of them the world keeps
+
 
 class ProgressDisplay:
     """A `Watch` that shows on a console what happens.
@@ -47,6 +49,9 @@ class ProgressDisplay:
         self._stage: StageStarted | None = None
         self._generation: GenerationDone | None = None
         self._world = ""
+        self._solved = self._kept = (
+            0  # scenarios of candidates' groups, in the search and the world
+        )
         self._working: list[tuple[str, float, Spinner]] = []
 
     def __enter__(self) -> Self:
@@ -89,11 +94,19 @@ class ProgressDisplay:
             self._estimate.evolution_over()
             self._world = event_messages.world_tested(event)
             self._plain(self._world)
+            self._compare(event.promised or 0, event.kept or 0)
         elif isinstance(event, SkillAccepted):
             self._estimate.stage_over()
             self.say(event_messages.skill_accepted(event), style="green")
         elif isinstance(event, FreshTested):
             self.say(event_messages.fresh_tested(event))
+
+    def _compare(self, solved: int, kept: int) -> None:
+        """Say once that the world keeps little of what the search solves."""
+        before = self._solved
+        self._solved, self._kept = self._solved + solved, self._kept + kept
+        if before < ENOUGH <= self._solved and self._kept < self._solved / 4:
+            self.say(event_messages.few_kept(self._solved, self._kept), style="yellow")
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:

@@ -16,6 +16,7 @@ from cgtorch.improvement.events import (
     ModelsFitted,
     SkillAccepted,
     StageStarted,
+    WorldTested,
 )
 from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.report import ProgressDisplay
@@ -78,7 +79,8 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
         lines[1],
     )
     assert re.fullmatch(
-        r"S1\.1: in the world W \d/6, M \d/5; of its group \d+ solved, \d+ promised by the models",
+        r"S1\.1: in the world W \d/6, M \d/5; "
+        r"of its group \d+ solved in the search, \d+ in the world",
         lines[2],
     )
     assert lines[-3] == "S1: 30 of 40 fresh scenarios = 75.0%, the goal is 0.9"
@@ -91,6 +93,16 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     )
     assert lines[-1] == "Collecting data …"
     assert "\x1b" not in text_of(display)
+
+
+@pytest.mark.parametrize(("kept", "said"), [(2, True), (9, False)])
+def test_it_is_told_once_that_the_world_keeps_little(kept: int, said: bool) -> None:
+    with ProgressDisplay(console(False)) as display:
+        for number in range(6):
+            display(WorldTested("S1", f"S1.{number}", 0, 0, kept, 50, kept=kept, promised=12))
+    hint = "of 36 scenarios solved in the search, 6 are solved in the world: Γ or C is wrong"
+    assert text_of(display).count(hint) == int(said)
+    assert text_of(display).count("When it does not learn") == int(said)
 
 
 def test_a_long_line_is_not_broken_where_there_is_no_terminal(events: list[Event]) -> None:
