@@ -1,7 +1,7 @@
 """What a robot knows of a domain: its experience, and the Γ and C learned from it."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
@@ -9,13 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch import native
-from cgtorch.domains.learning_on import (
-    compact_transition_model,
-    label_coreset,
-    transition_coreset,
-    update_success_classifier,
-    update_transition_model,
-)
+from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
@@ -29,13 +23,15 @@ from cgtorch.svm import Acceptance, accept_model
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
 LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
-Found = TypeVar("Found")
-
 CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 """Rows that are learnt from at most; of more, a coreset stays."""
+MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
+
+Found = TypeVar("Found")
+Model = TypeVar("Model", bound=LearnedModel)
 
 
 @dataclass(frozen=True)
@@ -180,9 +176,6 @@ def imagine(
     )
 
 
-MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
-
-
 def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
     """Γ and C trained on more experience, from where they stand; hyper-parameters stay.
 
@@ -196,9 +189,12 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
         believed = knowledge.classifier(experience.tested) > 0.5
     surprise = believed != experience.succeeded
     new, aside = parted(sampled(experience, surprise, MOST_NEW, generator))
-    gamma, moves, first = _learn_transitions(knowledge, new)
-    classifier, tests, second = _learn_labels(knowledge, new)
-    data = taken(knowledge.dataset, moves, tests)
+    known = knowledge.dataset, new, knowledge.aside
+    transitions = [(data.percept, data.control, data.next_percept) for data in known]
+    tests = [(data.tested, data.succeeded) for data in known]
+    gamma, moves, first = _learn(knowledge.gamma, transitions, MOST_TRANSITIONS)
+    classifier, labels, second = _learn(knowledge.classifier, tests, MOST_LABELS)
+    data = taken(knowledge.dataset, moves, labels)
     yes = torch.tensor([first.accepted]), torch.tensor([second.accepted])
     data, aside = (
         old.extended(
@@ -206,59 +202,32 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
         )
         for old, more in ((data, new), (knowledge.aside, aside))
     )
-    swift = swift_gamma(gamma, data) if first.accepted else knowledge.swift
     return replace(
         knowledge,
         dataset=data,
         gamma=gamma,
-        swift=swift,
+        swift=swift_gamma(gamma, data) if first.accepted else knowledge.swift,
         classifier=classifier,
         aside=aside,
         acceptances=(first, second),
     )
 
 
-def _learn_transitions(
-    knowledge: Knowledge, new: Dataset
-) -> tuple[TransitionModel, Tensor, Acceptance]:
-    """The Γ to go on with, the old transitions (m,) that stay, and the acceptance."""
-    old, aside = knowledge.dataset, knowledge.aside
-    rows = old.percept, old.control, old.next_percept
-    moves, start = transition_coreset(knowledge.gamma, *rows, MOST_TRANSITIONS)
-    more = new.percept, new.control, new.next_percept
-    both = (torch.cat([a[moves], b]) for a, b in zip(rows, more, strict=True))
-    gamma = update_transition_model(start, *both)
-    with torch.no_grad():
-        before, after = (
-            model.errors(model(aside.percept, aside.control), aside.next_percept)
-            for model in (knowledge.gamma, gamma)
-        )
-    acceptance = accept_model(before, after)
-    if acceptance.accepted:
-        return gamma, moves, acceptance
-    return knowledge.gamma, torch.arange(len(old.percept)), acceptance
+def _learn(
+    model: Model, rows: Sequence[tuple[Tensor, ...]], most: int
+) -> tuple[Model, Tensor, Acceptance]:
+    """The model to go on with, the old rows (m,), at most so many, that stay, and the acceptance.
 
-
-def _learn_labels(
-    knowledge: Knowledge, new: Dataset
-) -> tuple[SuccessClassifier, Tensor, Acceptance]:
-    """The C to go on with, the old labels (m,) that stay, and the acceptance, by Brier's score."""
-    old, aside = knowledge.dataset, knowledge.aside
-    tests, start = label_coreset(knowledge.classifier, old.tested, MOST_LABELS)
-    classifier = update_success_classifier(
-        start,
-        torch.cat([old.tested[tests], new.tested]),
-        torch.cat([old.succeeded[tests], new.succeeded]),
-    )
+    The rows are the old ones, the new ones, and those that were put aside.
+    """
+    old, new, aside = rows
+    kept, start = model.coreset(*old, limit=most)
+    after = start.updated(*(torch.cat([a[kept], b]) for a, b in zip(old, new, strict=True)))
     with torch.no_grad():
-        before, after = (
-            (model(aside.tested) - aside.succeeded.float()).square()
-            for model in (knowledge.classifier, classifier)
-        )
-    acceptance = accept_model(before, after)
+        acceptance = accept_model(model.loss(*aside), after.loss(*aside))
     if acceptance.accepted:
-        return classifier, tests, acceptance
-    return knowledge.classifier, torch.arange(len(old.succeeded)), acceptance
+        return after, kept, acceptance
+    return model, torch.arange(len(old[0])), acceptance
 
 
 def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator) -> Dataset:
@@ -274,4 +243,4 @@ def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
     if len(gamma.machine.centres) <= SWIFT_CENTRES:
         return gamma
     with torch.no_grad():
-        return compact_transition_model(gamma, SWIFT_CENTRES, dataset.percept, dataset.control)[0]
+        return gamma.compacted(SWIFT_CENTRES, dataset.percept, dataset.control)

@@ -8,17 +8,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.environment.fields import Field, as_features
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs
-from cgtorch.svm.grid_search import Progress
 from cgtorch.svm.learning_curve import learning_values
 from cgtorch.svm.platt import fit_platt, probability
 from cgtorch.svm.scores import balanced_accuracy
-from cgtorch.svm.svc import ClassWeight
 
 C_GRID = (1.0, 10.0, 100.0, 1000.0)
 GAMMA_GRID = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -27,14 +26,9 @@ GRID_ROWS = 1000
 _FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
 
 
-class SuccessClassifier(nn.Module):
-    """C: percept (..., D) -> probability of success (...), differentiable in the percept.
+class SuccessClassifier(LearnedModel):
+    """C: percept (..., D) -> probability of success (...), differentiable in the percept."""
 
-    Buffers: the features' `mean` and `scale` (F,); the machine's are in `machine`.
-    """
-
-    mean: Tensor
-    scale: Tensor
     machine: SVC
 
     def __init__(
@@ -42,17 +36,9 @@ class SuccessClassifier(nn.Module):
         percept: Sequence[Field] = (),
         further: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
-        """An unfitted C.
-
-        Args:
-            percept: the D numbers of a percept.
-            further: from percepts (..., D) to features (..., F) that the machine sees besides.
-        """
-        super().__init__()
+        """An unfitted C of percepts, whose machine may see further features (..., F)."""
+        super().__init__(SVC())
         self.percept_fields, self.further = tuple(percept), further
-        self.register_buffer("mean", torch.zeros(0, dtype=torch.float64))
-        self.register_buffer("scale", torch.ones(0, dtype=torch.float64))
-        self.machine = SVC()
 
     def forward(self, percept: Tensor) -> Tensor:
         """Probability (...) that the skill succeeds.
@@ -90,23 +76,25 @@ class SuccessClassifier(nn.Module):
     def standardise(self, percept: Tensor) -> Tensor:
         """Learn the scale of the features from percepts (n, D), and standardise these (n, F)."""
         raw = self.raw_features(percept)
-        spread = raw.std(0, correction=0)
-        self.mean = raw.mean(0)
-        self.scale = torch.where(spread > 1e-9 * (1 + raw.abs().amax(0)), spread, 1.0)
+        self.mean, self.scale = mean_and_spread(raw)
         return (raw - self.mean) / self.scale
 
-    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of the buffers, but for the machine's, given F; files are checked by them."""
-        return dict.fromkeys(("mean", "scale"), (features,))
+    def checked(self, *rows: Any) -> tuple[Tensor, ...]:
+        """See `LearnedModel.checked`: percepts (n, D), and -1 and 1 for labels (n,)."""
+        percept, label = rows
+        seen = inputs.as_rows(percept, "percept")
+        inputs.check_memory(len(seen), self.machine.max_memory)
+        return seen, inputs.as_binary(label, len(seen))[1].to(seen)
 
-    def _load_from_state_dict(
-        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
-    ) -> None:
-        for name in ("mean", "scale"):
-            given = state_dict.get(prefix + name)
-            if isinstance(given, Tensor) and given.ndim == 1:
-                self._buffers[name] = self.mean.new_zeros(given.shape)
-        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+    def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """See `LearnedModel.learnable`; every percept tells."""
+        percept, label = rows
+        return self.features(percept), label, torch.ones_like(label, dtype=torch.bool)
+
+    def loss(self, *rows: Tensor) -> Tensor:
+        """See `LearnedModel.loss`: Brier's score of labels 0 and 1."""
+        percept, label = rows
+        return (self(percept) - label.float()).square()
 
 
 def fit_success_classifier(
@@ -115,13 +103,9 @@ def fit_success_classifier(
     label: Any,
     *,
     seed: int | torch.Generator = 0,
-    folds: int = 5,
     C: Sequence[float] = C_GRID,
     gamma: Sequence[float] | None = None,
-    grid_rows: int | None = GRID_ROWS,
-    class_weight: ClassWeight = None,
-    progress: Progress | None = None,
-    max_memory: int = inputs.MAX_MEMORY,
+    grid_rows: int = GRID_ROWS,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[SuccessClassifier, SuccessReport]:
     """Choose the hyper-parameters by cross-validation and fit C on all labels, in place.
@@ -130,50 +114,32 @@ def fit_success_classifier(
         model: An unfitted C.
         percept: Percepts (n, D).
         label: True or 1 where the skill succeeded (n,).
-        seed: Seed or generator of folds, subset and solver.
-        folds: Number of stratified folds, for the grid and for Platt's probabilities.
+        seed: Seed or generator of folds and subset.
         C: Costs to try.
         gamma: Kernel widths to try, on scaled features; `GAMMA_GRID` for F of them if not given.
-        grid_rows: Random rows that the grid is scored on, None for all.
-        class_weight: None, "balanced", or a factor on C per class.
-        progress: Called with (cells done, all cells).
-        max_memory: Bytes that kernel matrices may take.
+        grid_rows: Random rows that the grid is scored on.
         dtype: Type of the returned model's buffers.
-
-    Returns:
-        The model and the report.
 
     Raises:
         DataError: Wrong shapes, NaN, one class only, too few rows or too many.
         SettingsError: A grid that cannot be used.
     """
-    rows = inputs.as_rows(percept, "percept")
-    _, signs = inputs.as_binary(label, len(rows))
-    signs = signs.to(rows)
-    inputs.check_memory(len(rows), max_memory)
+    rows, signs = model.checked(percept, label)
     generator = inputs.generator_of(seed)
     features = model.to(rows.device).standardise(rows)
     order = _mixed_order(signs, generator)  # whose first rows are a sample of all
     mixed, truth = features[order], signs[order]
+    widths = gamma or [each / features.shape[1] for each in GAMMA_GRID]
     grid = grid_search(
-        SVC(class_weight=class_weight, max_memory=max_memory),
-        mixed[:grid_rows],
-        truth[:grid_rows],
-        C=C,
-        gamma=gamma or [each / features.shape[1] for each in GAMMA_GRID],
-        folds=folds,
-        seed=generator,
+        SVC(), mixed[:grid_rows], truth[:grid_rows], C=C, gamma=widths, seed=generator,
         scoring="balanced_accuracy",
-        progress=progress,
-    )
+    )  # fmt: skip
     best = grid.best[0]
-    machine = SVC(
-        best.C, gamma=best.gamma, class_weight=class_weight, seed=generator, max_memory=max_memory
-    )
+    machine = SVC(best.C, gamma=best.gamma)
     fewest = _FEWEST * len(rows) / float(torch.minimum((signs > 0).sum(), (signs < 0).sum()))
-    sizes = [size for size in doubling_sizes(len(rows), folds) if size >= fewest]
-    sizes = sizes or [doubling_sizes(len(rows), folds)[-1]]
-    curve = learning_values(machine, mixed, truth, sizes=sizes, folds=folds, seed=generator)
+    *smaller, largest = doubling_sizes(len(rows))
+    sizes = [*(size for size in smaller if size >= fewest), largest]
+    curve = learning_values(machine, mixed, truth, sizes=sizes, seed=generator)
     value = curve.held_out[0]
     chance = _cross_fitted(value, truth, curve.folds)
     happened = (truth > 0).to(chance)
@@ -221,13 +187,7 @@ def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
 def calibration(chance: Tensor, truth: Tensor, bins: int = 10) -> tuple[float, Reliability]:
     """Expected calibration error and the reliability curve of probabilities (n,) (Naeini 2015).
 
-    Args:
-        chance: Probabilities (n,).
-        truth: 1 where it came true, else 0 (n,).
-        bins: Number of equal bins.
-
-    Returns:
-        The error, and (mean probability, frequency, rows) of each bin that is not empty.
+    The truth (n,) is 1 where it came true and else 0; the bins are equal.
     """
     number = (chance * bins).long().clamp(0, bins - 1)
     curve = []

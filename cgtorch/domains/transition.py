@@ -7,16 +7,18 @@ numbers: it learns by how much each of them changes.
 """
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from copy import deepcopy
+from typing import Any, Self, TypeAlias
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
-from cgtorch.svm import SVR
+from cgtorch.svm import SVR, compact, inputs
 from cgtorch.svm.machine import KernelMachine
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
@@ -26,26 +28,21 @@ Features: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Further features (..., F) of percepts (..., D) and controls (..., U)."""
 
 
-class TransitionModel(nn.Module, ABC):
+class TransitionModel(LearnedModel):
     """Γ: (percept (..., D), control (..., U)) -> next percept (..., D).
 
-    Buffers: the features' `mean` and `scale` (F,), `reach` () the squared feature distance that
-    counts as half novel, and `most` (E,) how extreme the data are at most. The machine's are in
-    `machine`.
+    Further buffers: `reach` () the squared feature distance that counts as half novel, and `most`
+    (E,) how extreme the data are at most.
     """
 
-    mean: Tensor
-    scale: Tensor
     reach: Tensor
     most: Tensor
     machine: SVR
 
     def __init__(self) -> None:
-        super().__init__()
-        for name in ("mean", "scale", "most"):
-            self.register_buffer(name, torch.zeros(0, dtype=torch.float64))
+        super().__init__(SVR())
+        self.register_buffer("most", torch.zeros(0, dtype=torch.float64))
         self.register_buffer("reach", torch.ones((), dtype=torch.float64))
-        self.machine = SVR()
 
     @abstractmethod
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
@@ -65,10 +62,6 @@ class TransitionModel(nn.Module, ABC):
     ) -> tuple[Tensor, Tensor]:
         """What the machine is to say of transitions (n, K), and (n,) bool which of them tell it."""
 
-    @abstractmethod
-    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of the buffers, but for the machine's, given F; files are checked by them."""
-
     def forward(self, percept: Tensor, control: Tensor) -> Tensor:
         """Next percept (..., D).
 
@@ -83,12 +76,7 @@ class TransitionModel(nn.Module, ABC):
         return self.predict_with_novelty(percept, control)[1]
 
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """Next percept (..., D) and novelty (...), from one kernel evaluation.
-
-        Raises:
-            DataError: Wrong shapes.
-            ModelError: Not fitted.
-        """
+        """Next percept (..., D) and novelty (...), from one kernel evaluation; see `forward`."""
         return self.predict_in_torch(percept, control)
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
@@ -113,14 +101,38 @@ class TransitionModel(nn.Module, ABC):
         """How wrong (n,) predictions (n, D) are, in the unit by which models are compared."""
         return self.difference(predicted, seen).abs().mean(1)
 
-    def _load_from_state_dict(
-        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
-    ) -> None:
-        for name, buffer in self._buffers.items():
-            given = state_dict.get(prefix + name)
-            if isinstance(given, Tensor) and buffer is not None and given.ndim == buffer.ndim:
-                self._buffers[name] = buffer.new_zeros(given.shape)
-        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+    def checked(self, *rows: Any) -> tuple[Tensor, ...]:
+        """See `LearnedModel.checked`."""
+        percept, control, next_percept = rows
+        return transition_rows(percept, control, next_percept, self.machine.max_memory)
+
+    def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """See `LearnedModel.learnable`."""
+        percept, control, next_percept = rows
+        return self.features(percept, control), *self.targets(percept, control, next_percept)
+
+    def loss(self, *rows: Tensor) -> Tensor:
+        """See `LearnedModel.loss`."""
+        percept, control, next_percept = rows
+        return self.errors(self(percept, control), next_percept)
+
+    def widen(self, *rows: Tensor) -> None:
+        """See `LearnedModel.widen`."""
+        self.most = torch.maximum(self.most, self.extremes(*rows[:2]).amax(0))
+
+    def measure_reach(self, features: Tensor) -> None:
+        """See `LearnedModel.measure_reach`."""
+        self.reach = rim(self.machine, features)
+
+    def compacted(self, centres: int, percept: Tensor, control: Tensor) -> Self:
+        """A model of fewer centres that says nearly the same (`cgtorch.svm.compact`).
+
+        Few centres lie further apart, so what counts as novel is found again.
+        """
+        smaller, features = deepcopy(self), self.features(percept, control)
+        smaller.machine = compact(self.machine, centres, features)
+        smaller.measure_reach(features)
+        return smaller
 
 
 class KernelTransitionModel(TransitionModel):
@@ -139,13 +151,7 @@ class KernelTransitionModel(TransitionModel):
     def __init__(
         self, percept: Sequence[Field], control: Sequence[Field], further: Features | None = None
     ) -> None:
-        """An unfitted Γ.
-
-        Args:
-            percept: the D numbers of a percept.
-            control: the U numbers of a control.
-            further: features that the machine sees besides all these numbers.
-        """
+        """An unfitted Γ of percepts and controls, whose machine may see further features."""
         super().__init__()
         self.percept_fields, self.control_fields = tuple(percept), tuple(control)
         self.further = further
@@ -215,12 +221,9 @@ class KernelTransitionModel(TransitionModel):
         return target, torch.ones(len(percept), dtype=torch.bool, device=percept.device)
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
-        """See `TransitionModel.shapes`."""
-        each, size = (features,), (len(self.percept_fields),)
-        return {
-            **dict.fromkeys(("mean", "scale", "most"), each),
-            **dict.fromkeys(("shift", "spread", "learnt"), size),
-        }
+        """See `LearnedModel.shapes`."""
+        own = dict.fromkeys(("shift", "spread", "learnt"), (len(self.percept_fields),))
+        return {**super().shapes(features), "most": (features,), **own}
 
 
 def rim(machine: KernelMachine, features: Tensor) -> Tensor:
@@ -233,3 +236,22 @@ def rim(machine: KernelMachine, features: Tensor) -> Tensor:
     if len(nearest) == 0:
         return torch.ones_like(machine.gamma_value)
     return nearest.quantile(0.95).clamp_min(1e-12)
+
+
+def transition_rows(
+    percept: Any, control: Any, next_percept: Any, max_memory: int = inputs.MAX_MEMORY
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Percepts (n, D), controls (n, U) and next percepts (n, D) in float64, checked.
+
+    Raises:
+        DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
+    """
+    p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(control, "control")
+    q = inputs.as_rows(next_percept, "next_percept")
+    if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
+        raise DataError(
+            f"percept, control and next percept have {len(p)}, {len(u)} and {len(q)} rows of "
+            f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of D, U and D"
+        )
+    inputs.check_memory(len(p), max_memory)
+    return p, u, q

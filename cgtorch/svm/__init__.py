@@ -9,11 +9,9 @@ from cgtorch.svm.learning_curve import doubling_sizes as doubling_sizes
 from cgtorch.svm.learning_curve import learning_curve as learning_curve
 from cgtorch.svm.model_acceptance import Acceptance as Acceptance
 from cgtorch.svm.model_acceptance import accept_model as accept_model
-from cgtorch.svm.reduced_set import CompactReport as CompactReport
 from cgtorch.svm.reduced_set import compact as compact
 from cgtorch.svm.storage import load_model as load_model
 from cgtorch.svm.storage import load_model_and_report as load_model_and_report
-from cgtorch.svm.storage import load_report as load_report
 from cgtorch.svm.storage import save_model as save_model
 from cgtorch.svm.svc import SVC as SVC
 from cgtorch.svm.svr import SVR as SVR

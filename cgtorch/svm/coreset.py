@@ -58,16 +58,17 @@ def farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
     return torch.tensor(chosen, dtype=torch.long, device=rows.device)
 
 
-def support_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
-    """The coreset (m,) of the rows (n, d) that a machine was fitted on, by its features."""
+def shrink_to_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
+    """Let a machine speak of at most `limit` of its training rows (n, d) only, in place.
+
+    Returns:
+        Indices (m,), ascending, of the rows that stay.
+    """
     keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
     keep[machine.support] = True
-    return coreset(features, keep, limit)
-
-
-def reindex(machine: KernelMachine, chosen: Tensor) -> None:
-    """Let the machine's support speak of the chosen rows (m,) only, in place."""
+    chosen = coreset(features, keep, limit)
     place = torch.searchsorted(chosen, machine.support).clamp_max(len(chosen) - 1)
     kept = chosen[place] == machine.support
     machine.support = place[kept]
     machine.centres, machine.weights = machine.centres[kept], machine.weights[kept]
+    return chosen

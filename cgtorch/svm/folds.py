@@ -7,6 +7,22 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.svm.problems import Targets
+
+
+def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Tensor:
+    """Fold numbers (n,): drawn for a number of folds, stratified for classes, or those given.
+
+    Raises:
+        SettingsError: Fewer than two folds.
+        DataError: Too few rows, or given folds that are none.
+    """
+    rows = targets.y.shape[1]
+    if not isinstance(folds, int):
+        return given_folds(folds, rows)
+    if targets.classes is not None:
+        return stratified_folds(targets.y[0], folds, generator)
+    return plain_folds(rows, folds, generator)
 
 
 def plain_folds(rows: int, count: int, generator: torch.Generator) -> Tensor:

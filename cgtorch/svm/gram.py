@@ -28,15 +28,9 @@ class Gram:
         coef0: float = 0.0,
         threads: int = 1,
     ) -> None:
-        """Values of a kernel as `SVC` and `SVR` take it.
+        """Values of a kernel as `SVC` and `SVR` take it, among rows (n, d) in float64.
 
-        Args:
-            kernel: Name of a kernel, or a function.
-            rows: Training rows (n, d), float64.
-            gamma: Width parameter.
-            degree: Degree of "poly".
-            coef0: Constant of "poly".
-            threads: How many compiled code may use, which changes no value.
+        How many threads compiled code may use changes no value.
 
         Raises:
             SettingsError: The kernel is unknown.

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from cgtorch.svm.gram import Gram
-from cgtorch.svm.kernels import Kernel
+from cgtorch.svm.machine import KernelMachine
 from cgtorch.svm.optimality import relative_gap
-from cgtorch.svm.problems import Problems, State, classification, inside, regression
+from cgtorch.svm.problems import Problems, State, Targets, inside
 from cgtorch.svm.solver import ROUGH, solve
 
 
@@ -22,56 +21,36 @@ class Task:
     """What the cells of a grid share.
 
     Attributes:
-        kernel: Kernel as `SVC` and `SVR` take it, with `degree` and `coef0`.
+        model: Machine with the parameters that all cells have.
         rows: Training rows (n, d).
-        targets: Signs, or targets in units of their own (K, n).
-        unit: These units (K,), 1 for signs.
-        weight: Weights of the rows in each fold (F, n).
+        targets: What is to be learnt.
+        masks: Rows that each fold trains on (F, n).
         folds: Fold number of each row (n,).
-        costs: Costs, ascending (N,).
-        tubes: Half widths of the tube (E,).
-        classifier: Whether the problems are those of classification.
+        costs: Costs, ascending.
+        tubes: Half widths of the tube, one of any width for a classifier.
     """
 
-    kernel: str | Kernel
-    degree: int
-    coef0: float
+    model: KernelMachine
     rows: Tensor
-    targets: Tensor
-    unit: Tensor
-    weight: Tensor
+    targets: Targets
+    masks: Tensor
     folds: Tensor
-    costs: Tensor
-    tubes: Tensor
-    classifier: bool
+    costs: tuple[float, ...]
+    tubes: tuple[float, ...]
 
-    def problems(self, cost: Tensor, tube: Tensor) -> Problems:
+    def problems(self, cost: float, tube: float) -> Problems:
         """The problems (K F) of a cell: of each output every fold."""
-        folds = len(self.weight)
-        weight, unit = self.weight.repeat(len(self.unit), 1), self.unit.repeat_interleave(folds)
-        if self.classifier:
-            return classification(self.targets[0], cost * unit, weight)
-        targets = self.targets.repeat_interleave(folds, 0)
-        return regression(targets, cost / unit, tube / unit, weight)
+        cell = {"C": cost} if self.targets.classes is not None else {"C": cost, "epsilon": tube}
+        return self.model.with_params(**cell).problems(self.targets, self.masks)
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Answers at one gamma.
+def solve_width(task: Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
+    """Held-out values (E, N, K, n) and relative duality gaps (E, N, K) of all cells at one gamma.
 
-    Attributes:
-        held_out: Decision value of each row from the fold that held it out (E, N, K, n), in the
-            task's units.
-        gap: Largest relative duality gap of a cell's folds (E, N, K).
+    The values are those of each row from the fold that held it out, in the solver's units; the
+    gaps the largest of a cell's folds. No result depends on the number of threads.
     """
-
-    held_out: Tensor
-    gap: Tensor
-
-
-def solve_width(task: Task, width: float, threads: int = 1) -> Cells:
-    """All cells at one gamma; how many threads compiled code has changes no result."""
-    gram = Gram(task.kernel, task.rows, width, task.degree, task.coef0, threads)
+    gram = task.model.with_params(gamma=width).gram(task.rows, threads)
     cells = []
     for tube in task.tubes:
         before: tuple[Problems, State] | None = None
@@ -83,12 +62,12 @@ def solve_width(task: Task, width: float, threads: int = 1) -> Cells:
             before = problems, found
     shape = len(task.tubes), len(task.costs)
     held_out, gap = (torch.stack(part) for part in zip(*cells, strict=True))
-    return Cells(held_out.unflatten(0, shape), gap.unflatten(0, shape))
+    return held_out.unflatten(0, shape), gap.unflatten(0, shape)
 
 
 def _cell(task: Task, problems: Problems, found: State) -> tuple[Tensor, Tensor]:
     """Held-out values (K, n) and largest relative gap (K,) of solutions (K F)."""
-    shape = len(task.unit), len(task.weight)
+    shape = len(task.targets.y), len(task.masks)
     value = (found.product + found.bias[:, None]).unflatten(0, shape)
     place = task.folds.to(value.device).expand(shape[0], 1, -1)
     gap = relative_gap(problems, found).unflatten(0, shape)

@@ -17,11 +17,10 @@ from torch import Generator, Tensor
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.processes import in_processes
 from cgtorch.svm import inputs
-from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks
+from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.grid_problems import Task, solve_width
-from cgtorch.svm.scores import SCORES
-from cgtorch.svm.svc import SVC, row_weights
-from cgtorch.svm.svr import SVR, units
+from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.scores import SCORES, named_score
 from cgtorch.svm.threads import one_thread_each
 
 Progress = Callable[[int, int], None]
@@ -53,8 +52,7 @@ class GridResult:
         held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
         gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
         folds: Fold number of each row (n,).
-        best: Best cell of each output.
-        common: Best cells of the outputs at the one gamma with the best mean over the outputs.
+        best: Best cell of each output; of equal scores the first, with the smallest C.
     """
 
     C: Tensor
@@ -66,7 +64,6 @@ class GridResult:
     gap: Tensor
     folds: Tensor
     best: tuple[Choice, ...]
-    common: tuple[Choice, ...]
 
     @property
     def mean(self) -> Tensor:
@@ -75,7 +72,7 @@ class GridResult:
 
 
 def grid_search(
-    model: SVC | SVR,
+    model: KernelMachine,
     x: Any,
     y: Any,
     *,
@@ -101,64 +98,52 @@ def grid_search(
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
         progress: Called as the cells of a gamma are done with (done, all).
 
-    Returns:
-        The scores and the choice.
-
     Raises:
         DataError: Data that the model's `fit` would refuse, or too few rows for the folds.
         SettingsError: An empty grid, a value that is not positive, or an unknown score.
     """
-    classifier = isinstance(model, SVC)
-    scoring = scoring or ("accuracy" if classifier else "r2")
-    if scoring not in SCORES:
-        raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
-    rows = inputs.as_rows(x)
-    inputs.check_memory(len(rows), model.max_memory)
+    scoring = named_score(scoring, model.scoring)
+    rows = model.training_rows(x)
     generator = inputs.generator_of(seed)
-    costs, widths = _axis(C, "C").sort().values.to(rows), _axis(gamma, "gamma").to(rows)
-    if isinstance(model, SVC):
-        classes, signs = inputs.as_binary(y, len(rows))
-        targets, tubes = signs.to(rows)[None], torch.zeros(1).to(rows)
+    costs, widths = tuple(sorted(_axis(C, "C"))), _axis(gamma, "gamma")
+    targets = model.targets(y, rows)
+    if targets.classes is not None:
+        tubes: tuple[float, ...] = (0.0,)
     else:
-        targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
-        tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon").to(rows)
-    numbers = _folds(folds, targets, classifier, generator)
+        tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon")
+    numbers = fold_numbers(folds, targets, generator)
     # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
     torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
-    weight = masks.to(rows)
-    if isinstance(model, SVC):
-        weight = row_weights(targets[0], classes, model.class_weight, masks)
-    kernel = model.kernel, model.degree, model.coef0
-    mean, unit = (0 * targets[:, 0], 0 * targets[:, 0] + 1) if classifier else units(targets)
-    scaled = (targets - mean[:, None]) / unit[:, None]
-    place = numbers.to(rows.device)
-    task = Task(*kernel, rows, scaled, unit, weight, place, costs, tubes, classifier)
-    found = _all_widths(task, widths, model.max_memory, progress)
-    held_out, gap = (torch.stack(part) for part in zip(*found, strict=True))
-    held_out = held_out * unit[:, None] + mean[:, None]
+    task = Task(model, rows, targets, masks, numbers, costs, tubes)
+    held_out, gap = _all_widths(task, widths, progress)
+    held_out = targets.restored(held_out)
     scores = torch.stack(
-        [SCORES[scoring](held_out[..., ~mask], targets[:, ~mask]) for mask in masks], dim=-1
+        [SCORES[scoring](held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
     )
-    best, common = _choices(scores.mean(-1), widths, tubes, costs)
-    return GridResult(costs, widths, tubes, scoring, scores, held_out, gap, numbers, best, common)
+    C_axis, gamma_axis, epsilon_axis = (
+        torch.tensor(axis, dtype=torch.float64).to(rows) for axis in (costs, widths, tubes)
+    )
+    best = _best(task, widths, scores)
+    return GridResult(
+        C_axis, gamma_axis, epsilon_axis, scoring, scores, held_out, gap, numbers, best
+    )
 
 
 def _all_widths(
-    task: Task, widths: Tensor, memory: int, progress: Progress | None
-) -> list[tuple[Tensor, ...]]:
-    """Values (E, N, K, n) and gaps (E, N, K) at every gamma.
+    task: Task, widths: Sequence[float], progress: Progress | None
+) -> tuple[Tensor, Tensor]:
+    """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes.
 
     The largest gammas, which have most support vectors, go first, so that no process ends late.
-    How many processes there are does not change the result.
     """
-    order = widths.argsort(descending=True)
+    order = sorted(range(len(widths)), key=lambda place: -widths[place])
     each = len(task.tubes) * len(task.costs)
     finished = itertools.count(each, each)
 
-    def work(number: int) -> tuple[Array, Array]:
-        cells = solve_width(task, float(widths[order[number]]), threads // processes)
-        return cells.held_out.cpu().numpy(), cells.gap.cpu().numpy()
+    def work(number: int) -> list[Array]:
+        cells = solve_width(task, widths[order[number]], threads // processes)
+        return [part.cpu().numpy() for part in cells]
 
     def done(_: object) -> None:
         if progress is not None:
@@ -166,56 +151,33 @@ def _all_widths(
 
     # The operations are short: torch's own threads would double the time.
     with one_thread_each() as threads:
-        processes = min(threads, len(widths), memory // inputs.memory(len(task.rows)))
-        if task.rows.device.type != "cpu":
-            processes = 1
+        most = task.model.max_memory // inputs.memory(len(task.rows))
+        processes = min(threads, len(widths), most) if task.rows.device.type == "cpu" else 1
         found = in_processes(work, len(widths), processes, done)
-    tensors = [
-        tuple(torch.from_numpy(part).to(task.rows.device) for part in cells) for cells in found
-    ]
-    return [tensors[place] for place in order.argsort().tolist()]
+    places = [order.index(place) for place in range(len(widths))]
+    held_out, gap = (np.stack([found[place][part] for place in places]) for part in range(2))
+    return torch.from_numpy(held_out).to(task.rows.device), torch.from_numpy(gap).to(
+        task.rows.device
+    )
 
 
-def _folds(folds: Any, targets: Tensor, classifier: bool, generator: Generator) -> Tensor:
-    """Fold numbers (n,), given or drawn."""
-    if not isinstance(folds, int):
-        return given_folds(folds, targets.shape[1])
-    if classifier:
-        return stratified_folds(targets[0], folds, generator)
-    return plain_folds(targets.shape[1], folds, generator)
-
-
-def _axis(values: Any, name: str) -> Tensor:
-    """The distinct positive numbers of one axis of the grid, in the order given."""
+def _axis(values: Any, name: str) -> tuple[float, ...]:
+    """The positive numbers of one axis of the grid, in the order given."""
     given = [values] if isinstance(values, int | float) else list(values)
     if not given:
         raise SettingsError(f"the grid has no value of {name}; give at least one")
-    return torch.tensor([inputs.positive(value, name) for value in given], dtype=torch.float64)
+    return tuple(inputs.positive(value, name) for value in given)
 
 
-def _choices(
-    mean: Tensor, widths: Tensor, tubes: Tensor, costs: Tensor
-) -> tuple[tuple[Choice, ...], tuple[Choice, ...]]:
-    """The best cell of each output, freely and at the gamma that is best for their mean.
-
-    Of equal scores the first wins: the smallest C, epsilon and gamma in the order given.
-    """
-
-    def pick(scores: Tensor, fixed: int | None) -> Choice:
-        if fixed is not None:
-            scores = scores[fixed : fixed + 1]
-        rest, c = divmod(int(scores.argmax()), scores.shape[2])
-        g, e = divmod(rest, scores.shape[1])
-        return Choice(
-            C=float(costs[c]),
-            gamma=float(widths[int(g) + (fixed or 0)]),
-            epsilon=float(tubes[e]),
-            score=float(scores[g, e, c]),
+def _best(task: Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice, ...]:
+    """The best cell of each output by scores (G, E, N, K, F)."""
+    choices = []
+    for mean in scores.mean(-1).unbind(-1):
+        rest, cost = divmod(int(mean.argmax()), len(task.costs))
+        width, tube = divmod(rest, len(task.tubes))
+        choices.append(
+            Choice(
+                task.costs[cost], widths[width], task.tubes[tube], float(mean[width, tube, cost])
+            )
         )
-
-    outputs = range(mean.shape[-1])
-    shared = int(mean.flatten(1, 2).amax(1).mean(1).argmax())
-    return (
-        tuple(pick(mean[..., k], None) for k in outputs),
-        tuple(pick(mean[..., k], shared) for k in outputs),
-    )
+    return tuple(choices)

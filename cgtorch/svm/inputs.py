@@ -1,6 +1,7 @@
 """Checks at the door: training data as float64 tensors, and the memory that a fit would take."""
 
 import operator
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -98,13 +99,8 @@ def memory(rows: int) -> int:
 
 
 def check_memory(rows: int, limit: int) -> None:
-    """Refuse a fit whose kernel matrices would not fit in `limit` bytes.
-
-    Raises:
-        DataError: They would not.
-    """
-    needed = memory(rows)
-    if needed > limit:
+    """DataError where the kernel matrices of a fit would not fit in `limit` bytes."""
+    if (needed := memory(rows)) > limit:
         most = int((limit / memory(1)) ** 0.5)
         raise DataError(
             f"{rows} rows would take {needed / 1e9:.1f} GB for kernel matrices and the limit is "
@@ -118,8 +114,7 @@ def positive(value: Any, name: str) -> float:
     Raises:
         SettingsError: It is not.
     """
-    number = _number(value)
-    if not 0 < number < float("inf"):
+    if not 0 < (number := as_number(value)) < float("inf"):
         raise SettingsError(f"{name} is {value!r:.80}; it must be a positive number")
     return number
 
@@ -130,17 +125,32 @@ def not_negative(value: Any, name: str) -> float:
     Raises:
         SettingsError: It is not.
     """
-    number = _number(value)
-    if not 0 <= number < float("inf"):
+    if not 0 <= (number := as_number(value)) < float("inf"):
         raise SettingsError(f"{name} is {value!r:.80}; it must be 0 or a positive number")
     return number
 
 
-def _number(value: Any) -> float:
+def as_number(value: Any) -> float:
+    """`value` as a float, NaN where it is no number."""
     try:
         return float(value)
     except (TypeError, ValueError, RuntimeError, OverflowError):
         return float("nan")
+
+
+def per_output(
+    value: Any, name: str, outputs: int, check: Callable[[Any, str], float] = positive
+) -> Tensor:
+    """One float64 number per output (k,) from a number or a sequence.
+
+    Raises:
+        SettingsError: `check` refuses a number, or a sequence has another length.
+    """
+    several = isinstance(value, Sequence | Tensor | np.ndarray) and not isinstance(value, str)
+    given = list(value) if several else [value] * outputs
+    if len(given) != outputs:
+        raise SettingsError(f"{name} has {len(given)} values for {outputs} outputs")
+    return torch.tensor([check(one, name) for one in given], dtype=torch.float64)
 
 
 def generator_of(seed: int | torch.Generator) -> torch.Generator:

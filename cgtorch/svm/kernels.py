@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.svm.inputs import as_number
 
 Kernel = Callable[[Tensor, Tensor], Tensor]
 
@@ -30,16 +31,6 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
     return squared_distance(x, s).mul_(-gamma).exp_()
 
 
-def linear(x: Tensor, s: Tensor) -> Tensor:
-    """Inner products x' s, (m, n)."""
-    return x @ s.T
-
-
-def polynomial(x: Tensor, s: Tensor, gamma: float, degree: int, coef0: float) -> Tensor:
-    """(gamma x' s + coef0) ^ degree, (m, n)."""
-    return (gamma * (x @ s.T) + coef0) ** degree
-
-
 def make_kernel(kernel: str | Kernel, gamma: float, degree: int = 3, coef0: float = 0.0) -> Kernel:
     """The kernel function of a name in `KERNELS`, or the callable itself.
 
@@ -56,9 +47,9 @@ def make_kernel(kernel: str | Kernel, gamma: float, degree: int = 3, coef0: floa
     if kernel == "rbf":
         return lambda x, s: rbf(x, s, gamma)
     if kernel == "linear":
-        return linear
+        return lambda x, s: x @ s.T
     if kernel == "poly":
-        return lambda x, s: polynomial(x, s, gamma, degree, coef0)
+        return lambda x, s: (gamma * (x @ s.T) + coef0) ** degree
     raise SettingsError(f"kernel is {kernel!r}; choose one of {KERNELS} or pass a callable")
 
 
@@ -75,11 +66,8 @@ def resolve_gamma(gamma: str | float, x: Tensor) -> float:
     if gamma == "scale":
         variance = float(x.double().var(correction=0))
         return 1.0 / (x.shape[1] * variance) if variance > 0 else 1.0
-    try:
-        number = float(gamma)
-    except (TypeError, ValueError, OverflowError):
-        number = nan
-    if isinstance(gamma, str) or not 0 < number < inf:
+    number = nan if isinstance(gamma, str) else as_number(gamma)
+    if not 0 < number < inf:
         raise SettingsError(f'gamma is {gamma!r:.40}; choose "scale", "auto" or a positive number')
     return number
 

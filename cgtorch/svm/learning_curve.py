@@ -13,16 +13,11 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.native import threads
 from cgtorch.svm import inputs
-from cgtorch.svm.folds import given_folds, plain_folds, stratified_folds, training_masks
-from cgtorch.svm.gram import Gram
-from cgtorch.svm.kernels import resolve_gamma
-from cgtorch.svm.problems import Problems, classification, regression
-from cgtorch.svm.scores import SCORES
+from cgtorch.svm.folds import fold_numbers, training_masks
+from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.scores import SCORES, named_score
 from cgtorch.svm.solver import solve
-from cgtorch.svm.svc import SVC, row_weights
-from cgtorch.svm.svr import SVR, per_output, units
 
 
 @dataclass(frozen=True)
@@ -89,7 +84,7 @@ def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]
 
 
 def learning_curve(
-    model: SVC | SVR,
+    model: KernelMachine,
     x: Any,
     y: Any,
     *,
@@ -114,23 +109,18 @@ def learning_curve(
         seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
 
-    Returns:
-        The scores.
-
     Raises:
         DataError: Data that the model's `fit` would refuse, too few rows for the folds, or one
             class only among the first rows.
         SettingsError: No size, one below 1 or beyond the smallest training fold, or an unknown
             score.
     """
-    scoring = scoring or ("accuracy" if isinstance(model, SVC) else "r2")
-    if scoring not in SCORES:
-        raise SettingsError(f"scoring is {scoring!r}; choose one of {sorted(SCORES)}")
+    scoring = named_score(scoring, model.scoring)
     return learning_values(model, x, y, sizes=sizes, folds=folds, seed=seed).scored(scoring)
 
 
 def learning_values(
-    model: SVC | SVR,
+    model: KernelMachine,
     x: Any,
     y: Any,
     *,
@@ -139,36 +129,16 @@ def learning_values(
     seed: int | Generator = 0,
 ) -> LearningValues:
     """What `learning_curve` scores; see there for arguments and errors."""
-    rows = inputs.as_rows(x)
-    inputs.check_memory(len(rows), model.max_memory)
-    generator = inputs.generator_of(seed)
-    if isinstance(model, SVC):
-        classes, signs = inputs.as_binary(y, len(rows))
-        targets = signs.to(rows)[None]
-    else:
-        targets = inputs.as_targets(y, len(rows)).to(rows).reshape(len(rows), -1).T.contiguous()
-    if not isinstance(folds, int):
-        numbers = given_folds(folds, len(rows))
-    elif isinstance(model, SVC):
-        numbers = stratified_folds(targets[0], folds, generator)
-    else:
-        numbers = plain_folds(len(rows), folds, generator)
+    rows = model.training_rows(x)
+    targets = model.targets(y, rows)
+    numbers = fold_numbers(folds, targets, inputs.generator_of(seed))
     used = _first_rows(training_masks(numbers), sizes).to(rows.device)
-    flat = used.flatten(0, 1)
-    if isinstance(model, SVC):
-        cap = torch.full((len(flat),), inputs.positive(model.C, "C")).to(rows)
-        weight = row_weights(targets[0], classes, model.class_weight, flat)
-        problems = classification(targets[0], cap, weight)
-        mean, unit = 0 * targets[:, 0], 0 * targets[:, 0] + 1
-    else:
-        mean, unit = units(targets)
-        problems = _regressions(model, (targets - mean[:, None]) / unit[:, None], unit, flat)
-    gamma = resolve_gamma(model.gamma, rows)
-    kernel = Gram(model.kernel, rows, gamma, model.degree, model.coef0, threads())
-    found = solve(kernel, problems)
-    values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.shape)
-    values = values * unit[:, None] + mean[:, None]
-    return LearningValues(tuple(sizes), values, targets, used, numbers.to(rows.device))
+    problems = model.problems(targets, used.flatten(0, 1))
+    by_mask = torch.arange(len(problems.z), device=rows.device).unflatten(0, (len(targets.y), -1))
+    found = solve(model.gram(rows), problems.take(by_mask.T.flatten()))
+    values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.y.shape)
+    values = targets.restored(values)
+    return LearningValues(tuple(sizes), values, targets.y, used, numbers.to(rows.device))
 
 
 def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
@@ -182,15 +152,3 @@ def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
         raise SettingsError(f"sizes are {tuple(sizes)}; give numbers of rows from 1 to {most}")
     place = masks.cumsum(1)
     return masks & (place <= torch.tensor(sizes)[:, None, None])
-
-
-def _regressions(model: SVR, targets: Tensor, unit: Tensor, used: Tensor) -> Problems:
-    """Problems (Q k) of targets (k, n) for each mask of the rows used (Q, n), output by output.
-
-    The targets are in units (k,) of their own, the model's C and epsilon are not.
-    """
-    outputs, repeats = len(targets), len(used)
-    cap = per_output(model.C, "C", outputs, targets) / unit
-    tube = per_output(model.epsilon, "epsilon", outputs, targets, inputs.not_negative) / unit
-    weight = used.to(targets).repeat_interleave(outputs, 0)
-    return regression(targets.repeat(repeats, 1), cap.repeat(repeats), tube.repeat(repeats), weight)

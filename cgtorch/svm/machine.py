@@ -1,8 +1,13 @@
-"""What SVC and SVR share: centres, weights and bias as buffers, and the values they give."""
+"""What SVC and SVR share: the fit, centres, weights and bias as buffers, and the values they give.
+
+A classifier is a regression of signs without a tube, in which a coefficient can only have the sign
+of its row; so the two differ in their targets, the weights of rows, and what they say of values.
+"""
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -11,20 +16,23 @@ from cgtorch.ground.errors import DataError, ModelError, SettingsError
 from cgtorch.native import threads
 from cgtorch.native.structures import suits
 from cgtorch.svm import inputs
-from cgtorch.svm.compiled import machine_values
+from cgtorch.svm.compiled import LOG2E, machine_values
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel, make_kernel, resolve_gamma
-from cgtorch.svm.problems import Problems, State
-from cgtorch.svm.rbf_predict import LOG2E, chunk_rows, fused_rbf, fused_rbf_and_nearest
-from cgtorch.svm.solver import start_at
+from cgtorch.svm.optimality import duality_gap
+from cgtorch.svm.problems import Problems, State, Targets, classification, regression
+from cgtorch.svm.rbf_predict import chunk_rows, fused_rbf
+from cgtorch.svm.solver import solve, start_at
 
 
-class KernelMachine(nn.Module):
+class KernelMachine(nn.Module, ABC):
     """A function sum_j w_j K(x, c_j) + b with k outputs.
 
     The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
     `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
     gap of each output, `cost` (k,) its C, and what a subclass adds. Before `fit` they are empty.
+
+    A subclass's constructor only stores its arguments (scikit-learn's convention).
     """
 
     centres: Tensor
@@ -35,6 +43,11 @@ class KernelMachine(nn.Module):
     gap: Tensor
     cost: Tensor
 
+    scoring: ClassVar[str]
+    """The score, of `cgtorch.svm.scores`, by which models are compared if no other is named."""
+
+    C: Any
+    epsilon: Any
     kernel: str | Kernel
     gamma: str | float
     degree: int
@@ -49,40 +62,95 @@ class KernelMachine(nn.Module):
         self.register_buffer("gamma_value", torch.ones((), dtype=torch.float64))
         self.register_buffer("support", torch.zeros(0, dtype=torch.long))
 
+    @abstractmethod
+    def targets(self, y: Any, rows: Tensor) -> Targets:
+        """What is to be learnt of rows (n, d).
+
+        Raises:
+            DataError: Wrong shapes, not numbers, or not what the machine can learn.
+        """
+
+    @abstractmethod
+    def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
+        """Weights (P, n) of rows in the loss, 0 where masks (P, n) leave them out.
+
+        Raises:
+            SettingsError: The weights that are asked for cannot be used.
+            DataError: A mask leaves too little.
+        """
+
+    @abstractmethod
+    def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
+        """The buffers that a subclass adds, after a fit."""
+
     @property
     def fitted(self) -> bool:
         """Whether there is something to predict with."""
         return len(self.centres) > 0
 
-    @property
-    def n_features_in_(self) -> int:
-        """Number of features d of a row."""
-        self._check_fitted()
-        return self.centres.shape[1]
+    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
+        """Solve the dual problems on rows x (n, d) with labels y (n,), or targets (n,) or (n, k).
 
-    @property
-    def support_(self) -> Tensor:
-        """Training rows that are centres (m,), ascending."""
-        self._check_fitted()
-        return self.support
+        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
 
-    @property
-    def support_vectors_(self) -> Tensor:
-        """The centres (m, d)."""
-        self._check_fitted()
-        return self.centres
+        Raises:
+            DataError: Wrong shapes, NaN, not two classes, too few rows for the folds, or more
+                rows than `max_memory` allows.
+            SettingsError: A parameter cannot be used.
+        """
+        rows = self.training_rows(x)
+        targets = self.targets(y, rows)
+        everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
+        problems = self.problems(targets, everything)
+        gram, unit = self.gram(rows), targets.unit
+        found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
+        state = self.own_state(gram, targets, found)
+        self._keep(rows, found.beta * unit[:, None])
+        self.bias, self.cost = found.bias * unit + targets.mean, problems.cap * unit
+        self.gap = duality_gap(problems, found) * unit.square()
+        self.gamma_value = torch.tensor(gram.gamma, dtype=rows.dtype, device=rows.device)
+        for name, value in state.items():
+            setattr(self, name, value.to(rows.device))
+        return self
 
-    @property
-    def dual_coef_(self) -> Tensor:
-        """Weights of the centres (k, m)."""
-        self._check_fitted()
-        return self.weights.T
+    def learn_on(self, x: Any, y: Any) -> Self:
+        """`fit`, warm, with the C, epsilon and gamma of the last fit, whoever made it."""
+        self.C, self.gamma = self.cost.tolist(), float(self.gamma_value)
+        return self.fit(x, y, warm=True)
 
-    @property
-    def intercept_(self) -> Tensor:
-        """Biases (k,)."""
-        self._check_fitted()
-        return self.bias
+    def training_rows(self, x: Any) -> Tensor:
+        """Rows (n, d) in float64, checked.
+
+        Raises:
+            DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
+        """
+        rows = inputs.as_rows(x)
+        inputs.check_memory(len(rows), self.max_memory)
+        return rows
+
+    def gram(self, rows: Tensor, most_threads: int = 0) -> Gram:
+        """The kernel values among training rows (n, d), by so many threads or the usual number.
+
+        Raises:
+            SettingsError: The kernel or one of its parameters cannot be used.
+        """
+        gamma = resolve_gamma(self.gamma, rows)
+        return Gram(self.kernel, rows, gamma, self.degree, self.coef0, most_threads or threads())
+
+    def problems(self, targets: Targets, masks: Tensor) -> Problems:
+        """The problems (k P) of each output under each of the masks (P, n) of rows to learn from.
+
+        Raises:
+            SettingsError: C or epsilon cannot be used.
+        """
+        outputs, unit = len(targets.z), targets.unit
+        cap = inputs.per_output(self.C, "C", outputs).to(unit) / unit
+        tube = inputs.per_output(self.epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
+        cap, tube = (x.repeat_interleave(len(masks)) for x in (cap, tube / unit))
+        weight = self.row_weights(targets, masks).repeat(outputs, 1)
+        if targets.classes is not None:
+            return classification(targets.z[0], cap, weight)
+        return regression(targets.z.repeat_interleave(len(masks), 0), cap, tube, weight)
 
     def values(self, x: Tensor) -> Tensor:
         """Values (..., k) of rows x (..., d), in the type of the buffers.
@@ -91,12 +159,7 @@ class KernelMachine(nn.Module):
             ModelError: Not fitted.
             DataError: Another number of features.
         """
-        rows = self._rows(x)
-        if (found := self._compiled(rows)) is not None:
-            values = found[0]
-        else:
-            values = fused_rbf(rows, *self._machine) if self.kernel == "rbf" else self._plain(rows)
-        return values.reshape(*x.shape[:-1], values.shape[1])
+        return self._values(x, with_nearest=False)[0]
 
     def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Values (..., k), and for an RBF kernel the squared distance (...) to the nearest centre.
@@ -107,46 +170,31 @@ class KernelMachine(nn.Module):
             ModelError: Not fitted.
             DataError: Another number of features.
         """
-        rows = self._rows(x)
-        if self.kernel == "rbf":
-            found = self._compiled(rows)
-            values, exponent = found or fused_rbf_and_nearest(rows, *self._machine)
-            distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
-        else:
-            values, distance = self._plain(rows), rows.new_zeros(len(rows))
-        lead = x.shape[:-1]
-        return values.reshape(*lead, values.shape[1]), distance.reshape(lead)
+        values, exponent = self._values(x, with_nearest=True)
+        distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
+        return values, distance.reshape(x.shape[:-1])
 
-    def _compiled(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
-        """What compiled code says of rows (n, d) where there is some and no gradient is asked."""
-        if self.kernel != "rbf" or not suits(rows, *self._machine):
-            return None
-        return machine_values(rows, *self._machine)
-
-    @property
-    def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        return self.centres, self.weights, self.bias, self.gamma_value
-
-    def _rows(self, x: Tensor) -> Tensor:
-        """Rows (n, d) of x (..., d), in the type of the buffers.
-
-        Raises:
-            ModelError: Not fitted.
-            DataError: Another number of features.
-        """
+    def _values(self, x: Tensor, with_nearest: bool) -> tuple[Tensor, Tensor]:
+        """Values (..., k) of x (..., d), and γ |x - c|² log2(e) (n,) of the nearest centres."""
         self._check_fitted()
         features = self.centres.shape[1]
         if x.shape[-1:] != (features,):
             given = x.shape[-1] if x.ndim else "no"
             raise DataError(f"a row has {given} features; the model was fitted on {features}")
-        return x.reshape(-1, x.shape[-1]).to(self.centres)
+        rows = x.reshape(-1, features).to(self.centres)
+        if self.kernel == "rbf":
+            compiled = machine_values(rows, *self._machine) if suits(rows, *self._machine) else None
+            values, nearest = compiled or fused_rbf(rows, *self._machine, with_nearest)
+        else:
+            kernel = make_kernel(self.kernel, float(self.gamma_value), self.degree, self.coef0)
+            parts = rows.split(chunk_rows(len(self.centres), rows.element_size()))
+            values = torch.cat([kernel(part, self.centres) @ self.weights for part in parts])
+            values, nearest = values + self.bias, rows.new_zeros(len(rows))
+        return values.reshape(*x.shape[:-1], values.shape[1]), nearest
 
-    def _plain(self, rows: Tensor) -> Tensor:
-        """Values (n, k) with any kernel, in chunks of bounded memory."""
-        kernel = make_kernel(self.kernel, float(self.gamma_value), self.degree, self.coef0)
-        size = chunk_rows(len(self.centres), rows.element_size())
-        parts = [kernel(part, self.centres) @ self.weights for part in rows.split(size)]
-        return torch.cat(parts) + self.bias
+    @property
+    def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return self.centres, self.weights, self.bias, self.gamma_value
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The constructor's arguments by name, as scikit-learn's `clone` wants them."""
@@ -167,6 +215,10 @@ class KernelMachine(nn.Module):
             setattr(self, name, value)
         return self
 
+    def with_params(self, **params: Any) -> Self:
+        """An unfitted machine with the same arguments but for these."""
+        return type(self)(**self.get_params() | params)
+
     def _check_fitted(self) -> None:
         if not self.fitted:
             raise ModelError(
@@ -174,31 +226,12 @@ class KernelMachine(nn.Module):
             )
 
     def _asked(self, x: Any) -> Tensor:
-        """What a prediction is asked for: tensors as they are, all else checked and converted.
-
-        Raises:
-            ModelError: Not fitted.
-            DataError: Not numbers, or not all finite.
-        """
+        """What a prediction is asked for: tensors as they are, all else checked and converted."""
         self._check_fitted()
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
-    def _gram(self, rows: Tensor) -> Gram:
-        """The kernel values among training rows (n, d).
-
-        Raises:
-            DataError: They take more than `max_memory`.
-            SettingsError: The kernel or one of its parameters cannot be used.
-        """
-        inputs.check_memory(len(rows), self.max_memory)
-        gamma = resolve_gamma(self.gamma, rows)
-        return Gram(self.kernel, rows, gamma, self.degree, self.coef0, threads())
-
     def _start(self, gram: Gram, problems: Problems, unit: Tensor) -> State:
-        """This machine as a start for a new fit.
-
-        The rows that it was fitted on have to come first among the rows of the new fit, whose
-        targets were divided by `unit` (k,).
+        """This machine as a start for a new fit, whose first rows are those it was fitted on.
 
         Raises:
             DataError: There are fewer rows than it was fitted on.
@@ -213,15 +246,13 @@ class KernelMachine(nn.Module):
         beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
         return start_at(gram, problems, beta)
 
-    def _keep(self, x: Tensor, beta: Tensor, bias: Tensor, gap: Tensor, gamma: float) -> None:
+    def _keep(self, x: Tensor, beta: Tensor) -> None:
         """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""
         used = (beta != 0).any(0)
         if not bool(used.any()):
             used[0] = True  # a constant still needs a centre to say how many features a row has
         self.support = used.nonzero().flatten()
         self.centres, self.weights = x[used].clone(), beta[:, used].T.contiguous()
-        self.bias, self.gap = bias.clone(), gap.clone()
-        self.gamma_value = torch.tensor(gamma, dtype=x.dtype, device=x.device)
 
     def _load_from_state_dict(
         self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any

@@ -12,6 +12,50 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
+class Targets:
+    """What k outputs are to say of n rows, and the same as the solver sees it.
+
+    The problem of (y - mean) / unit with C / unit and epsilon / unit has the coefficients
+    beta / unit, so that what counts as small in the solver does not depend on the targets' unit.
+
+    Attributes:
+        y: Targets, or the signs -1 and 1 of two classes (k, n).
+        z: (y - mean) / unit (k, n).
+        mean: Of the targets (k,), 0 for signs.
+        unit: A power of two near the standard deviation of the targets (k,), 1 for signs.
+        classes: The two labels that the signs stand for (2,), None for a regression.
+        single: Whether there is one output that was given as (n,).
+    """
+
+    y: Tensor
+    z: Tensor
+    mean: Tensor
+    unit: Tensor
+    classes: Tensor | None
+    single: bool
+
+    def restored(self, values: Tensor) -> Tensor:
+        """Values (..., k, n) of the solver in the unit of the targets."""
+        return values * self.unit[:, None] + self.mean[:, None]
+
+
+def sign_targets(classes: Tensor, signs: Tensor) -> Targets:
+    """Targets of a classifier, whose two classes (2,) the signs (n,) stand for."""
+    y, zero = signs[None], torch.zeros_like(signs[:1])
+    return Targets(y, y, zero, zero + 1, classes, True)
+
+
+def number_targets(given: Tensor) -> Targets:
+    """Targets of a regression, given as (n,) or (n, k)."""
+    y = given.reshape(len(given), -1).T.contiguous()
+    mean, spread = y.mean(1), y.std(1, correction=0)
+    unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
+    # Where all targets are equal, there is only rounding left.
+    unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
+    return Targets(y, (y - mean[:, None]) / unit[:, None], mean, unit, None, given.ndim == 1)
+
+
+@dataclass(frozen=True)
 class Batch:
     """Tensors whose first axis is that of P problems."""
 

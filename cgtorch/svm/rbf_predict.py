@@ -13,34 +13,36 @@ centres to multiples of 16 and outputs to 2, with weight 0, and sums over featur
 (docs/decisions.md).
 """
 
-import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from queue import Empty, SimpleQueue
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.svm.threads import one_thread_each, side_by_side
+from cgtorch.svm.compiled import LOG2E
+from cgtorch.svm.threads import one_thread_each
 
-LOG2E = math.log2(math.e)
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
 _MOST_BYTES = 256 * 1024**2  # of a chunk, however many centres a stranger's model has
 _CHUNKS = 4  # in a block, which is what the small operations before and after work on
-_WORTH_SHARING = 2**19  # kernel values, about 0.4 ms of one core
-
-Machine = tuple[Tensor, Tensor, Tensor, Tensor]
-"""Centres (m, d), weights (m, k), bias (k,) and gamma ()."""
-
-Block = tuple[Tensor, Tensor, Tensor | None]
-"""Rows (b, d), where their values (b, k) go, and where the nearest centre's exponents (b,) go."""
+_WORTH_SHARING = 2**20  # kernel values, about 0.8 ms of one core
 
 
-def fused_rbf(x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:
+def fused_rbf(
+    x: Tensor,
+    centres: Tensor,
+    weights: Tensor,
+    bias: Tensor,
+    gamma: Tensor,
+    with_nearest: bool = True,
+) -> tuple[Tensor, Tensor]:
     """Values (n, k): sum_j w_j exp(-gamma |x - c_j|^2) + bias, differentiable in all but gamma.
+
+    With them come gamma |x - c|^2 log2(e) (n,) of the nearest centres, which cost one pass over the
+    exponents and no kernel evaluation; where they are not asked for, they are a tensor (0,).
 
     Args:
         x: Rows (n, d).
@@ -48,28 +50,31 @@ def fused_rbf(x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: 
         weights: Weights (m, k).
         bias: Biases (k,).
         gamma: Kernel width parameter ().
+        with_nearest: Whether the nearest centres are asked for.
     """
-    machine = centres, weights, bias, gamma
-    if _wants_gradient(x, *machine):
-        return _exponents(x, centres, gamma).exp2() @ weights + bias
-    values = x.new_empty(len(x), len(bias))
-    _compute(x, machine, values, None)
-    return values
-
-
-def fused_rbf_and_nearest(
-    x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
-) -> tuple[Tensor, Tensor]:
-    """As `fused_rbf`, and gamma |x - c|^2 log2(e) of the nearest centre (n,).
-
-    The distance costs one pass over the exponents and no kernel evaluation.
-    """
-    machine = centres, weights, bias, gamma
-    if _wants_gradient(x, *machine):
+    tensors = x, centres, weights, bias, gamma
+    if torch.is_grad_enabled() and any(each.requires_grad for each in tensors):
         exponent = _exponents(x, centres, gamma)
         return exponent.exp2() @ weights + bias, -exponent.amax(1)
-    values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x))
-    _compute(x, machine, values, nearest)
+    values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x) if with_nearest else 0)
+    with one_thread_each() as threads:
+        folded = _folded(centres, weights, bias, gamma, len(x))
+        size = folded.chunk * _CHUNKS
+        blocks = [slice(begin, begin + size) for begin in range(0, len(x), size)]
+
+        def work(block: slice) -> None:
+            _fill(x[block], folded, values[block], nearest[block])
+
+        useful = min(threads, len(blocks), len(x) * len(centres) // _WORTH_SHARING)
+        if len(blocks) == 1:
+            _fill(x, folded, values, nearest)
+        elif useful > 1 and x.device.type == "cpu":
+            # Two threads of one torch thread each beat two of torch's, whose every operation waits.
+            with ThreadPoolExecutor(useful, "cgtorch", torch.set_num_threads, (1,)) as pool:
+                list(pool.map(work, blocks))
+        else:
+            for block in blocks:
+                work(block)
     return values, nearest.neg_()
 
 
@@ -78,10 +83,6 @@ def chunk_rows(centres: int, item: int) -> int:
     row = max(1, centres * item)
     fast = min(_LARGEST_CHUNK, max(_SMALLEST_CHUNK, _CHUNK_BYTES // row))
     return max(1, min(fast, _MOST_BYTES // row) // _ROWS) * _ROWS
-
-
-def _wants_gradient(*parts: Tensor) -> bool:
-    return torch.is_grad_enabled() and any(part.requires_grad for part in parts)
 
 
 def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
@@ -113,8 +114,8 @@ class _Folded:
     chunk: int
 
 
-def _fold(machine: Machine, rows: int) -> _Folded:
-    centres, weights, bias, gamma = machine
+@torch.inference_mode()
+def _folded(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor, rows: int) -> _Folded:
     m, d = centres.shape
     missing = -m % _CENTRES
     mean = centres.mean(0)
@@ -134,50 +135,23 @@ def _fold(machine: Machine, rows: int) -> _Folded:
 
 
 @torch.inference_mode()
-def _compute(x: Tensor, machine: Machine, values: Tensor, nearest: Tensor | None) -> None:
-    """Fill `values` (n, k), and `nearest` (n,) if given, from rows x (n, d)."""
-    with one_thread_each() as threads:
-        folded = _fold(machine, len(x))
-        block = folded.chunk * _CHUNKS
-        rows = x.split(block)
-        ends = nearest.split(block) if nearest is not None else [None] * len(rows)
-        todo: SimpleQueue[Block] = SimpleQueue()
-        for each in zip(rows, values.split(block), ends, strict=True):
-            todo.put(each)
-        work = partial(_work_off, todo, folded, min(block, len(x) + -len(x) % _ROWS))
-        useful = min(threads, len(rows), len(x) * folded.centres // _WORTH_SHARING)
-        if useful > 1 and x.device.type == "cpu":
-            side_by_side(work, useful, threads)
-        else:
-            work()
-
-
-@torch.inference_mode()
-def _work_off(todo: "SimpleQueue[Block]", folded: _Folded, most: int) -> None:
-    """Take blocks of at most `most` rows off `todo` until there are none, in the same buffers."""
+def _fill(x: Tensor, folded: _Folded, values: Tensor, nearest: Tensor) -> None:
+    """Write values (n, k) of rows (n, d), and their largest exponents (n,) if there is room."""
     matrix, weights, chunk = folded.matrix, folded.weights, folded.chunk
-    rows = matrix.new_zeros(matrix.shape[1], most)
-    below = matrix.new_tensor([[0.0], [1.0]])
-    total = matrix.new_zeros(2, len(rows) - 2)
+    n, d = x.shape
+    whole = n + -n % _ROWS
+    rows = matrix.new_zeros(d + 2, whole)
+    torch.sub(x.T, folded.mean, out=rows[:d, :n])
+    total = matrix.new_zeros(2, d)
     total[0] = 1
-    kernel = matrix.new_empty(len(matrix), chunk)
-    sums = matrix.new_empty(len(weights), most)
-    while True:
-        try:
-            x, values, nearest = todo.get_nowait()
-        except Empty:
-            return
-        n, d = x.shape
-        torch.sub(x.T, folded.mean, out=rows[:d, :n])
-        near = rows[:d, : n + -n % _ROWS]
-        torch.addmm(below, total, near * near, out=rows[d:, : near.shape[1]])
-        for begin in range(0, n, chunk):
-            last = min(begin + chunk, n)
-            end = last + (begin - last) % _ROWS
-            part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
-            torch.mm(matrix, rows[:, begin:end], out=part)
-            if nearest is not None:
-                torch.amax(part[: folded.centres, : last - begin], 0, out=nearest[begin:last])
-            part.exp2_()
-            torch.mm(weights, part, out=sums[:, begin:end])
-        torch.add(sums[: len(folded.bias), :n].T, folded.bias, out=values)
+    torch.addmm(matrix.new_tensor([[0.0], [1.0]]), total, rows[:d] * rows[:d], out=rows[d:])
+    kernel, sums = matrix.new_empty(len(matrix), chunk), matrix.new_empty(len(weights), whole)
+    for begin in range(0, n, chunk):
+        last, end = min(begin + chunk, n), min(begin + chunk, whole)
+        part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
+        torch.mm(matrix, rows[:, begin:end], out=part)
+        if len(nearest):
+            torch.amax(part[: folded.centres, : last - begin], 0, out=nearest[begin:last])
+        part.exp2_()
+        torch.mm(weights, part, out=sums[:, begin:end])
+    torch.add(sums[: len(folded.bias), :n].T, folded.bias, out=values)

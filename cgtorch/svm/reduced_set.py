@@ -4,7 +4,7 @@ The centres are picked by pivoted Cholesky (Fine & Scheinberg 2001), the greedy 
 that the others explain least, and their weights fitted by QR to the exact model's answers.
 """
 
-from dataclasses import dataclass
+from copy import deepcopy
 from typing import TypeVar
 
 import torch
@@ -13,30 +13,12 @@ from torch import Tensor
 from cgtorch.ground.errors import SettingsError
 from cgtorch.svm.inputs import as_rows
 from cgtorch.svm.kernels import Kernel, make_kernel
-from cgtorch.svm.svc import SVC
-from cgtorch.svm.svr import SVR
+from cgtorch.svm.machine import KernelMachine
 
-Machine = TypeVar("Machine", SVC, SVR)
+Machine = TypeVar("Machine", bound=KernelMachine)
 
 _FLOOR = 1e-12  # of the largest diagonal element, below which the rest is rounding
 _RIDGES = tuple(10.0**-power for power in range(1, 11))
-
-
-@dataclass(frozen=True)
-class CompactReport:
-    """What compacting cost.
-
-    Attributes:
-        centres: Centres kept.
-        before: Centres of the exact model.
-        mean_loss: Mean absolute difference of the values on rows not used in the fit, by output.
-        largest_loss: Largest such difference, by output.
-    """
-
-    centres: int
-    before: int
-    mean_loss: tuple[float, ...]
-    largest_loss: tuple[float, ...]
 
 
 def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
@@ -60,20 +42,17 @@ def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
     return torch.tensor(chosen, dtype=torch.long, device=x.device)
 
 
-def compact(machine: Machine, centres: int, x: Tensor) -> tuple[Machine, CompactReport]:
+def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
     """A machine with at most `centres` centres fitted to the values of `machine`.
 
     Three of four rows fit the weights, the fourth chooses the ridge, by answers in the type that
-    the machine computes in, so that weights too large for it are not chosen, and measures the
-    loss. The probabilities of an `SVC` keep its Platt parameters.
+    the machine computes in, so that weights too large for it are not chosen. The probabilities of
+    an `SVC` keep its Platt parameters.
 
     Args:
         machine: A fitted `SVC` or `SVR`.
         centres: Number of centres wanted, at least 1.
         x: Rows (n, d) of the region where it will be asked, at least 8.
-
-    Returns:
-        The smaller machine, and the report.
 
     Raises:
         SettingsError: Fewer than one centre wanted, or fewer than 8 rows.
@@ -88,26 +67,23 @@ def compact(machine: Machine, centres: int, x: Tensor) -> tuple[Machine, Compact
     pool = machine.centres.double()
     picked = pivots(kernel, pool, min(centres, len(pool)))
     test = torch.arange(len(rows), device=rows.device) % 4 == 3
-    with torch.no_grad():
-        truth = machine.values(rows.to(kind)).double()
     smaller, best = None, torch.inf
     design = torch.nn.functional.pad(kernel(rows[~test], pool[picked]), (0, 1), value=1.0)
-    for ridge in _RIDGES:
-        weights = _least_squares(design, truth[~test], ridge)
-        attempt = _with(machine, pool[picked], weights[:-1], weights[-1], picked)
-        with torch.no_grad():
-            loss = (attempt.values(rows[test].to(kind)).double() - truth[test]).abs()
-        if float(loss.mean()) < best:
-            smaller, best, kept = attempt, float(loss.mean()), loss
+    with torch.no_grad():
+        truth = machine.values(rows.to(kind)).double()
+        for ridge in _RIDGES:
+            weights = _least_squares(design, truth[~test], ridge)
+            attempt = deepcopy(machine)
+            attempt.centres, attempt.support = machine.centres[picked], machine.support[picked]
+            attempt.weights, attempt.bias = weights[:-1].to(kind), weights[-1].to(kind)
+            # It is no longer the dual problem's solution.
+            attempt.gap = torch.full_like(machine.gap, torch.inf)
+            loss = (attempt.values(rows[test].to(kind)).double() - truth[test]).abs().mean()
+            if float(loss) < best:
+                smaller, best = attempt, float(loss)
     if smaller is None:
         raise SettingsError("no ridge gave finite values; ask for fewer centres")
-    report = CompactReport(
-        centres=len(picked),
-        before=len(pool),
-        mean_loss=tuple(kept.mean(0).tolist()),
-        largest_loss=tuple(kept.amax(0).tolist()),
-    )
-    return smaller, report
+    return smaller
 
 
 def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
@@ -119,16 +95,3 @@ def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
     q, r = torch.linalg.qr(stacked)
     right = torch.cat([truth, truth.new_zeros(size, truth.shape[1])])
     return torch.linalg.solve_triangular(r, q.T @ right, upper=True)
-
-
-def _with(
-    machine: Machine, centres: Tensor, weights: Tensor, bias: Tensor, kept: Tensor
-) -> Machine:
-    """A copy of `machine` with other centres, weights and bias, in the same type."""
-    copy = type(machine)(**machine.get_params())
-    copy.load_state_dict(machine.state_dict())
-    copy = copy.to(machine.centres)
-    copy.centres, copy.weights = centres.to(machine.centres), weights.to(machine.weights)
-    copy.bias, copy.support = bias.to(machine.bias), machine.support[kept]
-    copy.gap = torch.full_like(machine.gap, torch.inf)  # no longer the dual problem's solution
-    return copy

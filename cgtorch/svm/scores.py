@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 from torch import Tensor
 
+from cgtorch.ground.errors import SettingsError
+
 
 def accuracy(value: Tensor, truth: Tensor) -> Tensor:
     """Share of rows (..., n) whose decision value has the sign of the truth."""
@@ -38,3 +40,14 @@ SCORES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     score.__name__: score
     for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error, neg_mean_squared_error)
 }
+
+
+def named_score(name: str | None, usual: str) -> str:
+    """A name in `SCORES`, the usual one if None.
+
+    Raises:
+        SettingsError: There is no such score.
+    """
+    if (name := name or usual) not in SCORES:
+        raise SettingsError(f"scoring is {name!r}; choose one of {sorted(SCORES)}")
+    return name

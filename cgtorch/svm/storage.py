@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, TypeAlias
 
 import torch
 from safetensors.torch import save
@@ -12,41 +12,33 @@ from torch import Tensor, nn
 
 from cgtorch.ground.errors import ModelError
 from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
+from cgtorch.svm.machine import KernelMachine
 from cgtorch.svm.svc import SVC
 from cgtorch.svm.svr import SVR
 
 VERSION = 3
-Kinds: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 MAX_BYTES = 1024**3
 """Largest model file that `load_model` reads."""
 
-_POSITIVE = ("gamma_value", "scale", "spread", "reach")
-
+Model: TypeAlias = nn.Module
+"""A machine, or a model around one, such as Γ and C: it has the machine as `machine`, buffers of
+its own, and a method `shapes(features)` that gives their shapes by name."""
+Kinds: TypeAlias = Mapping[str, Callable[[], Model]]
 MACHINES: Kinds = {"SVC": SVC, "SVR": SVR}
 """What makes an unfitted machine, by the name of its class."""
+
 _MACHINE_SETTINGS = ("kernel", "degree", "coef0")
+_POSITIVE = ("gamma_value", "scale", "spread", "reach")
+_MAY_BE_INFINITE = ("platt", "gap")
 
 
-@runtime_checkable
-class Wrapped(Protocol):
-    """A model around a machine, such as Γ and C: a `torch.nn.Module` with buffers of its own."""
-
-    machine: SVC | SVR
-
-    def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of its own buffers, given the machine's number of features."""
-        ...
-
-
-Model: TypeAlias = nn.Module
-"""An `SVC`, an `SVR`, or a `Wrapped` one."""
-
-
-def _machine(model: Model) -> SVC | SVR:
-    if isinstance(model, SVC | SVR):
-        return model
-    assert isinstance(model, Wrapped)  # noqa: S101  nothing else is made here
-    return model.machine
+def _machine(model: Model) -> tuple[str, KernelMachine]:
+    """The machine of a model, and what the names of its buffers begin with."""
+    place, machine = (
+        ("", model) if isinstance(model, KernelMachine) else ("machine.", model.machine)
+    )
+    assert isinstance(machine, KernelMachine)  # noqa: S101  nothing else is made here
+    return place, machine
 
 
 def save_model(path: str | Path, model: Model, report: Any = None) -> None:
@@ -61,20 +53,18 @@ def save_model(path: str | Path, model: Model, report: Any = None) -> None:
         ModelError: The model is not fitted, its kernel is a callable, or the file cannot be
             written.
     """
-    kind = type(model).__name__
-    machine = _machine(model)
+    machine = _machine(model)[1]
     machine._check_fitted()
     if not isinstance(machine.kernel, str):
         raise ModelError("a model with a callable kernel cannot be saved; use a named kernel")
-    settings = {name: getattr(machine, name) for name in _MACHINE_SETTINGS}
+    if is_dataclass(report) and not isinstance(report, type):
+        report = asdict(report)
     header = {
         "format": "cgtorch-model",
         "version": VERSION,
-        "kind": kind,
-        "settings": settings,
-        "report": asdict(report)
-        if is_dataclass(report) and not isinstance(report, type)
-        else report,
+        "kind": type(model).__name__,
+        "settings": {name: getattr(machine, name) for name in _MACHINE_SETTINGS},
+        "report": report,
     }
     state = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     data = save(state, metadata={"cgtorch": json.dumps(header)})
@@ -82,7 +72,12 @@ def save_model(path: str | Path, model: Model, report: Any = None) -> None:
 
 
 def load_model(path: str | Path, kinds: Kinds = MACHINES) -> Model:
-    """Read a model that `save_model` wrote, in evaluation mode.
+    """The model of `load_model_and_report` alone."""
+    return load_model_and_report(path, kinds)[0]
+
+
+def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Model, Any]:
+    """What `save_model` wrote: the model, in evaluation mode, and the report as JSON values.
 
     Args:
         path: The file.
@@ -90,24 +85,6 @@ def load_model(path: str | Path, kinds: Kinds = MACHINES) -> Model:
 
     Raises:
         ModelError: The file is missing, damaged, of another version, too large, or no model.
-    """
-    return load_model_and_report(path, kinds)[0]
-
-
-def load_report(path: str | Path, kinds: Kinds = MACHINES) -> Any:
-    """The report stored with a model, as plain JSON values, or None.
-
-    Raises:
-        ModelError: As for `load_model`.
-    """
-    return load_model_and_report(path, kinds)[1]
-
-
-def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Model, Any]:
-    """`load_model` and `load_report` from one reading of the file.
-
-    Raises:
-        ModelError: As for `load_model`.
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, ModelError)
@@ -119,26 +96,18 @@ def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Mo
             raise
         raise ModelError(f"model file {path} is damaged: {error}") from error
     model = kinds[header["kind"]]()
-    _machine(model).set_params(**header["settings"])
+    place, machine = _machine(model)
+    machine.set_params(**header["settings"])
     _check(path, model, state)
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
         raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
-    return model.to(_machine_type(model, state)).eval(), header.get("report")
-
-
-def _machine_type(model: Model, state: dict[str, Tensor]) -> torch.dtype:
-    prefix = "" if _machine(model) is model else "machine."
-    return state[prefix + "centres"].dtype
+    return model.to(state[f"{place}centres"].dtype).eval(), header.get("report")
 
 
 def _header(path: Path, text: str | None, kinds: Kinds) -> dict[str, Any]:
-    """The checked JSON header.
-
-    Raises:
-        ModelError: It is missing or wrong.
-    """
+    """The checked JSON header."""
     try:
         header = json.loads(text or "")
     except (ValueError, TypeError, RecursionError) as error:
@@ -166,45 +135,39 @@ def _header(path: Path, text: str | None, kinds: Kinds) -> dict[str, Any]:
 
 
 def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
-    """Refuse tensors that do not fit together.
-
-    Raises:
-        ModelError: A tensor is missing, of another type or shape, or not finite.
-    """
+    """Refuse tensors that are missing, of another type or shape, or do not fit together."""
     expected = model.state_dict()
     if set(expected) != set(state):
         odd = sorted(set(expected) ^ set(state))[:3]
         raise ModelError(f"model file {path} has missing or unknown tensors: {', '.join(odd)}")
-    prefix = "" if _machine(model) is model else "machine."
     for name, value in state.items():
-        floating = expected[name].is_floating_point()
-        if value.is_floating_point() != floating or (
-            floating and value.dtype not in (torch.float32, torch.float64)
-        ):
-            raise ModelError(f"model file {path}: {name} has type {value.dtype}")
-        if not floating and value.dtype != expected[name].dtype:
-            raise ModelError(f"model file {path}: {name} has type {value.dtype}")
-        if (
-            floating
-            and name.split(".")[-1] not in ("platt", "gap")
-            and not bool(torch.isfinite(value).all())
-        ):
-            raise ModelError(f"model file {path}: {name} has NaN or infinite values")
-        if value.ndim != expected[name].ndim:
-            raise ModelError(f"model file {path}: {name} has shape {tuple(value.shape)}")
-        last = name.split(".")[-1]
-        if (last in _POSITIVE and not bool((value > 0).all())) or (
-            last == "support" and not bool((value >= 0).all())
-        ):
-            raise ModelError(f"model file {path}: {name} has values that it cannot have")
-    m, d = state[prefix + "centres"].shape
-    k = state[prefix + "bias"].shape[0]
-    shapes: dict[str, tuple[int, ...]] = {
+        wrong = _wrong(name.split(".")[-1], value, expected[name])
+        if wrong:
+            raise ModelError(f"model file {path}: {name} has {wrong}")
+    place, machine = _machine(model)
+    (m, d), (k,) = (state[f"{place}{name}"].shape for name in ("centres", "bias"))
+    inner: dict[str, tuple[int, ...]] = {
         "weights": (m, k), "gap": (k,), "cost": (k,), "tube": (k,),
         "support": (m,), "classes": (2,), "platt": (2,),
     }  # fmt: skip
-    outer = {} if isinstance(model, SVC | SVR) else model.shapes(d)  # type: ignore[operator]
-    wrong = [n for n, s in shapes.items() if prefix + n in state and state[prefix + n].shape != s]
-    wrong += [n for n, s in outer.items() if state[n].shape != s]
-    if wrong or 0 in (m, d, k) or (k > 1 and isinstance(_machine(model), SVC)):
-        raise ModelError(f"model file {path}: {', '.join(wrong) or 'centres'} of a wrong shape")
+    shapes = {f"{place}{name}": shape for name, shape in inner.items() if place + name in state}
+    shapes |= {} if model is machine else model.shapes(d)  # type: ignore[operator]
+    bad = [name for name, shape in shapes.items() if state[name].shape != shape]
+    if bad or 0 in (m, d, k) or (k > 1 and isinstance(machine, SVC)):
+        raise ModelError(f"model file {path}: {', '.join(bad) or 'centres'} of a wrong shape")
+
+
+def _wrong(name: str, value: Tensor, expected: Tensor) -> str:
+    """What is wrong with a tensor by itself, nothing if nothing is."""
+    floating = expected.is_floating_point()
+    if value.dtype not in ((torch.float32, torch.float64) if floating else (expected.dtype,)):
+        return f"type {value.dtype}"
+    if floating and name not in _MAY_BE_INFINITE and not bool(torch.isfinite(value).all()):
+        return "NaN or infinite values"
+    if value.ndim != expected.ndim:
+        return f"shape {tuple(value.shape)}"
+    if (name in _POSITIVE and bool((value <= 0).any())) or (
+        name == "support" and bool((value < 0).any())
+    ):
+        return "values that it cannot have"
+    return ""

@@ -7,51 +7,22 @@ from torch import Tensor
 
 from cgtorch.ground.errors import DataError, ModelError, SettingsError
 from cgtorch.svm import inputs
-from cgtorch.svm.folds import given_folds, stratified_folds, training_masks
+from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.optimality import duality_gap
 from cgtorch.svm.platt import fit_platt, probability
-from cgtorch.svm.problems import Problems, State, classification
+from cgtorch.svm.problems import State, Targets, sign_targets
 from cgtorch.svm.solver import solve, start_at
 
 ClassWeight = str | dict[float, float] | None
 
 
-def row_weights(signs: Tensor, classes: Tensor, weight: ClassWeight, mask: Tensor) -> Tensor:
-    """Weights (P, n) of rows with labels `signs` (n,), 0 where `mask` (P, n) leaves them out.
-
-    "balanced" weighs a class by rows / (2 rows of the class) among the rows of the mask.
-
-    Raises:
-        SettingsError: The weight is neither None, "balanced" nor a positive weight per class.
-        DataError: A mask leaves one class only.
-    """
-    kept = mask.to(signs)
-    count = torch.stack([(kept * (signs < 0)).sum(1), (kept * (signs > 0)).sum(1)], dim=1)
-    if bool((count == 0).any()):
-        raise DataError("a training fold holds one class only; use fewer or stratified folds")
-    if weight is None:
-        return kept
-    if weight == "balanced":
-        each = count.sum(1, keepdim=True) / (2 * count)
-    elif isinstance(weight, dict):
-        unknown = [c for c in weight if c not in classes.tolist()]
-        if unknown:
-            raise SettingsError(f"class_weight has {unknown[0]!r:.40}, which is no label in y")
-        pair = [inputs.positive(weight.get(c, 1.0), "class_weight") for c in classes.tolist()]
-        each = torch.tensor(pair, dtype=torch.float64).to(signs).expand(len(kept), 2)
-    else:
-        raise SettingsError(f'class_weight is {weight!r}; use None, "balanced" or a dict')
-    return kept * torch.where(signs < 0, each[:, :1], each[:, 1:])
-
-
 class SVC(KernelMachine):
     """Support vector classifier for two classes, the problem of libsvm's C-SVC.
 
-    The constructor only stores its arguments (scikit-learn's convention). Besides the buffers of
-    `KernelMachine` the fitted state is `classes` (2,) and the Platt parameters `platt` (2,).
+    Besides the buffers of `KernelMachine` the fitted state is `classes` (2,) and the Platt
+    parameters `platt` (2,).
 
     Args:
         C: Cost of a violated margin.
@@ -68,6 +39,8 @@ class SVC(KernelMachine):
 
     classes: Tensor
     platt: Tensor
+    scoring = "accuracy"
+    epsilon = 0.0
 
     def __init__(
         self,
@@ -91,64 +64,59 @@ class SVC(KernelMachine):
         self.register_buffer("classes", torch.tensor([0.0, 1.0], dtype=torch.float64))
         self.register_buffer("platt", torch.full((2,), torch.nan, dtype=torch.float64))
 
-    @property
-    def classes_(self) -> Tensor:
-        """The two labels (2,), ascending."""
-        self._check_fitted()
-        return self.classes
-
-    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
-        """Solve the dual problem on rows x (n, d) with labels y (n,).
-
-        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
-
-        Raises:
-            DataError: Wrong shapes, NaN, not two classes, too few rows for the folds, or more
-                rows than `max_memory` allows.
-            SettingsError: A parameter cannot be used.
-        """
-        cap = inputs.positive(self.C, "C")
-        rows = inputs.as_rows(x)
+    def targets(self, y: Any, rows: Tensor) -> Targets:
+        """See `KernelMachine.targets`: signs of labels (n,)."""
         classes, signs = inputs.as_binary(y, len(rows))
-        signs = signs.to(rows)
-        generator = inputs.generator_of(self.seed)
-        gram = self._gram(rows)
-        everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
-        caps = torch.tensor([cap], dtype=torch.float64).to(rows)
-        problem = classification(
-            signs, caps, row_weights(signs, classes, self.class_weight, everything)
-        )
-        found = solve(gram, problem, self._start(gram, problem, caps / cap) if warm else None)
-        platt = torch.full((2,), torch.nan, dtype=torch.float64, device=rows.device)
-        if self.probability:
-            platt = self._platt(gram, signs, classes, problem, found, generator)
-        self._keep(rows, found.beta, found.bias, duality_gap(problem, found), gram.gamma)
-        self.cost = caps
-        self.classes, self.platt = classes.to(rows), platt
-        return self
+        return sign_targets(classes.to(rows), signs.to(rows))
 
-    def _platt(
-        self,
-        gram: Gram,
-        signs: Tensor,
-        classes: Tensor,
-        problem: Problems,
-        found: State,
-        generator: torch.Generator,
-    ) -> Tensor:
-        """Platt slope and offset (2,) from the decision values of held-out folds."""
-        if isinstance(self.folds, int):
-            folds = stratified_folds(signs, self.folds, generator)
+    def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
+        """See `KernelMachine.row_weights`.
+
+        "balanced" weighs a class by rows / (2 rows of the class) among the rows of the mask.
+        """
+        signs, weight, kept = targets.y[0], self.class_weight, masks.to(targets.y)
+        count = torch.stack([(kept * (signs < 0)).sum(1), (kept * (signs > 0)).sum(1)], dim=1)
+        if bool((count == 0).any()):
+            raise DataError("a training fold holds one class only; use fewer or stratified folds")
+        if weight is None:
+            return kept
+        if weight == "balanced":
+            each = count.sum(1, keepdim=True) / (2 * count)
+        elif isinstance(weight, dict) and targets.classes is not None:
+            classes = targets.classes.tolist()
+            unknown = [c for c in weight if c not in classes]
+            if unknown:
+                raise SettingsError(f"class_weight has {unknown[0]!r:.40}, which is no label in y")
+            pair = [inputs.positive(weight.get(c, 1.0), "class_weight") for c in classes]
+            each = torch.tensor(pair, dtype=torch.float64).to(signs).expand(len(kept), 2)
         else:
-            folds = given_folds(self.folds, len(signs))
-        masks = training_masks(folds).to(signs.device)
-        count = len(masks)
-        weight = row_weights(signs, classes, self.class_weight, masks)
-        held = classification(signs, problem.cap.expand(count).contiguous(), weight)
-        parts = solve(gram, held, start_at(gram, held, found.beta.expand(count, -1)))
-        values = parts.product + parts.bias[:, None]
-        decision = values[folds.to(signs.device), torch.arange(len(signs), device=signs.device)]
-        return torch.stack(fit_platt(decision, signs))
+            raise SettingsError(f'class_weight is {weight!r}; use None, "balanced" or a dict')
+        return kept * torch.where(signs < 0, each[:, :1], each[:, 1:])
+
+    def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
+        """See `KernelMachine.own_state`: Platt's curve, from decision values of held-out folds."""
+        assert targets.classes is not None  # noqa: S101
+        generator = inputs.generator_of(self.seed)
+        platt = torch.full((2,), torch.nan, dtype=torch.float64)
+        if self.probability:
+            folds = fold_numbers(self.folds, targets, generator)
+            masks = training_masks(folds).to(gram.rows.device)
+            held = self.problems(targets, masks)
+            parts = solve(gram, held, start_at(gram, held, found.beta.expand(len(masks), -1)))
+            values = parts.product + parts.bias[:, None]
+            decision = values.gather(0, folds.to(values.device)[None])[0]
+            platt = torch.stack(fit_platt(decision, targets.y[0]))
+        return {"classes": targets.classes, "platt": platt}
+
+    def learn_on(self, x: Any, y: Any) -> Self:
+        """See `KernelMachine.learn_on`; the curve from decision values to probabilities stays.
+
+        It belongs to the hyper-parameters, and fitting it anew would cost five times as much.
+        """
+        platt = self.platt
+        super().learn_on(x, y)
+        self.platt = platt
+        return self
 
     def decision_function(self, x: Any) -> Any:
         """Signed decision values (...), positive for the second class.

@@ -1,57 +1,24 @@
 """Epsilon-SVR with one or several outputs that share their centres."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Self
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import inputs
+from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.optimality import duality_gap
-from cgtorch.svm.problems import regression
-from cgtorch.svm.solver import solve
-
-
-def per_output(
-    value: float | Sequence[float],
-    name: str,
-    outputs: int,
-    rows: Tensor,
-    check: Callable[[Any, str], float] = inputs.positive,
-) -> Tensor:
-    """One number per output (k,), on the device of `rows`, from a number or a sequence.
-
-    Raises:
-        SettingsError: `check` refuses a number, or a sequence has another length.
-    """
-    given = list(value) if isinstance(value, Sequence | Tensor | np.ndarray) else [value] * outputs
-    if len(given) != outputs:
-        raise SettingsError(f"{name} has {len(given)} values for {outputs} outputs")
-    return torch.tensor([check(one, name) for one in given], dtype=torch.float64).to(rows)
-
-
-def units(targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean (k,) and a power of two near the standard deviation (k,) of targets (k, n).
-
-    The dual problem of (z - mean) / unit with C / unit and epsilon / unit has the coefficients
-    beta / unit, so that what counts as small in the solver does not depend on the targets' unit.
-    """
-    mean = targets.mean(1)
-    spread = targets.std(1, correction=0)
-    # Where all targets are equal, there is only rounding left.
-    unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
-    return mean, torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
+from cgtorch.svm.problems import State, Targets, number_targets
 
 
 class SVR(KernelMachine):
     """Support vector regression, the problem of libsvm's epsilon-SVR for every output.
 
-    The constructor only stores its arguments (scikit-learn's convention). The outputs are solved
-    together on one kernel matrix and predict from the union of their support vectors.
+    The outputs are solved together on one kernel matrix and predict from the union of their
+    support vectors. Besides the buffers of `KernelMachine` the fitted state is `tube` (k,), the
+    epsilon of each output, and `squeeze` (), whether it was fitted on targets (n,).
 
     Args:
         C: Cost of a residual beyond the tube, one or one per output.
@@ -65,6 +32,7 @@ class SVR(KernelMachine):
 
     squeeze: Tensor
     tube: Tensor
+    scoring = "r2"
 
     def __init__(
         self,
@@ -84,31 +52,23 @@ class SVR(KernelMachine):
         self.register_buffer("squeeze", torch.tensor(True))
         self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
 
-    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
-        """Solve the dual problems on rows x (n, d) with targets y (n,) or (n, k).
+    def targets(self, y: Any, rows: Tensor) -> Targets:
+        """See `KernelMachine.targets`: numbers (n,) or (n, k)."""
+        return number_targets(inputs.as_targets(y, len(rows)).to(rows))
 
-        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
+    def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
+        """See `KernelMachine.row_weights`: all rows weigh the same."""
+        return masks.to(targets.y)
 
-        Raises:
-            DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
-            SettingsError: A parameter cannot be used.
-        """
-        rows = inputs.as_rows(x)
-        given = inputs.as_targets(y, len(rows)).to(rows)
-        targets = given.reshape(len(rows), -1).T.contiguous()
-        cap = per_output(self.C, "C", len(targets), rows)
-        tube = per_output(self.epsilon, "epsilon", len(targets), rows, inputs.not_negative)
-        gram = self._gram(rows)
-        mean, unit = units(targets)
-        scaled = (targets - mean[:, None]) / unit[:, None]
-        problems = regression(scaled, cap / unit, tube / unit, torch.ones_like(targets))
-        found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
-        beta, bias = found.beta * unit[:, None], found.bias * unit + mean
-        gap = duality_gap(problems, found) * unit.square()
-        self._keep(rows, beta, bias, gap, gram.gamma)
-        self.cost, self.tube = cap, tube
-        self.squeeze = torch.tensor(given.ndim == 1, device=rows.device)
-        return self
+    def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
+        """See `KernelMachine.own_state`."""
+        tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), inputs.not_negative)
+        return {"tube": tube, "squeeze": torch.tensor(targets.single)}
+
+    def learn_on(self, x: Any, y: Any) -> Self:
+        """See `KernelMachine.learn_on`."""
+        self.epsilon = self.tube.tolist()
+        return super().learn_on(x, y)
 
     def forward(self, x: Tensor) -> Tensor:
         """Predictions (..., k), or (...) if fitted on targets (n,), differentiable in x.

@@ -170,7 +170,7 @@ def test_kinds_of_input_come_back_in_kind():
     assert model(torch.tensor(X).reshape(4, 10, 3)).shape == (4, 10)
     np.testing.assert_allclose(model.predict_proba(X).sum(1), 1)
     words = SVC().fit(X, np.where(Y > 0, 5, -2))
-    assert words.classes_.tolist() == [-2, 5]
+    assert words.classes.tolist() == [-2, 5]
 
 
 def test_the_global_state_of_torch_is_left_alone():
@@ -207,4 +207,4 @@ def test_state_dict_is_complete():
     copy = SVC()
     copy.load_state_dict(model.state_dict())
     assert torch.equal(copy(torch.tensor(X)), model(torch.tensor(X)))
-    assert copy.support_.tolist() == model.support_.tolist()
+    assert copy.support.tolist() == model.support.tolist()

@@ -66,10 +66,19 @@ def _regression(name):
     return _split(_scaled(x), _scaled(q[:, 0]), 400)
 
 
+def _coefficients(model, rows):
+    """The dual coefficients of a fitted scikit-learn or cgtorch model."""
+    beta = np.zeros(rows)
+    if isinstance(model, SVC | SVR):
+        beta[model.support] = model.weights[:, 0]
+    else:
+        beta[model.support_] = np.ravel(model.dual_coef_)
+    return beta
+
+
 def _objective(model, gram, z, epsilon):
     """The dual function, without its sign, of a fitted scikit-learn or cgtorch model."""
-    beta = np.zeros(len(gram))
-    beta[np.asarray(model.support_)] = np.asarray(model.dual_coef_).ravel()
+    beta = _coefficients(model, len(gram))
     return 0.5 * beta @ gram @ beta - z @ beta + epsilon * np.abs(beta).sum()
 
 
@@ -83,8 +92,7 @@ def _violation(model, gram, z, C):
     libsvm keeps its kernel values in single precision, so that it is about 1e-6 away from them,
     whatever tolerance it is given.
     """
-    beta = np.zeros(len(gram))
-    beta[np.asarray(model.support_)] = np.asarray(model.dual_coef_).ravel()
+    beta = _coefficients(model, len(gram))
     residual = z - gram @ beta
     can_rise = beta < np.where(z > 0, C, 0) - 1e-9 * C
     can_fall = beta > np.where(z < 0, -C, 0) + 1e-9 * C
@@ -202,4 +210,4 @@ def test_outputs_share_centres_and_each_is_its_own_machine():
     for k, (cap, tube) in enumerate([(1.0, 0.1), (2.0, 0.2), (4.0, 0.4)]):
         alone = SVR(cap, epsilon=tube).fit(x, y[:, k])
         assert np.abs(alone.predict(x) - value[:, k]).max() < 1e-5
-        assert set(alone.support_.tolist()) <= set(together.support_.tolist())
+        assert set(alone.support.tolist()) <= set(together.support.tolist())

@@ -31,18 +31,15 @@ def test_what_is_explained_already_is_not_chosen() -> None:
     assert len(pivots(make_kernel("rbf", 0.5), x, 60)) == 10
 
 
-def test_more_centres_lose_less_and_the_loss_is_said() -> None:
+def test_more_centres_lose_less() -> None:
     x = _rows(400)
     machine = SVR(5.0, gamma=0.3, epsilon=0.01).fit(x[:300], (2 * x[:300, 0]).sin())
     losses = []
     for centres in (10, 30, 90):
-        small, report = compact(machine, centres, x)
-        assert len(small.centres) == report.centres == centres
-        assert report.before == len(machine.centres)
+        small = compact(machine, centres, x)
+        assert len(small.centres) == centres
         error = (small.predict(x) - machine.predict(x)).abs()
-        assert float(error[3::4].mean()) == pytest.approx(report.mean_loss[0])
-        assert float(error[3::4].max()) == pytest.approx(report.largest_loss[0])
-        losses.append(report.mean_loss[0])
+        losses.append(float(error[3::4].mean()))
     assert losses == sorted(losses, reverse=True)
     with pytest.raises(SettingsError, match="8 rows"):
         compact(machine, 4, x[:7])

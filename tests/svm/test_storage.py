@@ -15,7 +15,7 @@ from torch import nn
 
 from cgtorch.ground.errors import ModelError
 from cgtorch.ground.files import tensors_of
-from cgtorch.svm import SVC, SVR, Choice, load_model, load_report, save_model
+from cgtorch.svm import SVC, SVR, Choice, load_model, save_model
 from cgtorch.svm.storage import MACHINES, load_model_and_report
 
 REPORT = Choice(4.0, 0.1, 0.0, 0.75)
@@ -57,7 +57,7 @@ def test_what_was_saved_is_what_is_loaded(model_file, tmp_path):
     again = load_model(path, KINDS)
     assert torch.equal(again(rows), model(rows))
     assert not again.training
-    assert load_report(path, KINDS) == asdict(REPORT)
+    assert load_model_and_report(path, KINDS)[1] == asdict(REPORT)
 
     x, y = labelled(100)
     for other in (
@@ -177,7 +177,7 @@ def test_a_file_is_read_once(model_file, monkeypatch):
     monkeypatch.setattr(Path, "open", lambda p, *a, **k: opened.append(p) or plain(p, *a, **k))
     model, report = load_model_and_report(model_file[0], KINDS)
     assert opened == [model_file[0]]
-    assert report == load_report(model_file[0], KINDS)
+    assert report == asdict(REPORT)
     assert torch.equal(model.machine.weights, model_file[1].machine.weights)
 
 

@@ -15,7 +15,6 @@ from torch import Generator, nn
 
 from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import taken
-from cgtorch.domains.learning_on import compact_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
@@ -94,7 +93,7 @@ def prepare(folder: Path) -> ActionSet:
     gamma, report = load_model_and_report(stage / "gamma.safetensors", MODELS)
     assert isinstance(gamma, TableTransitionModel)  # noqa: S101
     data = load_dataset(stage / "data.safetensors")
-    gamma = compact_transition_model(gamma, 16, data.percept[:200], data.control[:200])[0]
+    gamma = gamma.compacted(16, data.percept[:200], data.control[:200])
     save_model(stage / "gamma.safetensors", gamma, report)
     save_dataset(stage / "aside.safetensors", _few(data), {"seed": "2"})
     save_dataset(stage / "data.safetensors", _few(data), {"seed": "2"})

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.domains.reports import TransitionReport
-from cgtorch.domains.transition import rim
-from cgtorch.domains.transition_fit import SCORE, transition_rows
+from cgtorch.domains.transition import rim, transition_rows
+from cgtorch.domains.transition_fit import SCORE
 from cgtorch.svm import SVR, doubling_sizes, grid_search, inputs, learning_curve
 from cgtorch.tabletop.models import geometry
 from cgtorch.tabletop.models.transition import TableTransitionModel

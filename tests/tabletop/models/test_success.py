@@ -1,13 +1,15 @@
 """C: accurate, calibrated, differentiable, and honest about both."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import torch
 from stand_in import labelled, labels, transitions
 
-from cgtorch.domains.learning_on import compact_success_classifier, update_success_classifier
 from cgtorch.domains.success import calibration, fit_success_classifier
 from cgtorch.ground.errors import DataError
+from cgtorch.svm import compact
 from cgtorch.tabletop.models import GraspClassifier
 
 GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}
@@ -16,6 +18,13 @@ GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}
 @pytest.fixture(scope="module")
 def fitted():
     return fit_success_classifier(GraspClassifier(), *labelled(900, 1), **GRID)
+
+
+def compacted(model, centres, x):
+    """A classifier of fewer centres that says nearly the same of percepts (n, D)."""
+    small = deepcopy(model)
+    small.machine = compact(model.machine, centres, model.features(x))
+    return small
 
 
 def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
@@ -34,7 +43,7 @@ def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
 def test_gradients_equal_finite_differences():
     x, y = labelled(150, 3)
     model, _ = fit_success_classifier(GraspClassifier(), x, y, dtype=torch.float64, **GRID)
-    small, _ = compact_success_classifier(model, 16, torch.tensor(x))
+    small = compacted(model, 16, torch.tensor(x))
     x = torch.tensor(labelled(4, 4)[0], requires_grad=True)
     assert torch.autograd.gradcheck(model, (x,))
     assert torch.autograd.gradcheck(small, (x,))
@@ -63,7 +72,7 @@ def test_learning_on_improves(fitted):
     order = np.random.default_rng(0).permutation(700)
     x, y = x[order], y[order]
     start, _ = fit_success_classifier(GraspClassifier(), x[:120], y[:120], **GRID)
-    grown = update_success_classifier(start, x, y)
+    grown = start.updated(x, y)
     fresh, _, _ = transitions(6000, 8)
     truth = torch.tensor(labels(fresh)) > 0
     wrong = [
@@ -75,8 +84,8 @@ def test_learning_on_improves(fitted):
 def test_a_compact_classifier_keeps_its_probabilities(fitted):
     model, _ = fitted
     x = torch.tensor(labelled(900, 1)[0])
-    small, report = compact_success_classifier(model, 64, x)
-    assert len(small.machine.centres) == report.centres <= 64
+    small = compacted(model, 64, x)
+    assert len(small.machine.centres) <= 64
     fresh = torch.tensor(labelled(500, 9)[0])
     assert float((small(fresh) - model(fresh)).abs().mean()) < 0.03
 

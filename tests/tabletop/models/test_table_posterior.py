@@ -9,11 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.domains.learning_on import (
-    compact_transition_model,
-    transition_coreset,
-    update_transition_model,
-)
 from cgtorch.domains.success import fit_success_classifier
 from cgtorch.environment import start_lanes
 from cgtorch.ground.errors import DataError
@@ -119,11 +114,11 @@ def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
     model, report, (p, u, q) = fitted
     save_model(tmp_path / "gamma", model, report)
     assert torch.equal(load_model(tmp_path / "gamma", KINDS)(p, u), model(p, u))
-    small, _ = compact_transition_model(model, 32, p, u)
+    small = model.compacted(32, p, u)
     assert torch.allclose(small(p, u), model(p, u), atol=1e-6)
-    kept, start = transition_coreset(model, p, u, q, 300)
+    kept, start = model.coreset(p, u, q, limit=300)
     assert len(kept) == 300
-    again = update_transition_model(start, p[kept], u[kept], q[kept])
+    again = start.updated(p[kept], u[kept], q[kept])
     assert torch.allclose(again(p, u), model(p, u), atol=1e-5)
 
 

@@ -4,12 +4,6 @@ import numpy as np
 import torch
 from stand_in import labelled, transitions
 
-from cgtorch.domains.learning_on import (
-    label_coreset,
-    transition_coreset,
-    update_success_classifier,
-    update_transition_model,
-)
 from cgtorch.domains.success import fit_success_classifier
 from cgtorch.tabletop.models import GraspClassifier, fit_table_transition_model
 
@@ -21,9 +15,9 @@ def test_gamma_errs_no_more_on_the_transitions_left_out():
     model, report = fit_table_transition_model(*data, dtype=torch.float64, **GRID)
     held_out = sum(report.error[:4]) / 4
     for limit in (report.centres + 50, report.centres // 2):
-        kept, start = transition_coreset(model, *data, limit)
+        kept, start = model.coreset(*data, limit=limit)
         assert len(kept) == limit
-        after = update_transition_model(start, *(a[kept] for a in data))
+        after = start.updated(*(a[kept] for a in data))
         out = np.setdiff1d(np.arange(600), kept.numpy())
         before, error = (
             float((m(data[0][out], data[1][out]) - data[2][out]).abs()[:, :4].mean())
@@ -31,7 +25,7 @@ def test_gamma_errs_no_more_on_the_transitions_left_out():
         )
         # With half of the support vectors gone, the rows left out are as fresh ones.
         assert error < (before + 0.0005 if limit > report.centres else 1.1 * held_out)
-    everything, same = transition_coreset(model, *data, 600)
+    everything, same = model.coreset(*data, limit=600)
     assert len(everything) == 600
     assert same is model
 
@@ -39,10 +33,10 @@ def test_gamma_errs_no_more_on_the_transitions_left_out():
 def test_rows_that_are_no_support_vectors_change_nothing():
     data = [torch.tensor(a) for a in transitions(600, 2)]
     model, report = fit_table_transition_model(*data, dtype=torch.float64, **GRID)
-    kept, start = transition_coreset(model, *data, report.centres + 5)
+    kept, start = model.coreset(*data, limit=report.centres + 5)
     p, u, _ = (torch.tensor(a) for a in transitions(300, 3))
     assert torch.allclose(start(p, u), model(p, u), atol=1e-9)  # it still has all of them
-    after = update_transition_model(start, *(a[kept] for a in data))
+    after = start.updated(*(a[kept] for a in data))
     assert float((after(p, u) - model(p, u)).abs().max()) < 1e-3
 
 
@@ -53,8 +47,8 @@ def test_c_is_no_worse_on_the_labels_left_out():
     model, report = fit_success_classifier(
         GraspClassifier(), x, y, C=[8.0], gamma=[0.1], dtype=torch.float64, grid_rows=300
     )
-    kept, start = label_coreset(model, x, max(300, report.centres + 50))
-    after = update_success_classifier(start, x[kept], y[kept])
+    kept, start = model.coreset(x, y, limit=max(300, report.centres + 50))
+    after = start.updated(x[kept], y[kept])
     out = np.setdiff1d(np.arange(900), kept.numpy())
     right = [float(((m(x[out]) > 0.5) == (y[out] > 0)).double().mean()) for m in (model, after)]
     assert right[1] > right[0] - 0.005

@@ -1,5 +1,6 @@
 """Γ and C of any domain learn on: from more data, from a coreset of them, with fewer centres."""
 
+from copy import deepcopy
 from typing import Any
 
 import pytest
@@ -8,19 +9,12 @@ from rail import Cart, SeeingCart
 from support import seeded
 from torch import Tensor
 
-from cgtorch.domains.learning_on import (
-    compact_success_classifier,
-    compact_transition_model,
-    label_coreset,
-    transition_coreset,
-    update_success_classifier,
-    update_transition_model,
-)
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import DataError
+from cgtorch.svm import compact
 
 GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
 DATA = Cart().explore("any", 300, 300, seeded(0))
@@ -59,7 +53,7 @@ def state(model: torch.nn.Module) -> dict[str, Tensor]:
 def test_more_transitions_make_gamma_better(domain: Cart) -> None:
     start = gamma_of(60, domain)
     before = state(start)
-    grown = update_transition_model(start, *MOVES)
+    grown = start.updated(*MOVES)
     assert error(grown) < 0.85 * error(start)
     assert error(grown, DATA) < error(start, DATA)
     assert type(grown) is type(start)
@@ -72,7 +66,7 @@ def test_more_transitions_make_gamma_better(domain: Cart) -> None:
 def test_more_tests_make_c_better() -> None:
     start = classifier_of(60)
     before = state(start)
-    grown = update_success_classifier(start, *TESTS)
+    grown = start.updated(*TESTS)
     assert wrong(grown) < wrong(start)
     assert torch.equal(grown.machine.platt, start.machine.platt)
     assert all(torch.equal(value, before[name]) for name, value in state(start).items())
@@ -80,26 +74,26 @@ def test_more_tests_make_c_better() -> None:
 
 def test_the_same_data_change_hardly_anything() -> None:
     gamma, classifier = gamma_of(200), classifier_of(200)
-    again = update_transition_model(gamma, *(a[:200] for a in MOVES))
+    again = gamma.updated(*(a[:200] for a in MOVES))
     off = again(FRESH.percept, FRESH.control) - gamma(FRESH.percept, FRESH.control)
     assert float(off.abs().mean()) < 0.02
-    other = update_success_classifier(classifier, *(a[:200] for a in TESTS))
+    other = classifier.updated(*(a[:200] for a in TESTS))
     assert float((other(FRESH.tested) - classifier(FRESH.tested)).abs().mean()) < 0.02
 
 
 def test_rows_that_were_there_have_to_come_first() -> None:
     with pytest.raises(DataError, match="do not begin with"):
-        update_transition_model(gamma_of(60), *(a[:20] for a in MOVES))
+        gamma_of(60).updated(*(a[:20] for a in MOVES))
     with pytest.raises(DataError, match="do not begin with"):
-        update_success_classifier(classifier_of(60), *(a[:20] for a in TESTS))
+        classifier_of(60).updated(*(a[:20] for a in TESTS))
 
 
 def test_few_rows_are_their_own_coreset() -> None:
     gamma, classifier = gamma_of(60), classifier_of(60)
-    rows, start = transition_coreset(gamma, *(a[:60] for a in MOVES), 60)
+    rows, start = gamma.coreset(*(a[:60] for a in MOVES), limit=60)
     assert rows.tolist() == [*range(60)]
     assert start is gamma
-    rows, same = label_coreset(classifier, TESTS[0][:60], 60)
+    rows, same = classifier.coreset(*(a[:60] for a in TESTS), limit=60)
     assert rows.tolist() == [*range(60)]
     assert same is classifier
 
@@ -107,32 +101,32 @@ def test_few_rows_are_their_own_coreset() -> None:
 @pytest.mark.parametrize(("limit", "worse"), [(40, 3), (150, 1.5), (290, 1.15)])
 def test_a_coreset_is_small_and_knows_what_it_stands_for(limit: int, worse: float) -> None:
     gamma = gamma_of(300)
-    rows, start = transition_coreset(gamma, *MOVES, limit)
+    rows, start = gamma.coreset(*MOVES, limit=limit)
     assert len(rows) == limit
     assert torch.equal(rows, rows.unique())
-    smaller = update_transition_model(start, *(a[rows] for a in MOVES))
+    smaller = start.updated(*(a[rows] for a in MOVES))
     assert error(smaller) < worse * error(gamma)
     classifier = classifier_of(300)
-    rows, first = label_coreset(classifier, TESTS[0], limit)
+    rows, first = classifier.coreset(*TESTS, limit=limit)
     assert len(rows) == limit
     assert torch.equal(rows, rows.unique())
-    less = update_success_classifier(first, *(a[rows] for a in TESTS))
+    less = first.updated(*(a[rows] for a in TESTS))
     assert wrong(less) < worse * wrong(classifier)
 
 
 def test_what_is_compact_says_nearly_the_same() -> None:
     gamma, classifier = gamma_of(300), classifier_of(300)
-    small, report = compact_transition_model(gamma, 100, *MOVES[:2])
-    assert report.centres == len(small.machine.centres) == 100 < report.before
+    small = gamma.compacted(100, *MOVES[:2])
+    assert len(small.machine.centres) == 100 < len(gamma.machine.centres)
     assert error(small) < 1.3 * error(gamma)
-    tiny, _ = compact_transition_model(gamma, 12, *MOVES[:2])
+    tiny = gamma.compacted(12, *MOVES[:2])
     known = float((tiny.novelty(*MOVES[:2]) <= 0.5).float().mean())
     assert known == pytest.approx(0.95, abs=0.03)  # whatever few centres there are
     lost = []
     for centres in (20, 100, 300):
-        less, report = compact_success_classifier(classifier, centres, TESTS[0])
-        assert report.centres == len(less.machine.centres) <= centres
-        change = float((less(FRESH.tested) - classifier(FRESH.tested)).abs().mean())
-        lost.append((report.mean_loss, change))
+        less = deepcopy(classifier)
+        less.machine = compact(classifier.machine, centres, classifier.features(TESTS[0]))
+        assert len(less.machine.centres) <= centres
+        lost.append(float((less(FRESH.tested) - classifier(FRESH.tested)).abs().mean()))
     assert lost == sorted(lost, reverse=True)
-    assert lost[-1][1] < 1e-6  # it keeps all that there are
+    assert lost[-1] < 1e-6  # it keeps all that there are
