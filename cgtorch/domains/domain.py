@@ -1,9 +1,8 @@
 """The domain interface: what a run is about.
 
-A domain says what a percept and a control are, draws scenarios, and makes their world. Everything
-else has a default: actions, Γ and C, how data for them are collected, tests, pictures. The paper's
-tabletop (`cgtorch.tabletop`) is one domain, any Gymnasium environment (`cgtorch.domains.gymnasium`)
-is another, and docs/own-domain.md makes a third in sixty lines.
+A domain says what a percept and a control are, draws scenarios, and makes their world; all else has
+a default. The paper's tabletop (`cgtorch.tabletop`) is one domain, any Gymnasium environment
+(`cgtorch.domains.gymnasium`) another, and docs/own-domain.md makes a third in sixty lines.
 """
 
 from abc import ABC, abstractmethod
@@ -119,13 +118,7 @@ class Domain(ABC, Generic[S]):
 
     @abstractmethod
     def draw(self, kind: str, count: int, generator: Generator) -> S:
-        """Random scenarios.
-
-        Args:
-            kind: one of `kinds`.
-            count: how many, also 0.
-            generator: of all random choices.
-        """
+        """So many random scenarios, also 0, of one of `kinds`; all numbers from the generator."""
 
     @abstractmethod
     def world(self, scenarios: S) -> Environment:
@@ -152,29 +145,23 @@ class Domain(ABC, Generic[S]):
     # What can be given: models
 
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
-        """Experience of acting at random in scenarios of a kind.
-
-        Args:
-            kind: of `kinds`.
-            transitions: how many (p, u, p′).
-            tests: how many percepts with what the world says of success there.
-            generator: of all random choices.
+        """Experience of acting at random: transitions (p, u, p′), and tests of success.
 
         Raises:
             DataError: success, or its absence, is hardly ever met.
         """
 
-        def draw(count: int, generator: Generator) -> ScenarioBatch:
-            return self.draw(kind, count, generator)
+        def worlds(count: int) -> Environment:
+            return self.world(self.draw(kind, count, generator))
 
-        return explore(draw, self._world, self.control, transitions, tests, generator)
+        return explore(worlds, self.control, transitions, tests, generator)
 
     def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
-        """Further features (..., F) that Γ learns from; none by default."""
+        """Further features (..., F) that Γ learns from; with any, the domain must be picklable."""
         return percept[..., :0]
 
     def success_features(self, percept: Tensor) -> Tensor:
-        """Further features (..., F) that C learns from; none by default."""
+        """Further features (..., F) that C learns from; with any, the domain must be picklable."""
         return percept[..., :0]
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
@@ -205,29 +192,17 @@ class Domain(ABC, Generic[S]):
     def try_transition(
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
     ) -> Any:
-        """What Γ does on fresh experience, for `summary`.
+        """What the first Γ of a run does on fresh experience, for `summary`; nothing by default.
 
-        It may be asked for in a process of its own, so it must not change anything.
-
-        Args:
-            kind: of scenarios.
-            gamma: the first Γ of a run.
-            tests: fresh tests of success that C is to be judged by, at most.
-            generator: of all random choices.
+        It may be asked for in a process of its own, so it must not change anything. At most so many
+        fresh tests of success are made, which C is to be judged by.
         """
         return None
 
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
-        """What is told of the first models of a run.
-
-        Args:
-            kind: of scenarios.
-            knowledge: the models, with what their fits found.
-            fresh: what `try_transition` gave.
-            generator: of all random choices.
-        """
+        """What is told of the first models of a run; `fresh` is what `try_transition` gave."""
         return summary_of(knowledge)
 
     def imagine(
@@ -247,15 +222,11 @@ class Domain(ABC, Generic[S]):
     # What can be given: files and pictures
 
     def write(self, folder: Path) -> None:
-        """Keep in a run's folder what the domain was made of besides its settings: nothing."""
+        """Keep in a run's folder what the domain was made of besides its settings."""
 
     @classmethod
     def read(cls, settings: DomainSettings, folder: Path) -> Self:
-        """The domain of a run, from its settings and what `write` has kept.
-
-        Raises:
-            CgtorchError: a file is missing or damaged.
-        """
+        """The domain of a run, from its settings and what `write` has kept, or a CgtorchError."""
         return cls(settings)
 
     def made_with(self) -> Mapping[str, str]:
@@ -269,15 +240,10 @@ class Domain(ABC, Generic[S]):
     def draw_scenarios(
         self, scenarios: S, succeeded: Tensor, targets: Tensor, title: str = ""
     ) -> "Figure | None":
-        """A picture of what a skill has solved; None if the domain has none.
+        """A picture of which of B scenarios succeeded (B,) bool; None if the domain has none.
 
-        A label of the figure (`Figure.set_label`) is told below it in a report.
-
-        Args:
-            scenarios: B of them.
-            succeeded: (B,) bool.
-            targets: (B,) bool, those that a stage is tested on.
-            title: stands above it.
+        The targets (B,) bool are those that a stage is tested on. A label of the figure
+        (`Figure.set_label`) is told below it in a report.
         """
         return None
 
@@ -320,9 +286,6 @@ class Domain(ABC, Generic[S]):
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """The domain itself: it never changes, and models that are copied may point to it."""
         return self
-
-    def _world(self, scenarios: Any) -> Environment:
-        return self.world(scenarios)
 
     def _transition_model(self) -> KernelTransitionModel:
         further = self._own("transition_features")

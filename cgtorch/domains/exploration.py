@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Dataset, Environment, ScenarioBatch, start_lanes
+from cgtorch.environment import Dataset, Environment, start_lanes
 from cgtorch.environment.fields import Field, bounds_of, columns_of
 from cgtorch.ground.errors import DataError, DomainError
 
@@ -37,8 +37,7 @@ def random_controls(control: Sequence[Field], count: int, generator: Generator) 
 
 
 def explore(
-    draw: Callable[[int, Generator], ScenarioBatch],
-    world_of: Callable[[ScenarioBatch], Environment],
+    worlds: Callable[[int], Environment],
     control: Sequence[Field],
     transitions: int,
     tests: int,
@@ -49,8 +48,7 @@ def explore(
     Of the tests, both labels are kept as far as there are enough of the rarer one.
 
     Args:
-        draw: gives random scenarios.
-        world_of: makes their world.
+        worlds: makes the world of so many random scenarios.
         control: the numbers of a control, with bounds.
         transitions: how many (p, u, p′).
         tests: how many percepts with what the world says of success there.
@@ -64,7 +62,7 @@ def explore(
     tested: list[tuple[Tensor, Tensor]] = []
     for _ in range(MOST_TRIES):
         count = 16 + max(transitions, tests) // MOVES
-        world = world_of(draw(count, generator))
+        world = worlds(count)
         lanes = start_lanes(world, torch.arange(count), 0, 0)
         for _ in range(MOVES):
             lanes, chance = world.success(lanes)

@@ -81,14 +81,9 @@ def fit_models(
 ) -> tuple[Knowledge, Found]:
     """Γ and C from nine tenths of the data, and what else can be found out once Γ is fitted.
 
-    C takes longest, so where compiled code may use more than one thread all else is done beside it.
-
-    Args:
-        fits: what fits either model.
-        dataset: what is known.
-        seed: of all random choices.
-        more: from Γ to anything; it must not draw from a generator that is used later.
-        alone: in this process only, as what has to do with other ranks must be.
+    C takes longest, so where compiled code may use more than one thread all else is done beside it,
+    unless it is to be done `alone`, in this process, as what has to do with other ranks must be.
+    What finds out `more` must not draw from a generator that is used later.
     """
     data, aside = parted(dataset)
 
@@ -110,8 +105,8 @@ def parted(dataset: Dataset) -> tuple[Dataset, Dataset]:
     return taken(dataset, ~moves, ~tests), taken(dataset, moves, tests)
 
 
-def taken(dataset: Dataset, moves: Tensor, tests: Tensor) -> Dataset:
-    """The transitions `moves` and the tests `tests`, indices or masks."""
+def taken(dataset: Dataset, moves: Tensor | slice, tests: Tensor | slice) -> Dataset:
+    """The transitions `moves` and the tests `tests`, indices, masks or slices."""
     return Dataset(
         dataset.percept[moves],
         dataset.control[moves],
@@ -142,7 +137,7 @@ def imagine(
     Args:
         knowledge: the models.
         percepts: (B, D) first percepts.
-        replicas: at least 1.
+        replicas: how often each scenario is imagined, at least 1.
         generator: of the errors, and of the seeds of what actions draw.
         device: where the environment runs.
         possible: whether a control can be carried out.
@@ -195,13 +190,8 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
     gamma, moves, first = _learn(knowledge.gamma, transitions, MOST_TRANSITIONS)
     classifier, labels, second = _learn(knowledge.classifier, tests, MOST_LABELS)
     data = taken(knowledge.dataset, moves, labels)
-    yes = torch.tensor([first.accepted]), torch.tensor([second.accepted])
-    data, aside = (
-        old.extended(
-            taken(more, yes[0].expand(len(more.percept)), yes[1].expand(len(more.succeeded)))
-        )
-        for old, more in ((data, new), (knowledge.aside, aside))
-    )
+    used = [slice(None) if each.accepted else slice(0) for each in (first, second)]
+    data, aside = data.extended(taken(new, *used)), knowledge.aside.extended(taken(aside, *used))
     return replace(
         knowledge,
         dataset=data,

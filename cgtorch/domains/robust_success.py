@@ -21,7 +21,7 @@ def robust_success(
     generator: Generator,
     replicas: int = REPLICAS,
 ) -> Tensor:
-    """Where a skill succeeds in the models under each of several draws of Γ's errors.
+    """Where (B,) bool a skill succeeds in the models under each of several draws of Γ's errors.
 
     Args:
         domain: what the models are of.
@@ -30,9 +30,6 @@ def robust_success(
         percepts: (B, D) first percepts.
         generator: of the errors, others than those that the skill was evolved under.
         replicas: how often each scenario is run.
-
-    Returns:
-        (B,) bool.
     """
     environment = domain.imagine(knowledge, percepts, replicas, generator)
     with torch.no_grad():

@@ -40,13 +40,9 @@ class Compiled:
 def machine_structure(
     centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
 ) -> Compiled | None:
-    """An RBF machine, or None where compiled code has no room for it.
+    """An RBF machine of centres (m, d), weights (m, k), bias (k,) and gamma (), or None.
 
-    Args:
-        centres: (m, d).
-        weights: (m, k).
-        bias: (k,).
-        gamma: ().
+    None where compiled code has no room for it.
     """
     (m, d), k = centres.shape, len(bias)
     if not 0 < d <= MOST_FEATURES or not 0 < k <= MOST_OUTPUTS or m == 0:

@@ -30,7 +30,7 @@ def compiled_smo_steps(
         matrix: A matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made; gradients
             are in double precision all the same.
         problems: P problems over n rows.
-        start: Feasible coefficients.
+        start: Where they stand, with feasible coefficients.
         tolerance: Violation at which a problem is solved, as libsvm counts it.
         worth: Kernel values that each may take; a thousand million take about a quarter second.
         threads: How many share out the problems, which changes no result.

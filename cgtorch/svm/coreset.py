@@ -16,11 +16,8 @@ from cgtorch.svm.machine import KernelMachine
 def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
     """Indices, ascending, of at most `limit` of the rows (n, d).
 
-    Args:
-        rows: Features (n, d) in which distances mean something.
-        keep: (n,) bool, rows wanted before all others, such as support vectors. If they are more
-            than the limit, the same choice is made among them.
-        limit: How many rows may stay, at least 1.
+    Those to `keep` (n,) bool, such as support vectors, are wanted before all others; if they are
+    more than the limit, the same choice is made among them.
 
     Raises:
         SettingsError: The limit is below 1.
@@ -34,11 +31,11 @@ def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
         chosen, pool = everything[:0], everything[keep]
     else:
         chosen, pool = everything[keep], everything[~keep]
-    more = farthest_first(rows[pool], rows[chosen], limit - len(chosen))
+    more = _farthest_first(rows[pool], rows[chosen], limit - len(chosen))
     return torch.cat([chosen, pool[more]]).sort().values
 
 
-def farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
+def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
     """Indices (count,) of rows (n, d), each the farthest from `covered` (m, d) and those before.
 
     With nothing covered, the first is the row nearest to the mean.

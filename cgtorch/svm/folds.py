@@ -15,7 +15,7 @@ def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Te
 
     Raises:
         SettingsError: Fewer than two folds.
-        DataError: Too few rows, or given folds that are none.
+        DataError: Too few rows, in all or of a class, or given folds that are none.
     """
     rows = targets.y.shape[1]
     if not isinstance(folds, int):
@@ -26,12 +26,7 @@ def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Te
 
 
 def plain_folds(rows: int, count: int, generator: torch.Generator) -> Tensor:
-    """Random fold numbers (n,), the folds' sizes differing by at most one.
-
-    Raises:
-        SettingsError: Fewer than two folds.
-        DataError: Fewer rows than folds.
-    """
+    """Random fold numbers (n,), the folds' sizes differing by at most one."""
     if count < 2:
         raise SettingsError(f"folds is {count}; cross-validation needs at least 2")
     if rows < count:
@@ -40,12 +35,7 @@ def plain_folds(rows: int, count: int, generator: torch.Generator) -> Tensor:
 
 
 def stratified_folds(signs: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """Random fold numbers (n,) with each class of `signs` (n,) spread evenly.
-
-    Raises:
-        SettingsError: Fewer than two folds.
-        DataError: A class has fewer rows than there are folds.
-    """
+    """Random fold numbers (n,) with each class of `signs` (n,) spread evenly."""
     folds = torch.zeros(len(signs), dtype=torch.long)
     for value in signs.unique():
         rows = (signs == value).nonzero().flatten().cpu()
@@ -58,11 +48,7 @@ def stratified_folds(signs: Tensor, count: int, generator: torch.Generator) -> T
 
 
 def given_folds(folds: Any, rows: int) -> Tensor:
-    """Fold numbers (n,) from fold numbers, or from (train, test) index pairs that cover all rows.
-
-    Raises:
-        DataError: They do not give each of the rows exactly one fold.
-    """
+    """Fold numbers (n,) from fold numbers, or (train, test) index pairs that cover all rows."""
     try:
         given = folds if hasattr(folds, "shape") else list(folds)
         if isinstance(given, list) and given and isinstance(given[0], Sequence):

@@ -27,7 +27,7 @@ class Task:
         masks: Rows that each fold trains on (F, n).
         folds: Fold number of each row (n,).
         costs: Costs, ascending.
-        tubes: Half widths of the tube, one of any width for a classifier.
+        tubes: Half widths of the tube, 0 alone for a classifier.
     """
 
     model: KernelMachine
@@ -38,11 +38,6 @@ class Task:
     costs: tuple[float, ...]
     tubes: tuple[float, ...]
 
-    def problems(self, cost: float, tube: float) -> Problems:
-        """The problems (K F) of a cell: of each output every fold."""
-        cell = {"C": cost} if self.targets.classes is not None else {"C": cost, "epsilon": tube}
-        return self.model.with_params(**cell).problems(self.targets, self.masks)
-
 
 def solve_width(task: Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
     """Held-out values (E, N, K, n) and relative duality gaps (E, N, K) of all cells at one gamma.
@@ -50,12 +45,12 @@ def solve_width(task: Task, width: float, threads: int) -> tuple[Tensor, Tensor]
     The values are those of each row from the fold that held it out, in the solver's units; the
     gaps the largest of a cell's folds. No result depends on the number of threads.
     """
-    gram = task.model.with_params(gamma=width).gram(task.rows, threads)
+    gram = task.model.gram(task.rows, width, threads)
     cells = []
     for tube in task.tubes:
         before: tuple[Problems, State] | None = None
         for cost in task.costs:
-            problems = task.problems(cost, tube)
+            problems = task.model.problems(task.targets, task.masks, cost, tube)
             start = _scaled(*before, problems) if before else None
             found = solve(gram, problems, start, ROUGH)
             cells.append(_cell(task, problems, found))

@@ -32,7 +32,14 @@ class KernelMachine(nn.Module, ABC):
     `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
     gap of each output, `cost` (k,) its C, and what a subclass adds. Before `fit` they are empty.
 
-    A subclass's constructor only stores its arguments (scikit-learn's convention).
+    The constructor of a subclass only stores its arguments (scikit-learn's convention).
+
+    Args:
+        kernel: "rbf", "linear", "poly" or a callable (m, d), (n, d) -> (m, n).
+        gamma: Width parameter of "rbf" and "poly": "scale", "auto" or a positive number.
+        degree: Degree of "poly".
+        coef0: Constant of "poly".
+        max_memory: Bytes that kernel matrices may take.
     """
 
     centres: Tensor
@@ -48,14 +55,13 @@ class KernelMachine(nn.Module, ABC):
 
     C: Any
     epsilon: Any
-    kernel: str | Kernel
-    gamma: str | float
-    degree: int
-    coef0: float
-    max_memory: int
 
-    def __init__(self) -> None:
+    def __init__(
+        self, kernel: str | Kernel, gamma: str | float, degree: int, coef0: float, max_memory: int
+    ) -> None:
         super().__init__()
+        self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
+        self.max_memory = max_memory
         shapes = {"centres": (0, 0), "weights": (0, 1), "bias": (1,), "gap": (1,), "cost": (1,)}
         for name, shape in shapes.items():
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
@@ -128,24 +134,29 @@ class KernelMachine(nn.Module, ABC):
         inputs.check_memory(len(rows), self.max_memory)
         return rows
 
-    def gram(self, rows: Tensor, most_threads: int = 0) -> Gram:
-        """The kernel values among training rows (n, d), by so many threads or the usual number.
+    def gram(self, rows: Tensor, gamma: float | None = None, most_threads: int = 0) -> Gram:
+        """The kernel values among training rows (n, d), if given with another gamma or threads.
 
         Raises:
             SettingsError: The kernel or one of its parameters cannot be used.
         """
-        gamma = resolve_gamma(self.gamma, rows)
-        return Gram(self.kernel, rows, gamma, self.degree, self.coef0, most_threads or threads())
+        width = resolve_gamma(self.gamma if gamma is None else gamma, rows)
+        return Gram(self.kernel, rows, width, self.degree, self.coef0, most_threads or threads())
 
-    def problems(self, targets: Targets, masks: Tensor) -> Problems:
+    def problems(
+        self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
+    ) -> Problems:
         """The problems (k P) of each output under each of the masks (P, n) of rows to learn from.
+
+        C and epsilon are the machine's if not given.
 
         Raises:
             SettingsError: C or epsilon cannot be used.
         """
         outputs, unit = len(targets.z), targets.unit
-        cap = inputs.per_output(self.C, "C", outputs).to(unit) / unit
-        tube = inputs.per_output(self.epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
+        C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
+        cap = inputs.per_output(C, "C", outputs).to(unit) / unit
+        tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
         cap, tube = (x.repeat_interleave(len(masks)) for x in (cap, tube / unit))
         weight = self.row_weights(targets, masks).repeat(outputs, 1)
         if targets.classes is not None:
@@ -165,10 +176,6 @@ class KernelMachine(nn.Module, ABC):
         """Values (..., k), and for an RBF kernel the squared distance (...) to the nearest centre.
 
         Both come from the same kernel evaluation. For other kernels the distance is 0.
-
-        Raises:
-            ModelError: Not fitted.
-            DataError: Another number of features.
         """
         values, exponent = self._values(x, with_nearest=True)
         distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
@@ -214,10 +221,6 @@ class KernelMachine(nn.Module, ABC):
                 raise SettingsError(f"{name!r} is no parameter; choose among {sorted(known)}")
             setattr(self, name, value)
         return self
-
-    def with_params(self, **params: Any) -> Self:
-        """An unfitted machine with the same arguments but for these."""
-        return type(self)(**self.get_params() | params)
 
     def _check_fitted(self) -> None:
         if not self.fitted:

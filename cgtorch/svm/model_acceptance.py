@@ -34,15 +34,11 @@ class Acceptance:
 
 
 def accept_model(before: Tensor, after: Tensor) -> Acceptance:
-    """Accept a successor unless it is worse, by more than the noise of the comparison.
+    """Accept a successor unless its errors (n,) are worse, by more than the comparison's noise.
 
     The noise is taken as two standard errors of the mean of the differences, row by row: of equal
     successors one in forty is refused. Where the models answer alike it is nearly zero, so it does
-    not let many small losses through.
-
-    Args:
-        before: Errors (n,) of the model on held-out rows; without rows the successor is accepted.
-        after: Errors (n,) of its successor on the same rows.
+    not let many small losses through. Without rows to compare on the successor is accepted.
     """
     rows = len(before)
     if rows < 2:

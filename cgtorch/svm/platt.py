@@ -28,17 +28,10 @@ def _loss(logit: Tensor, target: Tensor) -> Tensor:
 
 
 def fit_platt(decision: Tensor, signs: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope and offset that make held-out decision values into probabilities.
+    """Slope () and offset () by which held-out decision values (n,) tell the signs (n,), float64.
 
     Newton's method with backtracking on the regularised targets (N+ + 1) / (N+ + 2) and
     1 / (N- + 2) (Lin, Lin & Weng 2007, algorithm 1).
-
-    Args:
-        decision: Held-out decision values (n,).
-        signs: Labels -1 and 1 (n,).
-
-    Returns:
-        Slope () and offset (), float64.
     """
     f = decision.double()
     positive = signs > 0

@@ -23,12 +23,12 @@ _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the othe
 
 
 def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
-    """The solution of a single problem from a state with feasible coefficients, or None.
+    """The solution of a single problem, without the axis of problems, or None.
 
     Args:
         kernel: Kernel matrix (n, n), positive semidefinite.
-        problem: One problem over its rows, without the axis of problems.
-        start: Where it stands; coefficients say who is free and who is bound.
+        problem: One problem over its rows.
+        start: Feasible coefficients, which say who is free and who is bound.
         tolerance: Largest violation of the optimality conditions of a solution.
     """
     beta, bias, z = start.beta, start.bias, problem.z

@@ -110,12 +110,9 @@ class State(Batch):
 
 
 def classification(signs: Tensor, cap: Tensor, weight: Tensor) -> Problems:
-    """C-SVC problems.
+    """C-SVC problems of signs (n,), each with its C (P,).
 
-    Args:
-        signs: Labels -1 and 1 (n,), float64.
-        cap: The C of each problem (P,).
-        weight: Weight of each row in each problem (P, n), 0 where it is held out.
+    The weights (P, n) of rows are factors on C, 0 where a row is held out.
     """
     width = cap[:, None] * weight
     return Problems(
@@ -128,13 +125,9 @@ def classification(signs: Tensor, cap: Tensor, weight: Tensor) -> Problems:
 
 
 def regression(targets: Tensor, cap: Tensor, epsilon: Tensor, weight: Tensor) -> Problems:
-    """epsilon-SVR problems.
+    """epsilon-SVR problems of targets (P, n), with their C (P,) and half widths of the tube (P,).
 
-    Args:
-        targets: Targets of each problem (P, n), float64.
-        cap: The C of each problem (P,).
-        epsilon: Half width of the tube of each problem (P,).
-        weight: Weight of each row in each problem (P, n), 0 where it is held out.
+    The weights (P, n) of rows are factors on C, 0 where a row is held out.
     """
     width = cap[:, None] * weight
     return Problems(z=targets, lower=-width, upper=width, epsilon=epsilon, cap=cap)

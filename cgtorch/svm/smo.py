@@ -27,14 +27,10 @@ Array = NDArray[np.float64]
 def smo_steps(
     kernel: Tensor, problems: Problems, start: State, tolerance: float, most: int
 ) -> State:
-    """Take problems on until they are solved or have taken `most` steps each.
+    """Take problems on from feasible coefficients until they are solved or have had `most` steps.
 
-    Args:
-        kernel: Kernel matrix (n, n), positive semidefinite.
-        problems: P problems over n rows.
-        start: Where they stand, with feasible coefficients.
-        tolerance: Violation at which a problem is solved, as libsvm counts it.
-        most: Largest number of steps.
+    The kernel (n, n) has to be positive semidefinite; a problem is solved where its violation, as
+    libsvm counts it, is below the tolerance.
     """
     matrix: Array = kernel.numpy()
     found = start.take(torch.arange(len(start.bias)))

@@ -44,16 +44,13 @@ def start_at(gram: Gram, problems: Problems, beta: Tensor) -> State:
 def solve(
     gram: Gram, problems: Problems, start: State | None = None, tolerance: float = EXACT
 ) -> State:
-    """Solve every problem, on the CPU, wherever its tensors are.
+    """Feasible solutions of all problems, computed on the CPU, wherever their tensors are.
 
     Args:
-        gram: Kernel values among n rows, positive semidefinite.
-        problems: P problems over its rows.
+        gram: Kernel values among the rows, positive semidefinite.
+        problems: P problems.
         start: Feasible coefficients to start from.
         tolerance: Largest violation of the optimality conditions, as libsvm counts it.
-
-    Returns:
-        Feasible solutions.
 
     Raises:
         ModelError: One could not be solved.
@@ -96,11 +93,7 @@ def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, toleranc
 
 
 def _check(problems: Problems, found: State, left: Tensor) -> None:
-    """Refuse the problems `left` (R,) if they are far from solved.
-
-    Raises:
-        ModelError: They are.
-    """
+    """ModelError where the problems `left` (R,) are far from solved."""
     if len(left) == 0:
         return
     gap = relative_gap(problems.take(left), found.take(left))

@@ -21,20 +21,15 @@ ClassWeight = str | dict[float, float] | None
 class SVC(KernelMachine):
     """Support vector classifier for two classes, the problem of libsvm's C-SVC.
 
-    Besides the buffers of `KernelMachine` the fitted state is `classes` (2,) and the Platt
-    parameters `platt` (2,).
+    Besides the buffers of `KernelMachine`, where the other arguments are told, the fitted state
+    is `classes` (2,) and the Platt parameters `platt` (2,).
 
     Args:
         C: Cost of a violated margin.
-        kernel: "rbf", "linear", "poly" or a callable (m, d), (n, d) -> (m, n).
-        gamma: Width parameter of "rbf" and "poly": "scale", "auto" or a positive number.
-        degree: Degree of "poly".
-        coef0: Constant of "poly".
         class_weight: None, "balanced", or a factor on C per class.
         probability: Fit Platt probabilities by cross-validation.
         folds: Number of stratified folds for them, or fold numbers (n,), or (train, test) pairs.
         seed: Seed or generator of the folds.
-        max_memory: Bytes that kernel matrices may take.
     """
 
     classes: Tensor
@@ -56,11 +51,9 @@ class SVC(KernelMachine):
         seed: int | torch.Generator = 0,
         max_memory: int = inputs.MAX_MEMORY,
     ) -> None:
-        super().__init__()
-        self.C = C
-        self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
-        self.class_weight, self.probability = class_weight, probability
-        self.folds, self.seed, self.max_memory = folds, seed, max_memory
+        super().__init__(kernel, gamma, degree, coef0, max_memory)
+        self.C, self.class_weight = C, class_weight
+        self.probability, self.folds, self.seed = probability, folds, seed
         self.register_buffer("classes", torch.tensor([0.0, 1.0], dtype=torch.float64))
         self.register_buffer("platt", torch.full((2,), torch.nan, dtype=torch.float64))
 
@@ -119,12 +112,7 @@ class SVC(KernelMachine):
         return self
 
     def decision_function(self, x: Any) -> Any:
-        """Signed decision values (...), positive for the second class.
-
-        Raises:
-            ModelError: Not fitted.
-            DataError: Wrong shape.
-        """
+        """Signed decision values (...), positive for the second class."""
         with torch.no_grad():
             return inputs.as_given(self.values(self._asked(x))[..., 0], x)
 
@@ -135,11 +123,7 @@ class SVC(KernelMachine):
             return inputs.as_given(self.classes[second.long()], x)
 
     def predict_proba(self, x: Any) -> Any:
-        """Probabilities (..., 2) of the two classes.
-
-        Raises:
-            ModelError: Not fitted, or fitted without `probability=True`.
-        """
+        """Probabilities (..., 2) of the two classes, of which `forward` gives the second."""
         with torch.no_grad():
             second = self(self._asked(x))
             return inputs.as_given(torch.stack([1 - second, second], dim=-1), x)

@@ -17,17 +17,13 @@ class SVR(KernelMachine):
     """Support vector regression, the problem of libsvm's epsilon-SVR for every output.
 
     The outputs are solved together on one kernel matrix and predict from the union of their
-    support vectors. Besides the buffers of `KernelMachine` the fitted state is `tube` (k,), the
-    epsilon of each output, and `squeeze` (), whether it was fitted on targets (n,).
+    support vectors. Besides the buffers of `KernelMachine`, where the other arguments are told, the
+    fitted state is `tube` (k,), the epsilon of each output, and `squeeze` (), whether it was fitted
+    on targets (n,).
 
     Args:
         C: Cost of a residual beyond the tube, one or one per output.
-        kernel: "rbf", "linear", "poly" or a callable (m, d), (n, d) -> (m, n).
-        gamma: Width parameter of "rbf" and "poly": "scale", "auto" or a positive number.
-        degree: Degree of "poly".
-        coef0: Constant of "poly".
         epsilon: Half width of the tube without loss, one or one per output.
-        max_memory: Bytes that kernel matrices may take.
     """
 
     squeeze: Tensor
@@ -45,10 +41,8 @@ class SVR(KernelMachine):
         epsilon: float | Sequence[float] = 0.1,
         max_memory: int = inputs.MAX_MEMORY,
     ) -> None:
-        super().__init__()
+        super().__init__(kernel, gamma, degree, coef0, max_memory)
         self.C, self.epsilon = C, epsilon
-        self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
-        self.max_memory = max_memory
         self.register_buffer("squeeze", torch.tensor(True))
         self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
 
