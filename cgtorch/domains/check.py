@@ -15,11 +15,7 @@ from cgtorch.ground.errors import DomainError
 
 
 def check_domain(domain: Domain[Any], scenarios: str) -> None:
-    """Try what a domain gives.
-
-    Args:
-        domain: what to try.
-        scenarios: the kind that a run is to be about.
+    """Try what a domain gives for a run about a kind of scenarios.
 
     Raises:
         DomainError: naming the method and what is wrong with what it returned.
@@ -53,11 +49,8 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
 def _check_names(domain: Domain[Any], who: str) -> None:
     for name in ("percept", "control"):
         given = getattr(domain, name, None)
-        if (
-            not isinstance(given, Sequence)
-            or not given
-            or not all(isinstance(f, Field) for f in given)
-        ):
+        fields = given if isinstance(given, Sequence) else ()
+        if not fields or not all(isinstance(f, Field) for f in fields):
             raise DomainError(f"{who}.{name} is {given!r:.60}; give a Field for each number")
     for name in ("kinds", "trained_kinds"):
         given = getattr(domain, name)

@@ -4,8 +4,8 @@ Nothing here imports torch until a domain is asked for.
 """
 
 import re
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
@@ -51,19 +51,15 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     """
     from cgtorch.domains.domain import Domain
 
-    name = spec.partition(":")[0]
+    place = _CLASSES.get(spec.partition(":")[0], spec)
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
-    if name in _CLASSES:
-        found = _loaded(spec, EntryPoint(name, _CLASSES[name], ENTRY_POINTS))
-    elif spec in declared:
-        found = _loaded(spec, declared[spec])
-    elif ":" in spec:
-        found = _loaded(spec, EntryPoint("domain", spec, ENTRY_POINTS))
-    else:
+    if ":" not in place and spec not in declared:
         raise DomainError(
             f"unknown domain {spec!r}; known are {', '.join(known_names())}, or give "
             "'package.module:Class'"
         )
+    entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
+    found = _loaded(spec, entry)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
     return found
@@ -86,17 +82,12 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
         DomainError: it cannot be made.
     """
     kind = domain_class(spec)
-    settings = kind.settings_type() if settings is None else settings
-    try:
-        return kind(with_name(spec, settings))
-    except CgtorchError:
-        raise
-    except Exception as e:  # whatever a foreign class raises
-        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
-        raise DomainError(
-            f"domain {spec!r} cannot be made as {kind.__name__}(settings) ({reason}); give it a "
-            "constructor that needs no other arguments"
-        ) from e
+    settings = with_name(spec, kind.settings_type() if settings is None else settings)
+    return _foreign(
+        lambda: kind(settings),
+        f"domain {spec!r} cannot be made as {kind.__name__}(settings)",
+        "give it a constructor that needs no other arguments",
+    )
 
 
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
@@ -109,8 +100,7 @@ def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
             f"domain {spec!r} names no environment; give gymnasium:ENV_ID, such as "
             "gymnasium:CartPole-v1"
         )
-    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    return type(settings)(**values | {"environment": argument})
+    return replace(settings, environment=argument)  # type: ignore[call-arg]
 
 
 def check_options(spec: str, names: Sequence[str]) -> None:
@@ -123,13 +113,19 @@ def check_options(spec: str, names: Sequence[str]) -> None:
 
 
 def _loaded(spec: str, entry: EntryPoint) -> Any:
+    return _foreign(
+        entry.load,
+        f"cannot import domain {spec!r}",
+        "is it spelt right and its package installed or on PYTHONPATH?",
+    )
+
+
+def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
+    """What code that may raise anything returns, or a DomainError."""
     try:
-        return entry.load()
+        return call()
     except CgtorchError:
         raise
-    except Exception as e:  # whatever a foreign module raises when it is imported
+    except Exception as e:
         reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
-        raise DomainError(
-            f"cannot import domain {spec!r} ({reason}); is it spelt right and its package "
-            "installed or on PYTHONPATH?"
-        ) from e
+        raise DomainError(f"{failure} ({reason}); {advice}") from e

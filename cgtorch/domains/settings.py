@@ -24,10 +24,10 @@ def option(
     least: float = 1,
     most: float = MOST,
 ) -> Any:
-    """A field with its default and what the command line says of it.
+    """A field with its default, whose type is the option's, and its help on the command line.
 
     Args:
-        default: of the option; its type is the option's.
+        default: of the option.
         text: its help.
         fixed: why it cannot change once a run has begun; nothing if it can.
         choices: of a text, what it may be; anything if not given.
@@ -51,7 +51,9 @@ def check_options(settings: Any) -> None:
         elif isinstance(f.default, float):
             # No comparison holds for nan.
             if type(value) not in (int, float) or not least <= value <= most:
-                raise SettingsError(f"{f.name} is {value!r:.40}; give a number {_range(f)}")
+                raise SettingsError(
+                    f"{f.name} is {value!r:.40}; give a number from {least} to {most}"
+                )
         elif isinstance(f.default, str):
             choices = about.get("choices", ())
             if not isinstance(value, str) or (choices and value not in choices):
@@ -59,10 +61,6 @@ def check_options(settings: Any) -> None:
                 raise SettingsError(f"{f.name} is {value!r:.40}; {wanted}")
         elif not isinstance(value, tuple) or not all(isinstance(one, str) for one in value):
             raise SettingsError(f"{f.name} are {value!r:.60}; give names in a tuple")
-
-
-def _range(f: Any) -> str:
-    return f"from {f.metadata.get('least', 1)} to {f.metadata.get('most', MOST)}"
 
 
 @dataclass(frozen=True)
@@ -106,15 +104,11 @@ def from_plain(kind: type[T], data: Any) -> T:
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")
-    data = {
-        name: float(value)
-        if isinstance(names[name].default, float) and value in _ENDLESS
-        else value
-        for name, value in data.items()
-    }
-    values = {
-        name: tuple(value) if isinstance(names[name].default, tuple) and isinstance(value, list)
-        else value
-        for name, value in data.items()
-    }  # fmt: skip
+    values = dict(data)
+    for name, value in data.items():
+        default = names[name].default
+        if isinstance(default, float) and value in _ENDLESS:
+            values[name] = float(value)
+        elif isinstance(default, tuple) and isinstance(value, list):
+            values[name] = tuple(value)
     return kind(**values)

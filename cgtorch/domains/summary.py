@@ -19,16 +19,11 @@ def summary_of(knowledge: Knowledge) -> ModelSummary:
         f"Γ errs by {_errors(knowledge.gamma_report)}, "
         f"C is right on {100 * classifier.balanced_accuracy:.1f} %; {rows}"
     )
-    return ModelSummary(
-        text,
-        scalars_of(knowledge),
-        {
-            "gamma": knowledge.gamma_report.learning_curve,
-            "classifier": classifier.learning_curve,
-        },
-        classifier.reliability,
-        first=True,
-    )
+    curves = {
+        "gamma": knowledge.gamma_report.learning_curve,
+        "classifier": classifier.learning_curve,
+    }
+    return ModelSummary(text, scalars_of(knowledge), curves, classifier.reliability, first=True)
 
 
 def scalars_of(knowledge: Knowledge) -> dict[str, float]:

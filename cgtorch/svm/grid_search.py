@@ -1,32 +1,31 @@
 """Cross-validated choice of C, gamma and epsilon in one batched solve, as exact as libsvm's.
 
 One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
-only fixes its held-out coefficients to 0, and their decision values come free as K beta + b.
+only fixes its held-out coefficients to 0, and their decision values come free as K beta + b. The
+problems of each cost start from the solutions for the cost before.
 """
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.processes import in_processes
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
-from cgtorch.svm.grid_problems import Task, solve_width
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.optimality import relative_gap
+from cgtorch.svm.problems import Problems, State, Targets, inside
 from cgtorch.svm.scores import SCORES, named_score
+from cgtorch.svm.solver import ROUGH, solve
 from cgtorch.svm.threads import one_thread_each
 
 Progress = Callable[[int, int], None]
 """Called with the number of cells done and of all cells."""
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,29 @@ class GridResult:
     def mean(self) -> Tensor:
         """Mean score over the folds (G, E, N, K)."""
         return self.scores.mean(-1)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What the cells of a grid share.
+
+    Attributes:
+        model: Machine with the parameters that all cells have.
+        rows: Training rows (n, d).
+        targets: What is to be learnt.
+        masks: Rows that each fold trains on (F, n).
+        folds: Fold number of each row (n,).
+        costs: Costs, ascending.
+        tubes: Half widths of the tube, 0 alone for a classifier.
+    """
+
+    model: KernelMachine
+    rows: Tensor
+    targets: Targets
+    masks: Tensor
+    folds: Tensor
+    costs: tuple[float, ...]
+    tubes: tuple[float, ...]
 
 
 def grid_search(
@@ -115,7 +137,7 @@ def grid_search(
     # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
     torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
-    task = Task(model, rows, targets, masks, numbers, costs, tubes)
+    task = _Task(model, rows, targets, masks, numbers, costs, tubes)
     held_out, gap = _all_widths(task, widths, progress)
     held_out = targets.restored(held_out)
     scores = torch.stack(
@@ -131,7 +153,7 @@ def grid_search(
 
 
 def _all_widths(
-    task: Task, widths: Sequence[float], progress: Progress | None
+    task: _Task, widths: Sequence[float], progress: Progress | None
 ) -> tuple[Tensor, Tensor]:
     """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes.
 
@@ -141,9 +163,8 @@ def _all_widths(
     each = len(task.tubes) * len(task.costs)
     finished = itertools.count(each, each)
 
-    def work(number: int) -> list[Array]:
-        cells = solve_width(task, widths[order[number]], threads // processes)
-        return [part.cpu().numpy() for part in cells]
+    def work(number: int) -> tuple[Tensor, Tensor]:
+        return _solve_width(task, widths[order[number]], threads // processes)
 
     def done(_: object) -> None:
         if progress is not None:
@@ -154,11 +175,56 @@ def _all_widths(
         most = task.model.max_memory // inputs.memory(len(task.rows))
         processes = min(threads, len(widths), most) if task.rows.device.type == "cpu" else 1
         found = in_processes(work, len(widths), processes, done)
-    places = [order.index(place) for place in range(len(widths))]
-    held_out, gap = (np.stack([found[place][part] for place in places]) for part in range(2))
-    return torch.from_numpy(held_out).to(task.rows.device), torch.from_numpy(gap).to(
-        task.rows.device
-    )
+    in_order = [found[order.index(place)] for place in range(len(widths))]
+    held_out, gap = (torch.stack(part) for part in zip(*in_order, strict=True))
+    return held_out, gap
+
+
+def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
+    """Held-out values (E, N, K, n) and relative duality gaps (E, N, K) of all cells at one gamma.
+
+    The values are those of each row from the fold that held it out, in the solver's units; the
+    gaps the largest of a cell's folds. No result depends on the number of threads.
+    """
+    gram = task.model.gram(task.rows, width, threads)
+    cells = []
+    for tube in task.tubes:
+        before: tuple[Problems, State] | None = None
+        for cost in task.costs:
+            problems = task.model.problems(task.targets, task.masks, cost, tube)
+            start = scaled_start(*before, problems) if before else None
+            found = solve(gram, problems, start, ROUGH)
+            cells.append(_cell(task, problems, found))
+            before = problems, found
+    shape = len(task.tubes), len(task.costs)
+    held_out, gap = (torch.stack(part) for part in zip(*cells, strict=True))
+    return held_out.unflatten(0, shape), gap.unflatten(0, shape)
+
+
+def _cell(task: _Task, problems: Problems, found: State) -> tuple[Tensor, Tensor]:
+    """Held-out values (K, n) and largest relative gap (K,) of solutions (K F)."""
+    shape = len(task.targets.y), len(task.masks)
+    value = (found.product + found.bias[:, None]).unflatten(0, shape)
+    place = task.folds.to(value.device).expand(shape[0], 1, -1)
+    gap = relative_gap(problems, found).unflatten(0, shape)
+    return value.gather(1, place).squeeze(1), gap.amax(1)
+
+
+def scaled_start(before: Problems, found: State, problems: Problems) -> State:
+    """A start from solutions for smaller costs, times a number from 1 to the ratio of the costs.
+
+    It is the best such number; at the ratio, coefficients on a bound are on it again.
+    """
+    ratio = problems.cap / before.cap
+    linear = (before.z * found.beta - before.epsilon[:, None] * found.beta.abs()).sum(1)
+    square = (found.product * found.beta).sum(1)
+    length = torch.where(square > 0, linear / square.clamp_min(1e-300), ratio)
+    length = torch.minimum(length.clamp_min(1), ratio)[:, None]
+    beta, whole = found.beta * length, length == ratio[:, None]
+    beta = torch.where(whole & (found.beta == before.upper), problems.upper, beta)
+    beta = torch.where(whole & (found.beta == before.lower), problems.lower, beta)
+    unknown = torch.full_like(ratio, torch.inf)
+    return State(inside(problems, beta), found.product * length, found.bias.clone(), unknown)
 
 
 def _axis(values: Any, name: str) -> tuple[float, ...]:
@@ -169,7 +235,7 @@ def _axis(values: Any, name: str) -> tuple[float, ...]:
     return tuple(inputs.positive(value, name) for value in given)
 
 
-def _best(task: Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice, ...]:
+def _best(task: _Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice, ...]:
     """The best cell of each output by scores (G, E, N, K, F)."""
     choices = []
     for mean in scores.mean(-1).unbind(-1):

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.native import available
-from cgtorch.svm import SVC, SVR, compiled_smo, grid_problems, grid_search, solver
+from cgtorch.svm import SVC, SVR, compiled_smo, grid_search, solver
 from cgtorch.svm.compiled_smo import compiled_smo_steps
 from cgtorch.svm.gram import Gram
+from cgtorch.svm.grid_search import scaled_start
 from cgtorch.svm.kernels import kernel_matrix, make_kernel
 from cgtorch.svm.optimality import dual_objective, duality_gap
 from cgtorch.svm.problems import Problems, State, at_zero, classification, regression
@@ -47,7 +48,7 @@ def _rising(gram: Gram, problems: Problems, tolerance: float) -> State:
     blocks = [problems.take(index) for index in torch.arange(len(problems.z)).chunk(len(COSTS))]
     for number, block in enumerate(blocks):
         last = (blocks[number - 1], found[-1]) if number else None
-        start = grid_problems._scaled(*last, block) if last else None
+        start = scaled_start(*last, block) if last else None
         found.append(solve(gram, block, start, tolerance))
     return State(
         *(torch.cat(part) for part in zip(*(vars(f).values() for f in found), strict=True))
@@ -125,7 +126,7 @@ def test_a_cost_that_binds_nothing_keeps_the_solution():
     first, second = (regression(z[None], cap[i : i + 1], tube, every) for i in range(2))
     found = solve(gram, first, None, 1e-3)
     assert float(found.beta.abs().max()) < 100
-    again = solve(gram, second, grid_problems._scaled(first, found, second), 1e-3)
+    again = solve(gram, second, scaled_start(first, found, second), 1e-3)
     torch.testing.assert_close(found.product, again.product, atol=2e-3, rtol=0)
     gap = duality_gap(second, again) / dual_objective(second, again).abs()
     assert float(gap) <= 1.1 * GAP
