@@ -12,6 +12,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, SVR
 from cgtorch.svm.coreset import shrink_to_coreset
 
@@ -56,6 +57,19 @@ class LearnedModel(nn.Module, ABC):
 
     def measure_reach(self, features: Tensor) -> None:
         """Find out how far from a centre is still known, by features (n, F), in place."""
+
+    def standardised(self, raw: Tensor, made_of: str) -> Tensor:
+        """Features (..., F) less their mean, in units of their scale.
+
+        Raises:
+            DataError: Another number of features than the model was fitted on.
+        """
+        raw = raw.to(self.mean)
+        if raw.shape[-1] != len(self.mean):
+            raise DataError(
+                f"{made_of} make {raw.shape[-1]} features; the model was fitted on {len(self.mean)}"
+            )
+        return (raw - self.mean) / self.scale
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
         """The shapes of the buffers, but for the machine's, given F; files are checked by them."""

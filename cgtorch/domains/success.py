@@ -13,7 +13,6 @@ from torch import Tensor
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.environment.fields import Field, as_features
-from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs
 from cgtorch.svm.learning_curve import learning_values
 from cgtorch.svm.platt import fit_platt, probability
@@ -65,13 +64,8 @@ class SuccessClassifier(LearnedModel):
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., F) that the machine sees."""
         self.machine._check_fitted()
-        raw = self.raw_features(percept.to(self.mean))
-        if raw.shape[-1] != len(self.mean):
-            raise DataError(
-                f"a percept has {percept.shape[-1]} coordinates, which make {raw.shape[-1]} "
-                f"features; the classifier was fitted on {len(self.mean)}"
-            )
-        return (raw - self.mean) / self.scale
+        made_of = f"a percept has {percept.shape[-1]} coordinates, which"
+        return self.standardised(self.raw_features(percept.to(self.mean)), made_of)
 
     def standardise(self, percept: Tensor) -> Tensor:
         """Learn the scale of the features from percepts (n, D), and standardise these (n, F)."""

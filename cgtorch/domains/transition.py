@@ -19,7 +19,6 @@ from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR, compact, inputs
-from cgtorch.svm.machine import KernelMachine
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
 LN2 = math.log(2)
@@ -121,8 +120,18 @@ class TransitionModel(LearnedModel):
         self.most = torch.maximum(self.most, self.extremes(*rows[:2]).amax(0))
 
     def measure_reach(self, features: Tensor) -> None:
-        """See `LearnedModel.measure_reach`."""
-        self.reach = rim(self.machine, features)
+        """See `LearnedModel.measure_reach`.
+
+        It is the squared distance that 95 % of training rows have another centre within.
+        """
+        some = features[:: max(1, len(features) // 1024)].double()
+        distance = torch.cdist(some, self.machine.centres.double()).square()
+        nearest = torch.where(distance < 1e-16, torch.inf, distance).amin(1)
+        nearest = nearest[torch.isfinite(nearest)]
+        if len(nearest) > 0:
+            self.reach = nearest.quantile(0.95).clamp_min(1e-12)
+        else:
+            self.reach = torch.ones_like(self.machine.gamma_value)
 
     def compacted(self, centres: int, percept: Tensor, control: Tensor) -> Self:
         """A model of fewer centres that says nearly the same (`cgtorch.svm.compact`).
@@ -169,23 +178,13 @@ class KernelTransitionModel(TransitionModel):
                 f"{tuple(control.shape)}; pass (..., {sizes[0]}) and (..., {sizes[1]})"
             )
         control = within_bounds(control, self.control_fields)
-        seen = [
-            as_features(percept, self.percept_fields),
-            as_features(control, self.control_fields),
-        ]
-        if self.further is not None:
-            seen.append(self.further(percept, control))
-        return torch.cat(seen, -1)
+        further = [] if self.further is None else [self.further(percept, control)]
+        seen = as_features(percept, self.percept_fields), as_features(control, self.control_fields)
+        return torch.cat([*seen, *further], -1)
 
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `TransitionModel.features`."""
-        raw = self.raw_features(percept, control).to(self.mean)
-        if raw.shape[-1] != len(self.mean):
-            raise DataError(
-                f"percept and control make {raw.shape[-1]} features; the transition model was "
-                f"fitted on {len(self.mean)}"
-            )
-        return (raw - self.mean) / self.scale
+        return self.standardised(self.raw_features(percept, control), "percept and control")
 
     def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
         """See `TransitionModel.next_percept`."""
@@ -226,26 +225,10 @@ class KernelTransitionModel(TransitionModel):
         return {**super().shapes(features), "most": (features,), **own}
 
 
-def rim(machine: KernelMachine, features: Tensor) -> Tensor:
-    """Squared distance () that 95 % of training rows have a centre other than themselves within."""
-    some = features[:: max(1, len(features) // 1024)]
-    distance = torch.cdist(some.double(), machine.centres.double()).square()
-    distance = torch.where(distance < 1e-16, torch.inf, distance)
-    nearest = distance.amin(1)
-    nearest = nearest[torch.isfinite(nearest)]
-    if len(nearest) == 0:
-        return torch.ones_like(machine.gamma_value)
-    return nearest.quantile(0.95).clamp_min(1e-12)
-
-
 def transition_rows(
     percept: Any, control: Any, next_percept: Any, max_memory: int = inputs.MAX_MEMORY
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Percepts (n, D), controls (n, U) and next percepts (n, D) in float64, checked.
-
-    Raises:
-        DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
-    """
+    """Percepts (n, D), controls (n, U), next percepts (n, D); see `LearnedModel.checked`."""
     p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(control, "control")
     q = inputs.as_rows(next_percept, "next_percept")
     if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:

@@ -31,9 +31,6 @@ class Gram:
         """Values of a kernel as `SVC` and `SVR` take it, among rows (n, d) in float64.
 
         How many threads compiled code may use changes no value.
-
-        Raises:
-            SettingsError: The kernel is unknown.
         """
         self.kernel, self.rows, self.gamma, self.threads = kernel, rows, gamma, threads
         self.function = make_kernel(kernel, gamma, degree, coef0)
@@ -43,11 +40,7 @@ class Gram:
 
     @property
     def matrix(self) -> Tensor:
-        """The kernel matrix (n, n), float64, on the CPU.
-
-        Raises:
-            DataError: The kernel gave another shape or values that are not finite.
-        """
+        """The kernel matrix (n, n), float64, on the CPU; see `kernel_matrix`."""
         return self.double[:, : len(self)]
 
     @cached_property

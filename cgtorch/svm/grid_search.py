@@ -46,7 +46,6 @@ class GridResult:
         C: Costs, ascending (N,).
         gamma: Kernel widths (G,).
         epsilon: Tube widths (E,), 0 for a classifier.
-        scoring: Name of the score.
         scores: Score on the held-out rows of each fold (G, E, N, K, F), more is better.
         held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
         gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
@@ -57,7 +56,6 @@ class GridResult:
     C: Tensor
     gamma: Tensor
     epsilon: Tensor
-    scoring: str
     scores: Tensor
     held_out: Tensor
     gap: Tensor
@@ -143,13 +141,11 @@ def grid_search(
     scores = torch.stack(
         [SCORES[scoring](held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
     )
-    C_axis, gamma_axis, epsilon_axis = (
+    C_axis, gamma_axis, tube_axis = (
         torch.tensor(axis, dtype=torch.float64).to(rows) for axis in (costs, widths, tubes)
     )
     best = _best(task, widths, scores)
-    return GridResult(
-        C_axis, gamma_axis, epsilon_axis, scoring, scores, held_out, gap, numbers, best
-    )
+    return GridResult(C_axis, gamma_axis, tube_axis, scores, held_out, gap, numbers, best)
 
 
 def _all_widths(

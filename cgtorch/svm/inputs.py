@@ -1,4 +1,7 @@
-"""Checks at the door: training data as float64 tensors, and the memory that a fit would take."""
+"""Checks at the door: training data as float64 tensors, and the memory that a fit would take.
+
+Data that cannot be used end in a DataError, and settings in a SettingsError, that says which.
+"""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -15,11 +18,7 @@ MAX_MEMORY = 4 * 1024**3
 
 
 def as_tensor(values: Any, name: str) -> Tensor:
-    """`values` (torch, numpy or nested lists) as a finite float64 tensor on its device.
-
-    Raises:
-        DataError: The values are not real numbers, or not all finite.
-    """
+    """`values` (torch, numpy or nested lists) as a finite float64 tensor on its device."""
     try:
         tensor = values.detach() if isinstance(values, Tensor) else _from_array(values)
         if tensor.is_complex():
@@ -43,11 +42,7 @@ def _from_array(values: Any) -> Tensor:
 
 
 def as_rows(values: Any, name: str = "x") -> Tensor:
-    """`values` as a finite float64 tensor (n, d) with n, d >= 1.
-
-    Raises:
-        DataError: Another shape, no rows, not numbers, or not finite.
-    """
+    """`values` as a finite float64 tensor (n, d) with n, d >= 1."""
     rows = as_tensor(values, name)
     if rows.ndim != 2 or 0 in rows.shape:
         raise DataError(f"{name} has shape {tuple(rows.shape)}; pass at least one row, (n, d)")
@@ -55,11 +50,7 @@ def as_rows(values: Any, name: str = "x") -> Tensor:
 
 
 def as_targets(values: Any, rows: int) -> Tensor:
-    """`values` as float64 targets (n,) or (n, outputs) for `rows` rows.
-
-    Raises:
-        DataError: Another shape or length, not numbers, or not finite.
-    """
+    """`values` as float64 targets (n,) or (n, outputs) for `rows` rows."""
     targets = as_tensor(values, "y")
     if targets.ndim not in (1, 2) or len(targets) != rows or 0 in targets.shape:
         raise DataError(f"y has shape {tuple(targets.shape)}; pass one target per row, {rows} rows")
@@ -67,11 +58,7 @@ def as_targets(values: Any, rows: int) -> Tensor:
 
 
 def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:
-    """The two classes (2,), ascending, and each row's sign (n,): -1 first class, 1 second.
-
-    Raises:
-        DataError: Not one number per row, or not exactly two classes.
-    """
+    """The two classes (2,), ascending, and each row's sign (n,): -1 first class, 1 second."""
     labels = as_tensor(values, "y")
     if labels.shape != (rows,):
         raise DataError(f"y has shape {tuple(labels.shape)}; pass one label per row, ({rows},)")
@@ -109,22 +96,14 @@ def check_memory(rows: int, limit: int) -> None:
 
 
 def positive(value: Any, name: str) -> float:
-    """`value` as a finite float above 0.
-
-    Raises:
-        SettingsError: It is not.
-    """
+    """`value` as a finite float above 0."""
     if not 0 < (number := as_number(value)) < float("inf"):
         raise SettingsError(f"{name} is {value!r:.80}; it must be a positive number")
     return number
 
 
 def not_negative(value: Any, name: str) -> float:
-    """`value` as a finite float, 0 or above.
-
-    Raises:
-        SettingsError: It is not.
-    """
+    """`value` as a finite float, 0 or above."""
     if not 0 <= (number := as_number(value)) < float("inf"):
         raise SettingsError(f"{name} is {value!r:.80}; it must be 0 or a positive number")
     return number
@@ -141,11 +120,7 @@ def as_number(value: Any) -> float:
 def per_output(
     value: Any, name: str, outputs: int, check: Callable[[Any, str], float] = positive
 ) -> Tensor:
-    """One float64 number per output (k,) from a number or a sequence.
-
-    Raises:
-        SettingsError: `check` refuses a number, or a sequence has another length.
-    """
+    """One float64 number per output (k,) from a number or a sequence."""
     several = isinstance(value, Sequence | Tensor | np.ndarray) and not isinstance(value, str)
     given = list(value) if several else [value] * outputs
     if len(given) != outputs:
@@ -154,11 +129,7 @@ def per_output(
 
 
 def generator_of(seed: int | torch.Generator) -> torch.Generator:
-    """A generator on the CPU from a seed, or the given one.
-
-    Raises:
-        SettingsError: The seed is not a whole number of at most 63 bits.
-    """
+    """A generator on the CPU from a seed, or the given one."""
     if isinstance(seed, torch.Generator):
         return seed
     try:

@@ -1,7 +1,8 @@
 """Kernel functions: radial basis, linear, polynomial, and whatever the user brings.
 
 A kernel maps rows x (m, d) and centres s (n, d) to values (m, n) and has to be positive
-semidefinite. The formulas are those of libsvm (Chang & Lin 2011).
+semidefinite. The formulas are those of libsvm (Chang & Lin 2011). A name or a number that cannot be
+used is a SettingsError.
 """
 
 from collections.abc import Callable
@@ -32,11 +33,7 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
 
 
 def make_kernel(kernel: str | Kernel, gamma: float, degree: int = 3, coef0: float = 0.0) -> Kernel:
-    """The kernel function of a name in `KERNELS`, or the callable itself.
-
-    Raises:
-        SettingsError: The name is unknown, or a constant of "poly" cannot be used.
-    """
+    """The kernel function of a name in `KERNELS`, or the callable itself."""
     if callable(kernel):
         return kernel
     if kernel == "poly" and not (isinstance(degree, int) and degree >= 0 and isfinite(coef0)):
@@ -57,9 +54,6 @@ def resolve_gamma(gamma: str | float, x: Tensor) -> float:
     """The number that `gamma` stands for on training rows x (n, d).
 
     "scale" is 1 / (d var(x)) over the whole array and "auto" 1 / d, as in scikit-learn.
-
-    Raises:
-        SettingsError: `gamma` is neither of these words nor a positive number.
     """
     if gamma == "auto":
         return 1.0 / x.shape[1]

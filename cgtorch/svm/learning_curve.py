@@ -105,13 +105,12 @@ def learning_curve(
         x: Rows (n, d).
         y: Labels (n,), or targets (n,) or (n, k).
         sizes: Numbers of rows to train on (S,).
-        folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
-        seed: Seed or generator of the folds.
-        scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
+        folds: As for `grid_search`.
+        seed: As for `grid_search`.
+        scoring: As for `grid_search`.
 
     Raises:
-        DataError: Data that the model's `fit` would refuse, too few rows for the folds, or one
-            class only among the first rows.
+        DataError: As for `grid_search`, or one class only among the first rows.
         SettingsError: No size, one below 1 or beyond the smallest training fold, or an unknown
             score.
     """
@@ -142,11 +141,7 @@ def learning_values(
 
 
 def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:
-    """Masks (S, F, n) of the first rows of each training fold, whose masks are (F, n).
-
-    Raises:
-        SettingsError: No size, or one that cannot be had.
-    """
+    """Masks (S, F, n) of the first rows of each training fold, whose masks are (F, n)."""
     most = int(masks.sum(1).min())
     if not sizes or not all(isinstance(s, int) and 1 <= s <= most for s in sizes):
         raise SettingsError(f"sizes are {tuple(sizes)}; give numbers of rows from 1 to {most}")

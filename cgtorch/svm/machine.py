@@ -70,20 +70,11 @@ class KernelMachine(nn.Module, ABC):
 
     @abstractmethod
     def targets(self, y: Any, rows: Tensor) -> Targets:
-        """What is to be learnt of rows (n, d).
-
-        Raises:
-            DataError: Wrong shapes, not numbers, or not what the machine can learn.
-        """
+        """What is to be learnt of rows (n, d)."""
 
     @abstractmethod
     def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
-        """Weights (P, n) of rows in the loss, 0 where masks (P, n) leave them out.
-
-        Raises:
-            SettingsError: The weights that are asked for cannot be used.
-            DataError: A mask leaves too little.
-        """
+        """Weights (P, n) of rows in the loss, 0 where masks (P, n) leave them out."""
 
     @abstractmethod
     def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
@@ -125,21 +116,13 @@ class KernelMachine(nn.Module, ABC):
         return self.fit(x, y, warm=True)
 
     def training_rows(self, x: Any) -> Tensor:
-        """Rows (n, d) in float64, checked.
-
-        Raises:
-            DataError: Wrong shapes, NaN, or more rows than `max_memory` allows.
-        """
+        """Rows (n, d) in float64 that are finite and no more than `max_memory` allows."""
         rows = inputs.as_rows(x)
         inputs.check_memory(len(rows), self.max_memory)
         return rows
 
     def gram(self, rows: Tensor, gamma: float | None = None, most_threads: int = 0) -> Gram:
-        """The kernel values among training rows (n, d), if given with another gamma or threads.
-
-        Raises:
-            SettingsError: The kernel or one of its parameters cannot be used.
-        """
+        """The kernel values among training rows (n, d), if given with another gamma or threads."""
         width = resolve_gamma(self.gamma if gamma is None else gamma, rows)
         return Gram(self.kernel, rows, width, self.degree, self.coef0, most_threads or threads())
 
@@ -149,9 +132,6 @@ class KernelMachine(nn.Module, ABC):
         """The problems (k P) of each output under each of the masks (P, n) of rows to learn from.
 
         C and epsilon are the machine's if not given.
-
-        Raises:
-            SettingsError: C or epsilon cannot be used.
         """
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
@@ -234,11 +214,7 @@ class KernelMachine(nn.Module, ABC):
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
     def _start(self, gram: Gram, problems: Problems, unit: Tensor) -> State:
-        """This machine as a start for a new fit, whose first rows are those it was fitted on.
-
-        Raises:
-            DataError: There are fewer rows than it was fitted on.
-        """
+        """This machine as a start for a new fit, whose first rows are those it was fitted on."""
         self._check_fitted()
         if len(self.bias) != len(problems.z) or int(self.support.max()) >= len(gram):
             raise DataError(

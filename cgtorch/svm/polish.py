@@ -74,7 +74,7 @@ def _step(
     """Newton step of the coefficients (n,) and the bias (), and the former's product with K (n,).
 
     Bound coefficients go to their bounds; the free ones solve (K_FF + h) d + shift = right with
-    coefficients that sum to 0. None where K is not positive definite but for rounding.
+    coefficients that sum to 0. None where K is not positive definite.
     """
     free = (status.abs() == 1).nonzero().flatten()
     bounds = (status == 2) * problem.upper + (status == -2) * problem.lower

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.domains.reports import TransitionReport
-from cgtorch.domains.transition import rim, transition_rows
+from cgtorch.domains.transition import transition_rows
 from cgtorch.domains.transition_fit import SCORE
 from cgtorch.svm import SVR, doubling_sizes, grid_search, inputs, learning_curve
 from cgtorch.tabletop.models import geometry
@@ -78,7 +78,7 @@ def fit_table_transition_model(
     model.machine = machine.fit(rows, wanted[:, None])
     if not learnt:
         _silence(machine, rows)
-    model.reach = rim(machine, rows)
+    model.measure_reach(rows)
     held_out = model.machine.values(model.features(p, u))[:, 0]
     held_out[tells] = value * learnt  # the others were not learnt from
     error, rigid_error = _settle(model, p, u, q, held_out)
