@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -19,6 +19,9 @@ from cgtorch.ground.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Compile, Possible
 from cgtorch.svm import Acceptance, accept_model
+
+if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain
 
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
@@ -60,20 +63,8 @@ class Knowledge:
     acceptances: tuple[Acceptance, Acceptance] | None = None
 
 
-class Fits(Protocol):
-    """What fits the models of a domain to data, with hyper-parameters by cross-validation."""
-
-    def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
-        """Γ of the transitions."""
-        ...
-
-    def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
-        """C of the tests."""
-        ...
-
-
 def fit_models(
-    fits: Fits,
+    domain: "Domain[Any]",
     dataset: Dataset,
     seed: int,
     more: Callable[[TransitionModel], Found],
@@ -89,8 +80,8 @@ def fit_models(
 
     def part(number: int) -> Any:
         if number == 0:
-            return fits.fit_success(data, seed)
-        gamma, report = fits.fit_transition(data, seed)
+            return domain.fit_success(data, seed)
+        gamma, report = domain.fit_transition(data, seed)
         return gamma, swift_gamma(gamma, data), report, more(gamma)
 
     fitted = in_processes(part, 2, 1 if alone else native.threads())

@@ -39,22 +39,6 @@ class Targets:
         return values * self.unit[:, None] + self.mean[:, None]
 
 
-def sign_targets(classes: Tensor, signs: Tensor) -> Targets:
-    """Targets of a classifier, whose two classes (2,) the signs (n,) stand for."""
-    y, zero = signs[None], torch.zeros_like(signs[:1])
-    return Targets(y, y, zero, zero + 1, classes, True)
-
-
-def number_targets(given: Tensor) -> Targets:
-    """Targets of a regression, given as (n,) or (n, k)."""
-    y = given.reshape(len(given), -1).T.contiguous()
-    mean, spread = y.mean(1), y.std(1, correction=0)
-    unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
-    # Where all targets are equal, there is only rounding left.
-    unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
-    return Targets(y, (y - mean[:, None]) / unit[:, None], mean, unit, None, given.ndim == 1)
-
-
 @dataclass(frozen=True)
 class Batch:
     """Tensors whose first axis is that of P problems."""

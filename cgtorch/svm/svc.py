@@ -12,7 +12,7 @@ from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
 from cgtorch.svm.platt import fit_platt, probability
-from cgtorch.svm.problems import State, Targets, sign_targets
+from cgtorch.svm.problems import State, Targets
 from cgtorch.svm.solver import solve, start_at
 
 ClassWeight = str | dict[float, float] | None
@@ -60,7 +60,8 @@ class SVC(KernelMachine):
     def targets(self, y: Any, rows: Tensor) -> Targets:
         """See `KernelMachine.targets`: signs of labels (n,)."""
         classes, signs = inputs.as_binary(y, len(rows))
-        return sign_targets(classes.to(rows), signs.to(rows))
+        y, zero = signs.to(rows)[None], rows.new_zeros(1)
+        return Targets(y, y, zero, zero + 1, classes.to(rows), True)
 
     def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
         """See `KernelMachine.row_weights`.

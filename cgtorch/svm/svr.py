@@ -10,7 +10,7 @@ from cgtorch.svm import inputs
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.kernels import Kernel
 from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.problems import State, Targets, number_targets
+from cgtorch.svm.problems import State, Targets
 
 
 class SVR(KernelMachine):
@@ -48,7 +48,13 @@ class SVR(KernelMachine):
 
     def targets(self, y: Any, rows: Tensor) -> Targets:
         """See `KernelMachine.targets`: numbers (n,) or (n, k)."""
-        return number_targets(inputs.as_targets(y, len(rows)).to(rows))
+        given = inputs.as_targets(y, len(rows)).to(rows)
+        y = given.reshape(len(given), -1).T.contiguous()
+        mean, spread = y.mean(1), y.std(1, correction=0)
+        unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
+        # Where all targets are equal, there is only rounding left.
+        unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
+        return Targets(y, (y - mean[:, None]) / unit[:, None], mean, unit, None, given.ndim == 1)
 
     def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
         """See `KernelMachine.row_weights`: all rows weigh the same."""
