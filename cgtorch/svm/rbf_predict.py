@@ -13,8 +13,8 @@ centres to multiples of 16 and outputs to 2, with weight 0, and sums over featur
 (docs/decisions.md).
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -58,23 +58,19 @@ def fused_rbf(
         return exponent.exp2() @ weights + bias, -exponent.amax(1)
     values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x) if with_nearest else 0)
     with one_thread_each() as threads:
-        folded = _folded(centres, weights, bias, gamma, len(x))
-        size = folded.chunk * _CHUNKS
+        most = chunk_rows(len(centres) + -len(centres) % _CENTRES, centres.element_size())
+        chunk = min(most, max(len(x), 1) + -len(x) % _ROWS)
+        fill, size = _filler(centres, weights, bias, gamma, chunk), chunk * _CHUNKS
         blocks = [slice(begin, begin + size) for begin in range(0, len(x), size)]
-
-        def work(block: slice) -> None:
-            _fill(x[block], folded, values[block], nearest[block])
-
+        parts = [[rows[block] for block in blocks] for rows in (x, values, nearest)]
         useful = min(threads, len(blocks), len(x) * len(centres) // _WORTH_SHARING)
-        if len(blocks) == 1:
-            _fill(x, folded, values, nearest)
-        elif useful > 1 and x.device.type == "cpu":
+        if useful > 1 and x.device.type == "cpu":
             # Two threads of one torch thread each beat two of torch's, whose every operation waits.
             with ThreadPoolExecutor(useful, "cgtorch", torch.set_num_threads, (1,)) as pool:
-                list(pool.map(work, blocks))
+                list(pool.map(fill, *parts))
         else:
-            for block in blocks:
-                work(block)
+            for part in zip(*parts, strict=True):
+                fill(*part)
     return values, nearest.neg_()
 
 
@@ -93,65 +89,41 @@ def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
     return (inner + (rows * rows).sum(1, keepdim=True)) * (-LOG2E * gamma)
 
 
-@dataclass(frozen=True)
-class _Folded:
-    """A machine ready for products, M >= m and K >= k filled up as the module says.
-
-    Attributes:
-        matrix: 2 s [C, -1/2, -|c|^2 / 2] (M, d + 2).
-        weights: (K, M).
-        bias: (k,).
-        mean: What is subtracted from rows and centres (d, 1).
-        centres: m.
-        chunk: Rows that go through the kernel's buffer at once.
-    """
-
-    matrix: Tensor
-    weights: Tensor
-    bias: Tensor
-    mean: Tensor
-    centres: int
-    chunk: int
-
-
 @torch.inference_mode()
-def _folded(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor, rows: int) -> _Folded:
-    m, d = centres.shape
+def _filler(
+    centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor, chunk: int
+) -> Callable[[Tensor, Tensor, Tensor], None]:
+    """What writes a machine's values, with centres and outputs filled up as the module says."""
+    (m, d), k = centres.shape, len(bias)
     missing = -m % _CENTRES
-    mean = centres.mean(0)
-    others = centres - mean
-    matrix = centres.new_zeros(m + missing, d + 2)
+    mean = centres.mean(0)[:, None]
+    others = centres - mean.T
+    matrix = centres.new_zeros(m + missing, d + 2)  # 2 s [C, -1/2, -|c|^2 / 2]
     matrix[:m, :d] = others
     matrix[:, d] = -0.5
     matrix[:m, d + 1] = -0.5 * (others * others).sum(1)
-    return _Folded(
-        matrix=matrix.mul_(gamma * (2 * LOG2E)),
-        weights=pad(weights.T, (0, missing, 0, max(0, _OUTPUTS - len(bias)))),
-        bias=bias,
-        mean=mean[:, None],
-        centres=m,
-        chunk=min(chunk_rows(m + missing, centres.element_size()), max(rows, 1) + -rows % _ROWS),
-    )
+    matrix.mul_(gamma * (2 * LOG2E))
+    outputs = pad(weights.T, (0, missing, 0, max(0, _OUTPUTS - k)))
 
+    @torch.inference_mode()
+    def fill(x: Tensor, values: Tensor, nearest: Tensor) -> None:
+        """Write values (n, k) of rows (n, d), and their largest exponents (n,) if there is room."""
+        n = len(x)
+        whole = n + -n % _ROWS
+        rows = matrix.new_zeros(d + 2, whole)
+        torch.sub(x.T, mean, out=rows[:d, :n])
+        total = matrix.new_zeros(2, d)
+        total[0] = 1
+        torch.addmm(matrix.new_tensor([[0.0], [1.0]]), total, rows[:d] * rows[:d], out=rows[d:])
+        kernel, sums = matrix.new_empty(len(matrix), chunk), matrix.new_empty(len(outputs), whole)
+        for begin in range(0, n, chunk):
+            last, end = min(begin + chunk, n), min(begin + chunk, whole)
+            part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
+            torch.mm(matrix, rows[:, begin:end], out=part)
+            if len(nearest):
+                torch.amax(part[:m, : last - begin], 0, out=nearest[begin:last])
+            part.exp2_()
+            torch.mm(outputs, part, out=sums[:, begin:end])
+        torch.add(sums[:k, :n].T, bias, out=values)
 
-@torch.inference_mode()
-def _fill(x: Tensor, folded: _Folded, values: Tensor, nearest: Tensor) -> None:
-    """Write values (n, k) of rows (n, d), and their largest exponents (n,) if there is room."""
-    matrix, weights, chunk = folded.matrix, folded.weights, folded.chunk
-    n, d = x.shape
-    whole = n + -n % _ROWS
-    rows = matrix.new_zeros(d + 2, whole)
-    torch.sub(x.T, folded.mean, out=rows[:d, :n])
-    total = matrix.new_zeros(2, d)
-    total[0] = 1
-    torch.addmm(matrix.new_tensor([[0.0], [1.0]]), total, rows[:d] * rows[:d], out=rows[d:])
-    kernel, sums = matrix.new_empty(len(matrix), chunk), matrix.new_empty(len(weights), whole)
-    for begin in range(0, n, chunk):
-        last, end = min(begin + chunk, n), min(begin + chunk, whole)
-        part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
-        torch.mm(matrix, rows[:, begin:end], out=part)
-        if len(nearest):
-            torch.amax(part[: folded.centres, : last - begin], 0, out=nearest[begin:last])
-        part.exp2_()
-        torch.mm(weights, part, out=sums[:, begin:end])
-    torch.add(sums[: len(folded.bias), :n].T, folded.bias, out=values)
+    return fill

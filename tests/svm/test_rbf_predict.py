@@ -122,7 +122,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
         raise ValueError("no")
 
     x, machine = _problem(12_000, 8, 300, 1, torch.float32)
-    monkeypatch.setattr(rbf_predict, "_fill", fails)
+    monkeypatch.setattr(rbf_predict, "_filler", lambda *_: fails)
     torch.set_num_threads(2)
     try:
         with pytest.raises(ValueError, match="no"):

@@ -70,6 +70,19 @@ def test_what_was_saved_is_what_is_loaded(model_file, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["one"]
 
 
+def test_a_loaded_machine_learns_on_with_the_parameters_of_its_fit(tmp_path):
+    x, y = labelled(120)
+    order = torch.randperm(120, generator=torch.Generator().manual_seed(0))
+    x, y = torch.tensor(x)[order], torch.tensor(y)[order]
+    regression = SVR([1.0, 3.0], gamma=0.3, epsilon=[0.05, 0.1])
+    classifier = SVC(3.0, gamma=0.3, probability=True)
+    for machine, target in ((regression, x[:, :2].sin()), (classifier, y)):
+        save_model(tmp_path / "m", machine.fit(x[:80], target[:80]))
+        again = load_model(tmp_path / "m").learn_on(x, target)
+        assert torch.allclose(again.values(x), machine.fit(x, target).values(x), atol=1e-5)
+    assert torch.equal(again.platt, load_model(tmp_path / "m").platt)
+
+
 def test_a_failed_save_leaves_the_old_file(model_file, tmp_path, monkeypatch):
     _, model = model_file
     path = tmp_path / "scaled"
