@@ -56,9 +56,9 @@ SCENES = Scenes(_world_of)
 
 def _knowledge() -> Knowledge:
     data = collect(SCENES, 120, 100, seeded(0))
-    grid = {"C": (8.0,), "gamma": (0.03,), "folds": 3}
+    grid = {"C": (8.0,), "gamma": (0.03,)}
     gamma, gamma_report = fit_table_transition_model(
-        data.percept, data.control, data.next_percept, epsilon=(0.1,), **grid
+        data.percept, data.control, data.next_percept, epsilon=(0.1,), folds=3, **grid
     )
     classifier, report = fit_success_classifier(
         GraspClassifier(), data.tested, data.succeeded, **grid
