@@ -48,9 +48,10 @@ def _moves(knowledge: Knowledge) -> int:
 
 
 def _errors(report: TransitionReport) -> str:
-    """Γ's errors in cross-validation, number by number."""
-    named = zip(report.coordinates, report.error, report.units, strict=True)
-    said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for name, error, unit in named]
+    """Γ's errors in cross-validation, worst first, as shares of what is not known without Γ."""
+    rows = zip(report.error, report.baseline_error, report.coordinates, report.units, strict=True)
+    worst = sorted(rows, key=lambda row: row[0] / row[1] if row[1] else 0.0, reverse=True)
+    said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for error, _, name, unit in worst]
     more = f" and {len(said) - SHOWN} more" if len(said) > SHOWN else ""
     return ", ".join(said[:SHOWN]) + more
 

@@ -23,7 +23,13 @@ def known() -> Knowledge:
 def with_numbers(known: Knowledge, *numbers: tuple[str, float, str]) -> Knowledge:
     """The same with other names, errors and units of a percept."""
     names, errors, units = zip(*numbers, strict=True)
-    report: Any = replace(known.gamma_report, coordinates=names, error=errors, units=units)
+    report: Any = replace(
+        known.gamma_report,
+        coordinates=names,
+        error=errors,
+        baseline_error=(4.0,) * len(names),
+        units=units,
+    )
     return replace(known, gamma_report=report)
 
 
@@ -31,7 +37,7 @@ def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
     told = summary_of(with_numbers(known, ("lamp", 0.1234, "rad"), ("gear", 2.0, "")))
     right = 100 * known.classifier_report.balanced_accuracy
     assert told.text == (
-        f"Γ errs by 0.12 rad on lamp, 2 on gear, C is right on {right:.1f} %; "
+        f"Γ errs by 2 on gear, 0.12 rad on lamp, C is right on {right:.1f} %; "
         "54 transitions and 72 labels"
     )
     assert told.first
