@@ -14,11 +14,12 @@ from typing import Any
 
 import click
 import torch
-from support import model, seeded, stochastic_actions
+from support import model, search, seeded, stochastic_actions
 
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.events import Event, GenerationDone
+from cgtorch.improvement.setup import Stage
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import FileJournal
@@ -42,11 +43,10 @@ def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
             if found.number == stop:
                 raise KeyboardInterrupt
 
-    about = settings, BUDGET, generator, watch, "S0", "x"
     with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
-        champion, solved = evolve_candidate(
-            model(0, 7), stochastic_actions(), *about, journal=journal
-        )
+        setup = search(stochastic_actions(), settings, BUDGET, journal)
+        stage = Stage(setup, "S0", generator, watch)
+        champion, solved = evolve_candidate(stage, "x", model(0, 7))
         after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
         found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
         return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import networkx as nx
 import torch
@@ -9,8 +10,12 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import Action, ActionSet, paper_actions
 from cgtorch.environment import Environment, Lanes
+from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
+from cgtorch.improvement.journal import Journal
+from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.stopping import Budget
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
@@ -220,4 +225,19 @@ def same_nodes(first: Graphs, second: Graphs) -> bool:
 def same(first: Graphs, second: Graphs) -> bool:
     return all(
         torch.equal(a, b) for a, b in zip(vars(first).values(), vars(second).values(), strict=True)
+    )
+
+
+def search(
+    actions: ActionSet, evolution: EvolutionSettings, budget: Budget, journal: Journal | None = None
+) -> Setup[Any]:
+    """What a single evolution needs of a setup: there is no world and nothing to imagine."""
+    nothing: Any = None
+    return Setup(
+        actions,
+        world_of=nothing,
+        imagine=nothing,
+        evolution=evolution,
+        budget=budget,
+        journal=journal or Journal(),
     )

@@ -26,7 +26,7 @@ from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
-from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, create_run, open_run, round_name
@@ -181,7 +181,8 @@ def grow_once(
     once = replace(setup, attempts=1, budget=left)
     missed = progress.missed
     targets = torch.ones(len(missed), dtype=torch.bool)
-    return grow(once, progress, name, missed, targets, lambda _: missed, generator, meter)
+    stage = Stage(once, name, generator, meter)
+    return grow(stage, progress, missed, targets, lambda _: missed)
 
 
 def quietly(message: str) -> nullcontext[None]:

@@ -68,7 +68,7 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
     """
     where = device_of(wish.device)
     domain_settings = with_name(settings.domain, domain_settings)
-    if ranks.agreed(not (folder / "run.json").is_file()):
+    if ranks.broadcast(not (folder / "run.json").is_file()):
         # On every rank, as they share what the world has to compute.
         run = planned_run(folder, settings, domain_settings)
         _stage(run, wish, {})

@@ -96,7 +96,7 @@ def evaluate(
     keep: Tensor,
     max_transitions: int = MAX_TRANSITIONS,
     most_lanes: int = MOST_LANES,
-    crew: ranks.Crew | None = None,
+    group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluation:
     """What an `evaluator` says of P individuals; who asks more than once is faster with one.
@@ -108,10 +108,12 @@ def evaluate(
         keep: (B,) bool, the scenarios of W.
         max_transitions: see `evaluator`, like all that follows.
         most_lanes: runs at once.
-        crew: the ranks.
+        group: the ranks.
         fitness: what a run is worth.
     """
-    return evaluator(actions, environment, keep, max_transitions, most_lanes, crew, fitness)(graphs)
+    return evaluator(actions, environment, keep, max_transitions, most_lanes, group, fitness)(
+        graphs
+    )
 
 
 def evaluator(
@@ -120,7 +122,7 @@ def evaluator(
     keep: Tensor,
     max_transitions: int = MAX_TRANSITIONS,
     most_lanes: int = MOST_LANES,
-    crew: ranks.Crew | None = None,
+    group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluator:
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
@@ -138,7 +140,7 @@ def evaluator(
             device, which must be that of the environment; the results come back to the graphs'.
         max_transitions: see `rollout`.
         most_lanes: individuals times scenarios at once, B at least; it changes no result.
-        crew: the ranks that have this population (`cgtorch.ground.distributed`), all if not
+        group: the ranks that have this population (`cgtorch.ground.distributed`), all if not
             given. Individuals are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """
@@ -146,14 +148,14 @@ def evaluator(
     size = max(1, most_lanes // max(1, len(keep)))
 
     def evaluation(graphs: Graphs) -> Evaluation:
-        p, mine = len(graphs), graphs[ranks.share(len(graphs), crew)]
+        p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
         parts = [at_once(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
         *tensors, transitions, not_finite = zip(*parts, strict=True)
         means, scores, succeeded = (
-            ranks.gathered(torch.cat(column) if column[1:] else column[0], p, crew)
+            ranks.all_gather(torch.cat(column) if column[1:] else column[0], p, group)
             for column in tensors
         )
-        counts = (ranks.total(sum(each), crew) for each in (transitions, not_finite))
+        counts = (ranks.all_reduce(sum(each), group) for each in (transitions, not_finite))
         return Evaluation(means, scores, succeeded, *counts)
 
     return evaluation

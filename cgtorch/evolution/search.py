@@ -96,11 +96,11 @@ def evolve(
         if not isinstance(action, SubSkill):
             check_action(name, action, environment, keep.device)
     check_parts(settings, actions, environment, keep.device)
-    count, crew = settings.islands, ranks.crew(settings.islands)
+    count, group = settings.islands, ranks.group_of(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
     evaluation = evaluator(
-        actions, environment, keep, max_transitions, crew=crew, fitness=settings.fitness
+        actions, environment, keep, max_transitions, group=group, fitness=settings.fitness
     )
     while True:
         results = [evaluation(island.state.population.graphs) for island in islands]
@@ -111,7 +111,7 @@ def evolve(
         generation = _generation(islands, tried, results, settings)
         yield generation
         if count > 1 and (generation.number + 1) % settings.migration == 0:
-            arrivals = _passed_on([emigrants(each, settings.capacity) for each in tried], count)
+            arrivals = _ring_shifted([emigrants(each, settings.capacity) for each in tried], count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
         islands = told_islands(islands, tried, settings, actions)
 
@@ -124,7 +124,7 @@ def _generation(
 ) -> Generation:
     """The generation of all islands, given those that this rank holds."""
     count = settings.islands
-    best = _best(_exchanged([each.best(1) for each in tried], settings))
+    best = _best(_all_gathered([each.best(1) for each in tried], settings))
     return Generation(
         number=islands[0].state.generation,
         islands=islands,
@@ -150,21 +150,21 @@ def _total(numbers: Sequence[int], count: int) -> int:
     """The sum over all islands, given a number for each that this rank holds."""
     if len(numbers) == count:
         return sum(numbers)
-    return int(ranks.exchanged(torch.tensor(numbers), count).sum())
+    return int(ranks.all_gather_parts(torch.tensor(numbers), count).sum())
 
 
-def _exchanged(mine: Sequence[Tried], settings: EvolutionSettings) -> list[Tried]:
+def _all_gathered(mine: Sequence[Tried], settings: EvolutionSettings) -> list[Tried]:
     """Individuals of all islands, given equally many of each that this rank holds."""
     count = settings.islands
     if len(mine) == count:
         return list(mine)
     columns = zip(*(each.widened(settings.capacity).tensors() for each in mine), strict=True)
-    every = [ranks.exchanged(torch.stack(column), count) for column in columns]
+    every = [ranks.all_gather_parts(torch.stack(column), count) for column in columns]
     return [Tried.of([values[i] for values in every]) for i in range(count)]
 
 
-def _passed_on(mine: Sequence[Tried], count: int) -> list[Tried]:
+def _ring_shifted(mine: Sequence[Tried], count: int) -> list[Tried]:
     """For each island that this rank holds, what the one before sends, given what these send."""
     columns = zip(*(each.tensors() for each in mine), strict=True)
-    found = [ranks.passed_on(torch.stack(column), count) for column in columns]
+    found = [ranks.ring_shift(torch.stack(column), count) for column in columns]
     return [Tried.of([values[i] for values in found]) for i in range(len(mine))]

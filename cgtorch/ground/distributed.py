@@ -7,8 +7,8 @@ before it is used. So the result is that of one process, to the last bit, whatev
 ranks. Only the first one writes.
 
 Where there are several islands (`cgtorch.evolution.islands`), each rank holds some of them only. A
-crew is the ranks that hold the same: one rank where there are at least as many islands as ranks,
-all ranks where there is one island. Rows of an island are shared out within its crew.
+process group is the ranks that hold the same: one rank where there are at least as many islands as
+ranks, all ranks where there is one island. Rows of an island are shared out within its group.
 """
 
 import os
@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cache
+from typing import TypeVar
 
 import torch
 import torch.distributed
@@ -26,6 +27,8 @@ from torch import Tensor
 from torch.distributed.constants import default_pg_timeout
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -85,23 +88,23 @@ def cores() -> int:
 
 
 @dataclass(frozen=True)
-class Crew:
-    """Ranks that share out rows among them.
+class Group:
+    """A process group: ranks that share out rows among them.
 
     Attributes:
         index: of this rank among them.
         size: how many there are.
-        group: what they talk in; None for all ranks, or for one alone.
+        handle: torch's; None for all ranks, or for one alone.
     """
 
     index: int
     size: int
-    group: torch.distributed.ProcessGroup | None = None
+    handle: torch.distributed.ProcessGroup | None = None
 
 
-def everyone() -> Crew:
-    """The crew of all ranks."""
-    return Crew(_index(), count())
+def all_ranks() -> Group:
+    """The group of all ranks."""
+    return Group(_index(), count())
 
 
 def held(parts: int) -> range:
@@ -118,15 +121,15 @@ def _held(rank: int, parts: int) -> range:
     return range(first, max(first + 1, (rank + 1) * parts // count()))
 
 
-def crew(parts: int) -> Crew:
+def group_of(parts: int) -> Group:
     """The ranks that hold the same parts, out of so many, as this one; to be asked for by all."""
     if parts == 1:
-        return everyone()
+        return all_ranks()
+    if count() <= parts:
+        return Group(0, 1)
     mine = held(parts)
     members = [rank for rank in range(count()) if _held(rank, parts) == mine]
-    if count() <= parts:
-        return Crew(0, 1)
-    return Crew(members.index(_index()), len(members), _groups(parts)[mine.start])
+    return Group(members.index(_index()), len(members), _groups(parts)[mine.start])
 
 
 @cache
@@ -158,57 +161,46 @@ def wait() -> None:
         torch.distributed.barrier()
 
 
-def share(rows: int, crew: Crew | None = None) -> slice:
-    """This rank's part of so many rows; the parts of all in a crew lie one after the other.
-
-    Args:
-        rows: how many.
-        crew: who shares them; all ranks if not given.
-    """
-    crew = crew or everyone()
-    return _share(rows, crew.index, crew.size)
+def share(rows: int, group: Group | None = None) -> slice:
+    """This rank's part of so many rows; the parts of a group lie one after the other."""
+    group = group or all_ranks()
+    return _share(rows, group.index, group.size)
 
 
 def _share(rows: int, index: int, size: int) -> slice:
     return slice(index * rows // size, (index + 1) * rows // size)
 
 
-def gathered(part: Tensor, rows: int, crew: Crew | None = None) -> Tensor:
-    """The rows (rows, ...) of all in a crew, given this one's part of them.
-
-    Args:
-        part: as many rows as `share` says.
-        rows: of all together.
-        crew: who shares them; all ranks if not given.
-    """
-    crew = crew or everyone()
-    if crew.size == 1:
+def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
+    """The rows (rows, ...) of a whole group, given this rank's `share` of them."""
+    group = group or all_ranks()
+    if group.size == 1:
         return part
-    shares = [_share(rows, index, crew.size) for index in range(crew.size)]
-    return _gathered(part, [each.stop - each.start for each in shares], crew.group)
+    shares = [_share(rows, index, group.size) for index in range(group.size)]
+    return _all_gather(part, [each.stop - each.start for each in shares], group.handle)
 
 
-def total(number: int, crew: Crew | None = None) -> int:
-    """The sum of a number that each rank of a crew has, given this one's."""
-    crew = crew or everyone()
-    if crew.size == 1:
+def all_reduce(number: int, group: Group | None = None) -> int:
+    """The sum of a number that each rank of a group has, given this one's."""
+    group = group or all_ranks()
+    if group.size == 1:
         return number
-    sum_of_all = torch.tensor(number)
-    torch.distributed.all_reduce(sum_of_all, group=crew.group)
-    return int(sum_of_all)
+    total = torch.tensor(number)
+    torch.distributed.all_reduce(total, group=group.handle)
+    return int(total)
 
 
-def exchanged(mine: Tensor, parts: int) -> Tensor:
+def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
     """Of all parts (parts, ...), given one row for each that this rank holds."""
     if len(mine) == parts:  # on every rank
         return mine
     holds = [_held(rank, parts) for rank in range(count())]
     # Where several ranks hold a part, the first of them speaks.
     sizes = [0 if each in holds[:rank] else len(each) for rank, each in enumerate(holds)]
-    return _gathered(mine, sizes, None)
+    return _all_gather(mine, sizes, None)
 
 
-def passed_on(mine: Tensor, parts: int) -> Tensor:
+def ring_shift(mine: Tensor, parts: int) -> Tensor:
     """For each part that this rank holds the row of the part before; the first has the last one's.
 
     Args:
@@ -216,7 +208,7 @@ def passed_on(mine: Tensor, parts: int) -> Tensor:
         parts: how many there are in all.
     """
     holds, me = [_held(rank, parts) for rank in range(count())], _index()
-    # Of the ranks that hold a part, the first one passes it on.
+    # Of the ranks that hold a part, the first one sends it.
     sources = [
         next(rank for rank, each in enumerate(holds) if (hold.start - 1) % parts in each)
         for hold in holds
@@ -234,20 +226,20 @@ def passed_on(mine: Tensor, parts: int) -> Tensor:
     return torch.cat([first, plain[:-1]]).to(mine.dtype)
 
 
-def _gathered(
-    part: Tensor, sizes: Sequence[int], group: torch.distributed.ProcessGroup | None
+def _all_gather(
+    part: Tensor, sizes: Sequence[int], handle: torch.distributed.ProcessGroup | None
 ) -> Tensor:
     """The first rows of each rank's part, as many as `sizes` says, one after the other."""
     plain = part.to(torch.uint8) if part.dtype == torch.bool else part
     mine = plain.new_zeros(max(sizes), *part.shape[1:])  # gloo wants parts of one size
     mine[: len(part)] = plain
     parts = [torch.empty_like(mine) for _ in sizes]
-    torch.distributed.all_gather(parts, mine, group=group)
+    torch.distributed.all_gather(parts, mine, group=handle)
     whole = torch.cat([p[:n] for p, n in zip(parts, sizes, strict=True)])
     return whole.to(part.dtype)
 
 
-def fetched(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
+def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
     """A part that some rank holds, on the first rank; to be called by all.
 
     Args:
@@ -273,15 +265,10 @@ def fetched(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tens
     return found
 
 
-def told(value: Tensor) -> Tensor:
-    """What the first rank has, on all of them."""
+def broadcast(value: T) -> T:
+    """What the first rank has, on all of them: also where they may differ, as their clocks do."""
     if count() == 1:
         return value
-    said = value.clone()
-    torch.distributed.broadcast(said, 0)
-    return said
-
-
-def agreed(value: bool) -> bool:
-    """What the first rank says, where ranks may differ, as their clocks do."""
-    return bool(told(torch.tensor(value, dtype=torch.uint8)))
+    values = [value]
+    torch.distributed.broadcast_object_list(values, 0)
+    return values[0]

@@ -35,15 +35,10 @@ def trial_tensors(trial: Trial) -> dict[str, Tensor]:
 
 
 def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
-    """A trial from a journal's tensors, which may be anything.
-
-    Args:
-        tensors: what `trial_tensors` gave.
-        scenarios: B, that the trial is about.
-        percept_size: D of its world.
+    """A trial of B scenarios with percepts (B, D) from a journal's tensors.
 
     Raises:
-        RunError: they are no such tensors.
+        RunError: they are not what `trial_tensors` gives.
     """
     try:
         trial = Trial(

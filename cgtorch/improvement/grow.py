@@ -4,28 +4,20 @@ import time
 from dataclasses import replace
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
 from cgtorch.improvement.attempt import attempt
-from cgtorch.improvement.events import SkillAccepted, Watch
-from cgtorch.improvement.improve import Draw
-from cgtorch.improvement.interfaces import S
-from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.interfaces import Draw, S
+from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.team import learned, make_task, world_tested
+from cgtorch.improvement.team import initial_state, learned, tell_tested
 
 
 def grow(
-    setup: Setup[S],
-    progress: Progress[S],
-    stage: str,
-    scenarios: S,
-    targets: Tensor,
-    draw: Draw[S],
-    generator: Generator,
-    watch: Watch,
+    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, draw: Draw[S]
 ) -> Progress[S]:
     """Evolve the last skill's own graph until it keeps W and solves all of M.
 
@@ -33,55 +25,40 @@ def grow(
     What meets eq. 1 in the world becomes the graph that the next attempt starts from. Arguments
     and result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are not drawn.
     """
-    began = time.perf_counter()
-    task = make_task(setup, progress, stage, scenarios, targets)
-    knowledge, skill = progress.knowledge, progress.skill
-    keep = task.keep
+    began, setup = time.perf_counter(), stage.setup
+    state = initial_state(stage, progress, scenarios, targets)
+    knowledge, skill, keep = progress.knowledge, progress.skill, state.keep
     solved = torch.zeros_like(keep)
     if skill is not None:
-        solved = attempt(setup, skill, task.scenarios).succeeded
+        solved = attempt(setup, skill, state.scenarios).succeeded
     accepted = None
     for number in range(setup.attempts):
         environment = setup.imagine(
-            knowledge, task.scenarios, task.percepts, 1, generator, setup.device
+            knowledge, state.scenarios, state.percepts, 1, stage.generator, setup.device
         )
-        champion, _ = evolve_candidate(
-            environment,
-            setup.actions,
-            setup.evolution,
-            setup.budget,
-            generator,
-            watch,
-            stage,
-            f"{stage}.{number + 1}",
-            keep=keep,
-            seeds=_seed(skill),
-            max_transitions=setup.max_transitions,
-            device=setup.device,
-            journal=setup.journal,
-        )
-        candidate = Skill(stage, champion.graphs, setup.actions, setup.max_transitions)
-        trial = attempt(setup, candidate, task.scenarios)
-        watch(world_tested(task, candidate.name, trial.succeeded))
+        name, seeds = f"{stage.name}.{number + 1}", _seeds(skill)
+        champion, _ = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds)
+        candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
+        trial = attempt(setup, candidate, state.scenarios)
+        tell_tested(stage, state, candidate.name, trial.succeeded)
         if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():
             skill = accepted = candidate
-            solved = trial.succeeded
-            keep = solved
+            keep = solved = trial.succeeded
         if solved.all():
             break
-        knowledge = learned(setup, knowledge, trial.experience, stage, generator, watch)
+        knowledge = learned(stage, knowledge, trial.experience)
     if accepted is None:
         return replace(progress, knowledge=knowledge)
-    seconds = time.perf_counter() - began
-    watch(SkillAccepted(stage, accepted, task.scenarios, solved, task.keep, task.targets, seconds))
+    result = state.scenarios, solved, state.keep, state.targets
+    stage.watch(SkillAccepted(stage.name, accepted, *result, time.perf_counter() - began))
     return Progress(
         skill=accepted,
-        solved=task.scenarios[solved.nonzero()[:, 0]],
-        missed=task.scenarios[(~solved).nonzero()[:, 0]],
+        solved=state.scenarios[solved.nonzero()[:, 0]],
+        missed=state.scenarios[(~solved).nonzero()[:, 0]],
         knowledge=knowledge,
     )
 
 
-def _seed(skill: Skill | None) -> Population | None:
+def _seeds(skill: Skill | None) -> Population | None:
     """The last skill's graph as a population of one."""
     return Population(skill.graph, initial_strategy(1)) if skill else None

@@ -5,7 +5,7 @@ With a world that holds given scenarios and the actions of its skills that is al
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -15,34 +15,22 @@ from cgtorch.environment import Dataset, Environment, ScenarioBatch
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a world."""
 
-S_contra = TypeVar("S_contra", bound=ScenarioBatch, contravariant=True)
-
 Models: TypeAlias = Any
 """Γ and C with whatever they have been learned from: improvement hands them on and looks at nothing
 in them. Those of a `Domain` are `cgtorch.domains.Knowledge`, or None where there are none."""
 
-
-class Imagine(Protocol[S_contra]):
-    """Makes the environment that skills are evolved in: of Γ and C, or the world itself."""
-
-    def __call__(
-        self,
-        models: Models,
-        scenarios: S_contra,
-        percepts: Tensor,
-        replicas: int,
-        generator: Generator,
-        device: torch.device | str,
-        /,
-    ) -> Environment:
-        """The environment of scenarios with first percepts (B, D), each `replicas` times.
-
-        Scenario i has the indices i · replicas … i · replicas + replicas - 1; they may differ by
-        what Γ can have got wrong, drawn from the generator, or by noise. The environment runs on
-        `device`.
-        """
-        ...
-
+Imagine: TypeAlias = Callable[[Models, S, Tensor, int, Generator, torch.device | str], Environment]
+"""Makes the environment that skills are evolved in, of Γ and C, or the world itself: from models,
+scenarios, their first percepts (B, D), the number of replicas of each, a generator and a device.
+Scenario i has the indices i · replicas … i · replicas + replicas - 1; they may differ by what Γ can
+have got wrong, drawn from the generator, or by noise."""
 
 Learn: TypeAlias = Callable[[Models, Dataset, Generator], Models]
 """From models, what was experienced in the world, and a generator to models that know it, too."""
+
+Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
+"""First percepts (B, D), (B,) bool what is missed, a size, and a generator to the indices (n,) of
+a group of missed scenarios that a specialist is evolved on."""
+
+Draw: TypeAlias = Callable[[Generator], S]
+"""Draws fresh scenarios of the kind a stage is about."""

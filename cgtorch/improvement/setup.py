@@ -5,15 +5,17 @@ from dataclasses import dataclass, field
 from typing import Generic
 
 import torch
+from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
-from cgtorch.improvement.interfaces import Imagine, Learn, Models, S
-from cgtorch.improvement.journal import Journal, NoJournal
+from cgtorch.improvement.events import Watch
+from cgtorch.improvement.grouping import local_group
+from cgtorch.improvement.interfaces import Grouping, Imagine, Learn, Models, S
+from cgtorch.improvement.journal import Journal
 from cgtorch.improvement.model_summary import ModelSummary
-from cgtorch.improvement.specialists import Grouping, local_group
 from cgtorch.improvement.stopping import Budget
 
 
@@ -66,7 +68,24 @@ class Setup(Generic[S]):
     core: int = 1000
     max_transitions: int = 20
     device: torch.device | str = "cpu"
-    journal: Journal = field(default_factory=NoJournal)
+    journal: Journal = field(default_factory=Journal)
+
+
+@dataclass(frozen=True)
+class Stage(Generic[S]):
+    """What one stage works with, from its beginning to its end.
+
+    Attributes:
+        setup: what all stages work with.
+        name: of the stage and of the skill that it makes.
+        generator: of all random choices.
+        watch: told what happens.
+    """
+
+    setup: Setup[S]
+    name: str
+    generator: Generator
+    watch: Watch
 
 
 @dataclass(frozen=True)

@@ -1,90 +1,80 @@
-"""Specialists: small graphs evolved on a local group of missed scenarios, without W to carry."""
+"""Specialists: small graphs evolved on a group of missed scenarios, without W to carry."""
 
 import time
-from collections.abc import Callable
 from math import inf
-from typing import TypeAlias
+from typing import Any
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.evolution import EvolutionSettings, Generation, Population, evolve
+from cgtorch.evolution import Generation, Population, evolve
 from cgtorch.graphs import widened
 from cgtorch.ground import distributed as ranks
-from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, Watch
-from cgtorch.improvement.journal import Journal, NoJournal
-from cgtorch.improvement.stopping import (
-    Budget,
-    Found,
+from cgtorch.improvement.checkpoint import (
+    checkpoint_of,
     found_from,
     found_tensors,
     islands_from,
     restore,
-    standing_of,
 )
+from cgtorch.improvement.events import EvolutionRecalled, GenerationDone
+from cgtorch.improvement.setup import Stage
+from cgtorch.improvement.stopping import Found
 
 
 def evolve_candidate(
-    environment: Environment,
-    actions: ActionSet,
-    settings: EvolutionSettings,
-    budget: Budget,
-    generator: Generator,
-    watch: Watch,
-    stage: str,
+    stage: Stage[Any],
     name: str,
+    environment: Environment,
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
-    max_transitions: int = 20,
-    device: torch.device | str = "cpu",
-    journal: Journal | None = None,
 ) -> tuple[Population, Tensor]:
     """Evolve until all scenarios are solved in the models and the fitness has settled.
 
-    The environment runs on `device`; see `cgtorch.evolution.evolve` for the other arguments. What
-    the `journal` knows is not evolved again.
+    The environment of B scenarios runs on the setup's device; `keep` (B,) bool and `seeds` are
+    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again.
 
     Returns:
-        The best individual, as a population of one with `settings.capacity` slots, and (B,) bool
-        what it solves in the models.
+        The best individual, as a population of one with `EvolutionSettings.capacity` slots, and
+        (B,) bool what it solves in the models.
     """
-    journal, step = journal or NoJournal(), f"evolution {name}"
+    setup, generator, step = stage.setup, stage.generator, f"evolution {name}"
+    settings, journal = setup.evolution, setup.journal
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
     found, islands = None, None
     if known := journal.recall(step):
-        found = found_from(known, actions, len(keep))
-        watch(_recalled(stage, name, found))
+        found = found_from(known, setup.actions, len(keep))
+        stage.watch(_recalled(stage.name, name, found))
         restore(generator, known)
         return _roomy(found.champion, settings.capacity), found.solved
-    if standing := journal.recall_standing(step):
-        found = found_from(standing.about, actions, len(keep))
-        islands = islands_from(standing, actions, generator, settings.islands)
-        watch(_recalled(stage, name, found))
+    if checkpoint := journal.recall_checkpoint(step):
+        found = found_from(checkpoint.about, setup.actions, len(keep))
+        islands = islands_from(checkpoint, setup.actions, generator, settings.islands)
+        stage.watch(_recalled(stage.name, name, found))
     began = time.perf_counter()
     for generation in evolve(
         environment,
-        actions,
+        setup.actions,
         settings,
         generator,
-        keep=keep.to(device),
+        keep=keep.to(setup.device),
         seeds=seeds,
         islands=islands,
-        max_transitions=max_transitions,
+        max_transitions=setup.max_transitions,
     ):
         found = found or Found(generation.champion, keep, -inf)
-        stands = standing_of(found, generation.islands, settings.islands)
-        journal.record_standing(step, stands)
+        checkpoint = checkpoint_of(found, generation.islands, settings.islands)
+        journal.record_checkpoint(step, checkpoint)
         now = time.perf_counter()
-        watch(_done(stage, name, generation, budget, keep, now - began))
+        stage.watch(_done(stage, name, generation, keep, now - began))
         found, began = found.after(generation, now - began), now
-        if found.ends(budget):
+        if found.ends(setup.budget):
             break
     assert found is not None  # noqa: S101  the loop body has run
     # Where the first island is not held, its random numbers have not been drawn.
-    generator.set_state(ranks.told(generator.get_state()))
+    generator.set_state(ranks.broadcast(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
     return _roomy(found.champion, settings.capacity), found.solved
 
@@ -99,43 +89,17 @@ def _recalled(stage: str, name: str, found: Found) -> EvolutionRecalled:
 
 
 def _done(
-    stage: str, name: str, generation: Generation, budget: Budget, keep: Tensor, seconds: float
+    stage: Stage[Any], name: str, generation: Generation, keep: Tensor, seconds: float
 ) -> GenerationDone:
     solved = generation.succeeded
     return GenerationDone(
-        stage,
+        stage.name,
         name,
         generation,
-        budget.generations,
+        stage.setup.budget.generations,
         solved_w=int(solved[keep].sum()),
         size_w=int(keep.sum()),
         solved_m=int(solved[~keep].sum()),
         size_m=int((~keep).sum()),
         seconds=seconds,
     )
-
-
-Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
-"""First percepts (B, D), (B,) bool what is missed, a size, and a generator to the indices (n,) of
-a group of missed scenarios that a specialist is evolved on."""
-
-
-def broad_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
-    """Indices of missed scenarios, drawn at random; the arguments are those of `local_group`."""
-    rows = missed.nonzero()[:, 0]
-    return rows[torch.randperm(len(rows), generator=generator)[:size]]
-
-
-def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
-    """Indices of a random missed scenario and the missed ones nearest to it.
-
-    Args:
-        percepts: (B, D) first percepts.
-        missed: (B,) bool.
-        size: the most scenarios in a group.
-        generator: of the choice.
-    """
-    rows = missed.nonzero()[:, 0]
-    seed = rows[torch.randint(len(rows), (1,), generator=generator)]
-    distance = torch.cdist(percepts[rows], percepts[seed])[:, 0]
-    return rows[distance.argsort(stable=True)[:size]]

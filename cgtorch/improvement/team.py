@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from cgtorch.environment import Dataset
 from cgtorch.environment.dry_run import check_environment
@@ -13,59 +13,60 @@ from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
-from cgtorch.improvement.events import ModelsFitted, Watch, WorldTested
+from cgtorch.improvement.events import ModelsFitted, WorldTested
 from cgtorch.improvement.gating import train_branches
 from cgtorch.improvement.interfaces import Models, S
-from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.trial import first_percepts
 
 FEW = 8  # members of a team: 15 nodes with the branches to them
+TRIES = 3  # of training the branches of one team
 
 
 @dataclass(frozen=True)
-class Team:
-    """Skills that a composed skill may branch to, and what each does in the world.
+class StageState(Generic[S]):
+    """Where a stage stands: its scenarios, and the team of skills that shall solve them.
 
     Attributes:
-        members: M skills, the earlier skill first if there is one.
-        rates: (B, M) share of runs in the world that succeed.
-        population: the specialists' graphs; None while there is none.
-        knowledge: experience and models, with what the members' runs have taught.
-        hints: a candidate that held in the models only, to go on from; None if there is none.
-    """
-
-    members: tuple[Skill, ...]
-    rates: Tensor
-    population: Population | None
-    knowledge: Models
-    hints: Population | None = None
-
-
-@dataclass(frozen=True)
-class Task(Generic[S]):
-    """What a stage is about.
-
-    Attributes:
-        stage: name of the new skill.
         scenarios: B of them.
         keep: (B,) bool, W: what must not be lost.
         targets: (B,) bool, the stage's own test placements.
         percepts: (B, D) what the robot first sees in each.
+        rest: more of W, on which composed skills are tried, but no members.
+        knowledge: experience and models, with what the members' runs have taught.
+        members: M skills that may be branched to, the earlier skill first if there is one.
+        rates: (B, M) share of their runs in the world that succeed.
+        population: the specialists' graphs; None while there is none.
+        hints: a candidate that held in the models only, to go on from; None if there is none.
+        tried: evolutions so far.
     """
 
-    stage: str
     scenarios: S
     keep: Tensor
     targets: Tensor
     percepts: Tensor
+    rest: S
+    knowledge: Models
+    members: tuple[Skill, ...]
+    rates: Tensor
+    population: Population | None = None
+    hints: Population | None = None
+    tried: int = 0
 
 
-def make_task(
-    setup: Setup[S], progress: Progress[S], stage: str, scenarios: S, targets: Tensor
-) -> Task[S]:
-    """W and the scenarios of a stage, with what the robot first sees in each.
+def initial_state(
+    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, rest: S | None = None
+) -> StageState[S]:
+    """The state of a stage that begins with W and M, without any members.
+
+    Args:
+        stage: what to work with.
+        progress: W and what the earlier stages have learned.
+        scenarios: what the stage adds.
+        targets: their bool mask of its own test placements.
+        rest: more of W; none if not given.
 
     Raises:
         WorldError: the world, tried on two of them, breaks its interface.
@@ -73,36 +74,43 @@ def make_task(
     everything = progress.solved.joined(scenarios)
     keep = torch.arange(len(everything)) < len(progress.solved)
     mask = torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets])
-    world = setup.world_of(everything)
+    world = stage.setup.world_of(everything)
     check_environment(world)
-    return Task(stage, everything, keep, mask, first_percepts(world))
-
-
-def with_fresh(
-    setup: Setup[S], task: Task[S], team: Team, solved: Tensor, fresh: S
-) -> tuple[Task[S], Team]:
-    """The task and team after more scenarios; what is `solved` (B + fresh,) becomes W."""
-    everything = task.scenarios.joined(fresh)
-    targets = torch.cat([task.targets, torch.zeros(len(fresh), dtype=torch.bool)])
-    percepts = torch.cat([task.percepts, first_percepts(setup.world_of(fresh))])
-    rates = [try_all(setup, member, fresh)[0] for member in team.members]
-    return (
-        Task(task.stage, everything, solved, targets, percepts),
-        replace(team, rates=torch.cat([team.rates, torch.stack(rates, 1)])),
+    return StageState(
+        everything,
+        keep,
+        mask,
+        first_percepts(world),
+        everything[:0] if rest is None else rest,
+        progress.knowledge,
+        members=(),
+        rates=torch.zeros(len(everything), 0),
+        population=progress.specialists,
     )
 
 
-def first_team(setup: Setup[S], progress: Progress[S], task: Task[S]) -> Team:
-    """The earlier skill and those within it that may be used, or nobody."""
-    if progress.skill is None:
-        rates = torch.zeros(len(task.scenarios), 0)
-        return Team((), rates, progress.specialists, progress.knowledge)
-    rate = task.keep.float()  # W is what it succeeds on
-    new = (~task.keep).nonzero()[:, 0]
-    rate[new], _ = try_all(setup, progress.skill, task.scenarios[new])
-    others = [try_all(setup, member, task.scenarios)[0] for member in progress.members]
-    members, rates = (progress.skill, *progress.members), torch.stack([rate, *others], 1)
-    return Team(members, rates, progress.specialists, progress.knowledge)
+def with_members(
+    setup: Setup[S], state: StageState[S], skill: Skill, others: tuple[Skill, ...]
+) -> StageState[S]:
+    """The state with the earlier skill and those within it that may be used."""
+    rate = state.keep.float()  # W is what it succeeds on
+    new = (~state.keep).nonzero()[:, 0]
+    rate[new], _ = try_all(setup, skill, state.scenarios[new])
+    rates = [try_all(setup, member, state.scenarios)[0] for member in others]
+    return replace(state, members=(skill, *others), rates=torch.stack([rate, *rates], 1))
+
+
+def with_fresh(setup: Setup[S], state: StageState[S], solved: Tensor, fresh: S) -> StageState[S]:
+    """The state after more scenarios; what is `solved` (B + fresh,) becomes W."""
+    rates = [try_all(setup, member, fresh)[0] for member in state.members]
+    return replace(
+        state,
+        scenarios=state.scenarios.joined(fresh),
+        keep=solved,
+        targets=torch.cat([state.targets, torch.zeros(len(fresh), dtype=torch.bool)]),
+        percepts=torch.cat([state.percepts, first_percepts(setup.world_of(fresh))]),
+        rates=torch.cat([state.rates, torch.stack(rates, 1)]),
+    )
 
 
 def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Dataset]:
@@ -124,41 +132,25 @@ def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Datase
     return rate, experience
 
 
-def recruit(
-    setup: Setup[S],
-    team: Team,
-    task: Task[S],
-    name: str,
-    missed: Tensor,
-    generator: Generator,
-    watch: Watch,
-) -> Team:
+def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState[S]:
     """Evolve one specialist on a local group of what is `missed` (B,), and try it in the world.
 
     It joins the team if it solves anything that nobody does. Where the world does not keep what
     the models promised, Γ and C learn from it, and the next search goes on from there.
     """
-    group = setup.group_of(task.percepts, missed, setup.group, generator)
-    percepts = task.percepts[group]
-    replicas = max(setup.replicas, setup.lanes // len(group))
-    scenarios = task.scenarios[group]
+    setup, tried = stage.setup, state.tried + 1
+    name = f"{stage.name}.{tried}"
+    group = setup.group_of(state.percepts, missed, setup.group, stage.generator)
     environment = setup.imagine(
-        team.knowledge, scenarios, percepts, replicas, generator, setup.device
+        state.knowledge,
+        state.scenarios[group],
+        state.percepts[group],
+        max(setup.replicas, setup.lanes // len(group)),
+        stage.generator,
+        setup.device,
     )
-    champion, solved = evolve_candidate(
-        environment,
-        setup.actions,
-        setup.evolution,
-        setup.budget,
-        generator,
-        watch,
-        task.stage,
-        name,
-        seeds=team.hints or team.population,
-        max_transitions=setup.max_transitions,
-        device=setup.device,
-        journal=setup.journal,
-    )
+    seeds = state.hints or state.population
+    champion, solved = evolve_candidate(stage, name, environment, seeds=seeds)
     champion = shrunk(
         champion,
         setup.actions,
@@ -168,51 +160,37 @@ def recruit(
         setup.device,
     )
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
-    rate, experience = try_all(setup, member, task.scenarios)
-    promised = solved.view(len(group), -1).all(1)
-    watch(
-        replace(
-            world_tested(task, name, rate == 1),
-            kept=int((rate[group] == 1).sum()),
-            promised=int(promised.sum()),
-        )
-    )
+    rate, experience = try_all(setup, member, state.scenarios)
+    kept, promised = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
+    tell_tested(stage, state, name, rate == 1, kept, promised)
+    state = replace(state, hints=None, tried=tried)
     if (rate[missed] == 1).any():
-        population = join(team.population, champion) if team.population else champion
-        rates = torch.cat([team.rates, rate[:, None]], 1)
-        team = replace(team, members=(*team.members, member), rates=rates, population=population)
-    team = replace(team, hints=None)
+        state = replace(
+            state,
+            members=(*state.members, member),
+            rates=torch.cat([state.rates, rate[:, None]], 1),
+            population=join(state.population, champion) if state.population else champion,
+        )
     if (rate[group] < 1).any():
-        knowledge = learned(setup, team.knowledge, experience, task.stage, generator, watch)
-        hints = join(champion, team.population) if team.population else champion
-        team = replace(team, knowledge=knowledge, hints=hints)
-    return team
+        knowledge = learned(stage, state.knowledge, experience)
+        hints = join(champion, state.population) if state.population else champion
+        state = replace(state, knowledge=knowledge, hints=hints)
+    return state
 
 
-def learned(
-    setup: Setup[S],
-    models: Models,
-    experience: Dataset,
-    stage: str,
-    generator: Generator,
-    watch: Watch,
-) -> Models:
+def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
     """The models with what was experienced; as they are where nothing learns."""
+    setup = stage.setup
     if setup.learn is None:
         return models
     began = time.perf_counter()
-    models = setup.learn(models, experience, generator)
-    watch(ModelsFitted(stage, setup.describe(models), time.perf_counter() - began))
+    models = setup.learn(models, experience, stage.generator)
+    stage.watch(ModelsFitted(stage.name, setup.describe(models), time.perf_counter() - began))
     return models
 
 
 def compose_team(
-    setup: Setup[S],
-    team: Team,
-    task: Task[S],
-    progress: Progress[S],
-    generator: Generator,
-    watch: Watch,
+    stage: Stage[S], state: StageState[S], progress: Progress[S]
 ) -> tuple[Skill, Tensor] | None:
     """The smallest team that solves what all of it solve, under trained branches.
 
@@ -224,7 +202,7 @@ def compose_team(
         The skill and (B,) bool what it solves in the world on the recorded noise, or None if in
         no try it solves all of W and at least one other scenario (eq. 1).
     """
-    solves, nobody = team.rates == 1, torch.zeros(len(team.members), dtype=torch.bool)
+    solves, nobody = state.rates == 1, torch.zeros(len(state.members), dtype=torch.bool)
     teams = []
     if progress.members:
         flat = (fewest_members(solves[:, 1:], nobody[1:], most) for most in (FEW, None))
@@ -233,38 +211,42 @@ def compose_team(
         # The earlier skill comes last: it gets what no specialist takes.
         first = torch.arange(len(nobody)) == 0
         teams.append([*fewest_members(solves, first)[1:], 0])
-    elif team.members:
+    elif state.members:
         teams.append(fewest_members(solves, nobody))
     distinct = [t for i, t in enumerate(teams) if t and t not in teams[:i]]
-    made = (composed(setup, team, task, chosen, generator, watch) for chosen in distinct)
+    made = (_composed(stage, state, chosen) for chosen in distinct)
     return next(filter(None, made), None)
 
 
-def composed(
-    setup: Setup[S],
-    team: Team,
-    task: Task[S],
-    chosen: list[int],
-    generator: Generator,
-    watch: Watch,
-    tries: int = 3,
+def _composed(
+    stage: Stage[S], state: StageState[S], chosen: list[int]
 ) -> tuple[Skill, Tensor] | None:
     """The `chosen` members in this order under trained branches; result as `compose_team`."""
-    members, rates = [team.members[i] for i in chosen], team.rates[:, chosen]
+    setup, members = stage.setup, [state.members[i] for i in chosen]
     _, branch = branching_action(setup.actions)
-    weight = torch.where(task.keep | task.targets, 3.0, 1.0)
-    for _ in range(tries):
-        parameters, _ = train_branches(branch, task.percepts, rates, weight, generator)
-        skill = compose(task.stage, members, parameters, setup.actions, setup.max_transitions)
-        succeeded = attempt(setup, skill, task.scenarios).succeeded
-        watch(world_tested(task, task.stage, succeeded))
-        if succeeded[task.keep].all() and succeeded[~task.keep].any():
+    weight = torch.where(state.keep | state.targets, 3.0, 1.0)
+    for _ in range(TRIES):
+        parameters, _ = train_branches(
+            branch, state.percepts, state.rates[:, chosen], weight, stage.generator
+        )
+        skill = compose(stage.name, members, parameters, setup.actions, setup.max_transitions)
+        succeeded = attempt(setup, skill, state.scenarios).succeeded
+        tell_tested(stage, state, stage.name, succeeded)
+        if succeeded[state.keep].all() and succeeded[~state.keep].any():
             return skill, succeeded
         weight = torch.where(succeeded, weight, 3 * weight)
     return None
 
 
-def world_tested(task: Task[Any], name: str, succeeded: Tensor) -> WorldTested:
-    """The event for what a candidate `succeeded` (B,) on in the world."""
-    w, m = succeeded[task.keep], succeeded[~task.keep]
-    return WorldTested(task.stage, name, int(w.sum()), len(w), int(m.sum()), len(m))
+def tell_tested(
+    stage: Stage[Any],
+    state: StageState[Any],
+    name: str,
+    succeeded: Tensor,
+    kept: int | None = None,
+    promised: int | None = None,
+) -> None:
+    """Tell what a candidate `succeeded` (B,) on in the world."""
+    w, m = succeeded[state.keep], succeeded[~state.keep]
+    counts = int(w.sum()), len(w), int(m.sum()), len(m)
+    stage.watch(WorldTested(stage.name, name, *counts, kept, promised))

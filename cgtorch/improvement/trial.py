@@ -8,14 +8,14 @@ and of W when it is met by other noise (`w_other_noise` in the ledger). A specia
 solving a scenario only if it does so under `Setup.trials` draws of noise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from cgtorch.environment import Dataset, Environment
 from cgtorch.graphs import Skill
-from cgtorch.simulation import Recording, Rollouts, recording_of, rollout
+from cgtorch.simulation import Recording, recording_of, rollout
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,16 @@ class Trial:
 def try_skill(skill: Skill, world: Environment) -> Trial:
     """Run a skill once on every scenario, and keep what it experiences."""
     recording = recording_of(world)
-    runs = _runs(skill, recording)
-    return _trial(runs, Dataset(*recording.experience()))
+    trial = run_skill(skill, recording)
+    return replace(trial, experience=Dataset(*recording.experience()))
 
 
 def run_skill(skill: Skill, world: Environment) -> Trial:
     """The same without keeping anything: long episodes are a lot to keep."""
-    return _trial(_runs(skill, world), Dataset(*Recording(world).experience()))
-
-
-def _runs(skill: Skill, world: Environment) -> Rollouts:
-    return rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
-
-
-def _trial(runs: Rollouts, experience: Dataset) -> Trial:
+    runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
+    nothing = Dataset(*Recording(world).experience())
     returns = None if runs.returns is None else runs.returns[0]
-    return Trial(runs.succeeded[0], runs.transitions[0], experience, returns)
+    return Trial(runs.succeeded[0], runs.transitions[0], nothing, returns)
 
 
 def first_percepts(world: Environment) -> Tensor:

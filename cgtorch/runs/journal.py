@@ -29,17 +29,19 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
 from cgtorch.ground.version import __version__
+from cgtorch.improvement.checkpoint import Checkpoint
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
-from cgtorch.improvement.journal import Standing
+from cgtorch.improvement.journal import Journal
 
 FOLDER = "journal"
 MAX_BYTES = 2**30
 SECONDS = 20.0  # between two notes of where a step stands
-_STEP, _STANDING = re.compile(r"(\d{5})\.safetensors"), re.compile(r"(\d{5})-(\d+)\.safetensors")
+_STEP = re.compile(r"(\d{5})\.safetensors")
+_CHECKPOINT = re.compile(r"(\d{5})-(\d+)\.safetensors")
 _PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
 
 
-class FileJournal:
+class FileJournal(Journal):
     """A `Journal` in a folder; as a context manager it keeps at the end where a step stands.
 
     Attributes:
@@ -65,9 +67,9 @@ class FileJournal:
         self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
         self.damaged: list[Path] = []
         self._steps: list[tuple[str, dict[str, Tensor]]] = []
-        self._standing: tuple[str, Standing] | None = None
+        self._checkpoint: tuple[str, Checkpoint] | None = None
         self._notes, self._written_at = 0, time.monotonic()
-        self._unwritten: tuple[str, Standing] | None = None
+        self._unwritten: tuple[str, Checkpoint] | None = None
         self._read()
         self._next = 0
 
@@ -75,7 +77,7 @@ class FileJournal:
     def generations(self) -> int:
         """Generations that will be recalled."""
         known = [tensors for _, tensors in self._steps]
-        known += [] if self._standing is None else [self._standing[1].about]
+        known += [] if self._checkpoint is None else [self._checkpoint[1].about]
         return sum(int(t["generations"]) for t in known if _counts(t))
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
@@ -89,27 +91,27 @@ class FileJournal:
 
     def record(self, step: str, result: dict[str, Tensor]) -> None:
         """See `Journal.record`."""
-        self._standing = self._unwritten = None
+        self._checkpoint = self._unwritten = None
         self._write(f"{len(self._steps):05}", {"step": step}, result)
         self._steps.append((step, {}))  # only its place is needed any more
         self._next = len(self._steps)
         self._remove(self._files(_STEP)[len(self._steps) :])
-        self._keep_standings(0)
+        self._keep_checkpoints(0)
 
-    def recall_standing(self, step: str) -> Standing | None:
-        """See `Journal.recall_standing`."""
-        if self._standing is None:
+    def recall_checkpoint(self, step: str) -> Checkpoint | None:
+        """See `Journal.recall_checkpoint`."""
+        if self._checkpoint is None:
             return None
-        name, standing = self._standing
+        name, checkpoint = self._checkpoint
         self._check(step, name)
-        return standing
+        return checkpoint
 
-    def record_standing(self, step: str, standing: Standing) -> None:
-        """See `Journal.record_standing`."""
-        self._unwritten = step, standing
+    def record_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
+        """See `Journal.record_checkpoint`."""
+        self._unwritten = step, checkpoint
         due = time.monotonic() - self._written_at >= self._seconds
-        if ranks.agreed(due):
-            self._write_standing(step, standing)
+        if ranks.broadcast(due):
+            self._write_checkpoint(step, checkpoint)
 
     def __enter__(self) -> Self:
         """The journal itself."""
@@ -136,20 +138,20 @@ class FileJournal:
 
     def _write_what_is_here(self) -> None:
         if self._unwritten is not None and not self._unwritten[1].apart:
-            self._write_standing(*self._unwritten)
+            self._write_checkpoint(*self._unwritten)
 
-    def _write_standing(self, step: str, standing: Standing) -> None:
+    def _write_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
         self._notes += 1
         name, sums = f"{len(self._steps):05}-{self._notes}", []
-        for i, part in enumerate(standing.parts):  # one at a time, as they may be large
+        for i, part in enumerate(checkpoint.parts):  # one at a time, as they may be large
             sums.append(self._write(f"{name}.{i}", {"step": step}, part()))
-        self._write(name, {"step": step, "parts": " ".join(sums)}, standing.about)
+        self._write(name, {"step": step, "parts": " ".join(sums)}, checkpoint.about)
         self._unwritten, self._written_at = None, time.monotonic()
-        self._keep_standings(2)
+        self._keep_checkpoints(2)
 
-    def _keep_standings(self, count: int) -> None:
+    def _keep_checkpoints(self, count: int) -> None:
         """Remove notes of where steps stood, but for the last ones, and parts of no note."""
-        notes = self._files(_STANDING)
+        notes = self._files(_CHECKPOINT)
         kept = notes[len(notes) - count :] if count else []
         self._remove([path for path in notes if path not in kept])
         stems = {path.stem for path in kept}
@@ -192,12 +194,12 @@ class FileJournal:
             if known is None:
                 break
             self._steps.append((known[0]["step"], known[1]))
-        for path in self._files(_STANDING):
+        for path in self._files(_CHECKPOINT):
             self._notes = max(self._notes, int(path.stem.split("-")[1]))
             if path.name.startswith(f"{len(self._steps):05}-"):
-                self._standing = self._whole_standing(path) or self._standing
+                self._checkpoint = self._whole_checkpoint(path) or self._checkpoint
 
-    def _whole_standing(self, path: Path) -> tuple[str, Standing] | None:
+    def _whole_checkpoint(self, path: Path) -> tuple[str, Checkpoint] | None:
         """Where a step stood; None if the file or one of its parts is damaged."""
         known = self._whole(path)
         if known is None:
@@ -216,7 +218,7 @@ class FileJournal:
                 self.damaged.append(part)
                 return None
             parts.append(partial(_tensors_of, part))
-        return about["step"], Standing(tensors, tuple(parts))
+        return about["step"], Checkpoint(tensors, tuple(parts))
 
     def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
         """What a file is about and its tensors; None if it is damaged, which is noted."""

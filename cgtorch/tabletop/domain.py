@@ -20,8 +20,8 @@ from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes, write_bytes
+from cgtorch.improvement.grouping import broad_group
 from cgtorch.improvement.model_summary import ModelSummary
-from cgtorch.improvement.specialists import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions
@@ -275,4 +275,4 @@ def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
     if len(position) < WORTH_SHARING:
         return graspable(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)
-    return distributed.gathered(graspable(robot, position[mine], table[mine]), rows)
+    return distributed.all_gather(graspable(robot, position[mine], table[mine]), rows)

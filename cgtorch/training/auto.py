@@ -27,23 +27,14 @@ from cgtorch.runs.goal import (
     mean_holds,
     worth_deciding,
 )
-from cgtorch.runs.journal import journal_of
 from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.stage_files import load_progress
 from cgtorch.runs.storage import load_result
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.initial_models import initial_progress
-from cgtorch.training.stages import stage_generator
-from cgtorch.training.train import (
-    METHODS,
-    Tally,
-    counts,
-    evidence,
-    keep_stage,
-    listener,
-    not_improved,
-)
+from cgtorch.training.stages import Exercise, stage_generator
+from cgtorch.training.train import Made, Tally, counts, make_stage
 
 BATCH = 400  # scenarios tried before the next look at how many were missed
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
@@ -85,7 +76,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     while (
         not reached(goal, results[first:])
         and made < goal.rounds
-        and ranks.agreed(time.monotonic() - began < 60 * goal.minutes)
+        and ranks.broadcast(time.monotonic() - began < 60 * goal.minutes)
     ):
         made += 1
         decisions = len(_decisions(results[first:]))
@@ -115,45 +106,36 @@ def _decisions(rounds: list[dict[str, Any]]) -> list[tuple[int, int]]:
 
 def _round(
     training: Training, goal: Goal, number: int, decisions: int, progress: Progress[Any]
-) -> tuple[Progress[Any], dict[str, Any]]:
+) -> Made:
     """Make one round and keep it in the run; `decisions` were made before."""
     run, name = training.run, round_name(number)
     generator = stage_generator(run.domain, run.settings.seed, name)
     if not len(progress.missed):  # as at the very beginning
         most = EPISODES if run.domain.rewarded else goal.screening
         progress = _with(progress, act(run, progress.skill, most, generator))
-    missed, earlier, parent = progress.missed, len(progress.solved), progress.skill
-    names = tuple(map(round_name, range(1, number + 1)))
-    training.watch(StageStarted(name, names, earlier, len(missed), run.settings.attempts))
-    tally, began = Tally(), time.perf_counter()
-    if parent is not None:
-        progress = replace(progress, members=specialists_of(parent))
+    if progress.skill is not None:
+        progress = replace(progress, members=specialists_of(progress.skill))
+    missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
+    sizes = len(progress.solved), len(missed)
+    training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
+
+    def test(after: Progress[Any], tally: Tally) -> Made | None:
+        if run.domain.rewarded and tally.accepted is None and not len(after.solved):
+            after = _with_the_fittest(training, name, after, tally)
+        skill = after.skill
+        if skill is None:
+            return None
+        with training.working(f"testing {name} on fresh scenarios"):
+            if run.domain.rewarded:
+                after, tests = _tested_by_return(training, name, after, generator)
+            else:
+                after, tests = _tested(training, goal, name, decisions, after, generator)
+        return after, _result(run, name, tally, progress, skill, tests)
+
     everything = torch.ones(len(missed), dtype=torch.bool)
-    method = METHODS[run.settings.method]
-
-    def nothing(generator: Generator) -> Any:
-        return run.like()  # fresh scenarios are drawn at the round's end
-
-    with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
-        progress = method(
-            training.setup(journal), progress, name, missed, everything, nothing, generator,
-            listener(training, tally),
-        )  # fmt: skip
-        if run.domain.rewarded and tally.accepted is None and not len(progress.solved):
-            progress = _with_the_fittest(training, name, progress, tally)
-        seconds = time.perf_counter() - began
-        skill = progress.skill
-        if skill is not None:
-            with training.working(f"testing {name} on fresh scenarios"):
-                progress, tests = _tested(training, goal, name, decisions, progress, generator)
-            entry = None
-            if tally.accepted is not None:
-                entry = evidence(training, tally.accepted, parent, progress)
-            result = _result(name, run.kind, skill, tally, tests, earlier, len(missed), seconds)
-            keep_stage(run, name, progress, result, entry)
-    if skill is None:
-        raise not_improved(run, name)
-    return progress, result
+    # Fresh scenarios are drawn at the round's end.
+    task = Exercise(missed, everything, 0, lambda generator: run.like())
+    return make_stage(training, name, progress, task, generator, test)
 
 
 def _with_the_fittest(
@@ -180,8 +162,6 @@ def _tested(
     generator: Generator,
 ) -> tuple[Progress[Any], Tests]:
     """Try a round's skill on fresh scenarios, all of which join W or M."""
-    if training.run.domain.rewarded:
-        return _tested_by_return(training, name, progress, generator)
     run = training.run
     screening = act(run, progress.skill, goal.screening, generator)
     counted = screening.successes, screening.tried
@@ -222,14 +202,9 @@ def _tested_by_return(
 def act(
     run: Run, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
 ) -> Score:
-    """Try a skill on fresh scenarios, batch by batch, until `enough` were missed.
+    """Try a skill on at most so many fresh scenarios, batch by batch, until `enough` were missed.
 
-    Args:
-        run: whose world.
-        skill: what to try; without one everything is missed.
-        most: scenarios at most.
-        generator: of the scenarios.
-        enough: missed scenarios after which no batch is tried any more.
+    Without a skill everything is missed.
     """
     domain: Domain[Any] = run.domain
     parts = list[Score]()
@@ -258,39 +233,22 @@ def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
 
 
 def _result(
-    name: str,
-    kind: str,
-    skill: Skill,
-    tally: Tally,
-    tests: Tests,
-    earlier: int,
-    missed: int,
-    seconds: float,
+    run: Run, name: str, tally: Tally, before: Progress[Any], skill: Skill, tests: Tests
 ) -> dict[str, Any]:
-    """A round's line of the final table; it began with W of `earlier` and M of `missed`."""
-    accepted = tally.accepted
+    """A round's line of the final table."""
+    accepted, kind, decisive = tally.accepted, run.kind, tests.decisive
     won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
-    lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
-    decisive = tests.decisive
-    by_return = tests.screening.returns is not None
     return {
         "stage": name,
         "scenarios": kind,
         "skill": skill.name,
         "targets_succeeded": won,
-        "targets": missed,
+        "targets": len(before.missed),
         "earlier_failures": 0,
         "earlier_failures_succeeded": 0,
-        "w_size": earlier,
-        "w_lost": lost,
-        "nodes": skill.num_nodes,
-        "depth": skill.depth,
-        "generations": tally.generations,
-        "transitions": tally.transitions,
-        "seconds": round(seconds, 1),
-        "search_seconds": round(tally.searching, 3),
+        **tally.result(before, skill, tally.seconds),
         "fresh": counts(kind, tests.screening),
         "overall": counts(kind, decisive or tests.screening),
         "decisive": None if decisive is None else counts(kind, decisive),
-        "mean_holds": tests.holds if by_return else None,
+        "mean_holds": None if tests.screening.returns is None else tests.holds,
     }

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import torch
-from torch import Generator
 
 from cgtorch.domains.knowledge import learn
 from cgtorch.domains.summary import summary_of
@@ -19,7 +18,7 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.improvement.events import Watch
-from cgtorch.improvement.journal import Journal, NoJournal
+from cgtorch.improvement.journal import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import SECONDS
@@ -51,8 +50,7 @@ class Training:
         """The run's settings in the terms of improvement."""
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
-        learns, noisy = run.learns, run.learns or run.domain.noisy_world
-        replicas = 2 if noisy else 1
+        replicas = 2 if run.learns or domain.noisy_world else 1
         budget = Budget(generations=s.generations, stall=specialists.stall)
         if domain.rewarded:
             # A return has no best value, so what solves all is improved for a little while.
@@ -61,8 +59,8 @@ class Training:
         return Setup(
             actions=run.actions,
             world_of=domain.world,
-            imagine=self._in_models if learns else self._in_world,
-            learn=learn if learns else None,
+            imagine=self._imagine,
+            learn=learn if run.learns else None,
             describe=summary_of,
             evolution=evolution_settings(run),
             budget=budget,
@@ -74,31 +72,15 @@ class Training:
             attempts=s.attempts,
             max_transitions=s.max_transitions,
             device=self.device,
-            journal=journal or NoJournal(),
+            journal=journal or Journal(),
         )
 
-    def _in_models(
-        self,
-        knowledge: Any,
-        scenarios: Any,
-        percepts: torch.Tensor,
-        replicas: int,
-        generator: Generator,
-        device: torch.device | str,
+    def _imagine(
+        self, knowledge: Any, scenarios: Any, percepts: torch.Tensor, replicas: int, *how: Any
     ) -> Environment:
-        """Skills are evolved in Γ and C."""
-        return self.run.domain.imagine(knowledge, percepts, replicas, generator, device)
-
-    def _in_world(
-        self,
-        knowledge: Any,
-        scenarios: Any,
-        percepts: torch.Tensor,
-        replicas: int,
-        generator: Generator,
-        device: torch.device | str,
-    ) -> Environment:
-        """Skills are evolved in the world itself, each scenario under other noise each time."""
+        """Skills are evolved in Γ and C, or in the world itself under other noise each time."""
+        if self.run.learns:
+            return self.run.domain.imagine(knowledge, percepts, replicas, *how)
         copies = [scenarios.with_noise(copy) for copy in range(replicas)]
         rows = torch.arange(replicas * len(scenarios)).view(replicas, -1).T.flatten()
         return self.run.domain.world(copies[0].joined(*copies[1:])[rows])

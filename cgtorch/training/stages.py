@@ -8,6 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
 from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.improvement.interfaces import Draw
 from cgtorch.runs.run import AUTO, Run
 
 _SEED_STRIDE = 1_000_003
@@ -22,11 +23,13 @@ class Exercise:
         scenarios: the stage's tests, then what failed before, then practice.
         targets: (B,) bool, the tests and what failed before.
         tests: how many of these are the stage's own tests, which come first.
+        draw: draws fresh scenarios that an accepted skill is tested on.
     """
 
     scenarios: Any
     targets: Tensor
     tests: int
+    draw: Draw[Any]
 
 
 def stages_up_to(domain: Domain[Any], stage: str) -> tuple[str, ...]:
@@ -75,8 +78,12 @@ def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
 
 def exercise(run: Run, stage: str, missed: Any, practice: int, generator: Generator) -> Exercise:
     """The scenarios of a stage: its tests, earlier failures, random practice."""
-    kind = run.domain.stages[stage]
-    tests = run.domain.tests(kind)
-    scenarios = tests.joined(missed, run.domain.draw(kind, practice, generator))
+    kind, domain = run.domain.stages[stage], run.domain
+
+    def draw(generator: Generator) -> Any:
+        return domain.draw(kind, practice, generator)
+
+    tests = domain.tests(kind)
+    scenarios = tests.joined(missed, draw(generator))
     targets = torch.arange(len(scenarios)) < len(tests) + len(missed)
-    return Exercise(scenarios, targets, len(tests))
+    return Exercise(scenarios, targets, len(tests), draw)

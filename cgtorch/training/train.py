@@ -1,8 +1,10 @@
 """Algorithm 1 over a domain's stages, such as the four experiments of section VI."""
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from typing import Any
+from typing import Any, TypeAlias
 
 from torch import Generator
 
@@ -20,20 +22,23 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress
+from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.runs.journal import forget, journal_of
-from cgtorch.runs.ledger import Entry, enter, entry_of
+from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.run import Run, whole_folder
 from cgtorch.runs.stage_files import load_progress, save_progress
 from cgtorch.runs.storage import load_result
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.training.initial_models import initial_progress
-from cgtorch.training.stages import exercise, stage_generator, stages_to_make
+from cgtorch.training.stages import Exercise, exercise, stage_generator, stages_to_make
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 
 METHODS = {"compose": improve, "paper": grow}
+
+Made: TypeAlias = tuple[Progress[Any], dict[str, Any]]
+"""Where a stage or round has ended, and its result."""
 
 
 class NotImprovedError(CgtorchError, RuntimeError):
@@ -47,6 +52,7 @@ class Tally:
     generations: int = 0
     transitions: int = 0
     searching: float = 0.0  # s
+    seconds: float = 0.0  # of all of it
     accepted: SkillAccepted[Any] | None = None
     champion: Population | None = None
     best: float = -inf  # its fitness
@@ -69,6 +75,21 @@ class Tally:
     def _compare(self, champion: Population, fitness: float) -> None:
         if fitness > self.best:
             self.champion, self.best = champion, fitness
+
+    def result(self, before: Progress[Any], skill: Skill, seconds: float) -> dict[str, Any]:
+        """What the results of stages and of rounds tell alike, given where theirs began."""
+        accepted = self.accepted
+        lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
+        return {
+            "w_size": len(before.solved),
+            "w_lost": lost,
+            "nodes": skill.num_nodes,
+            "depth": skill.depth,
+            "generations": self.generations,
+            "transitions": self.transitions,
+            "seconds": round(seconds, 1),
+            "search_seconds": round(self.searching, 3),
+        }
 
 
 def train(training: Training, stage: str) -> list[dict[str, Any]]:
@@ -99,108 +120,107 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
 
 
 def _stage(
-    training: Training, name: str, names: tuple[str, ...], progress: Progress[Any]
+    training: Training, name: str, names: tuple[str, ...], before: Progress[Any]
 ) -> Progress[Any]:
     """Make one stage and keep it in the run."""
     run = training.run
     generator = stage_generator(run.domain, run.settings.seed, name)
     # The published protocol knows the tests only.
     practice = run.settings.practice if run.settings.method == "compose" else 0
-    task = exercise(run, name, progress.missed, practice, generator)
-    sizes = (len(progress.solved), len(task.scenarios))
+    task = exercise(run, name, before.missed, practice, generator)
+    sizes = len(before.solved), len(task.scenarios)
     training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
-    tally, method = Tally(), METHODS[run.settings.method]
 
-    def draw(generator: Generator) -> Any:
-        return run.domain.draw(run.domain.stages[name], practice, generator)
+    def test(after: Progress[Any], tally: Tally) -> Made | None:
+        accepted = tally.accepted
+        if accepted is None:
+            return None
+        skill, targets = accepted.skill, accepted.succeeded[accepted.targets]
+        kind, usual = run.domain.stages[name], run.domain.usual_kind
+        with training.working(f"testing {name} on fresh scenarios"):
+            seed = FRESH_SEED + run.settings.seed
+            fresh = evaluate_skill(skill, run.domain, kind, FRESH, seed)
+            overall = evaluate_skill(skill, run.domain, usual, OVERALL, seed)
+        return after, {
+            "stage": name,
+            "scenarios": kind,
+            "targets_succeeded": int(targets[: task.tests].sum()),
+            "targets": task.tests,
+            "earlier_failures": len(targets) - task.tests,
+            "earlier_failures_succeeded": int(targets[task.tests :].sum()),
+            **tally.result(before, skill, accepted.seconds),
+            "fresh": counts(kind, fresh),
+            "overall": counts(usual, overall),
+        }
 
-    earlier, parent = len(progress.solved), progress.skill
-    with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
-        progress = method(
-            training.setup(journal), progress, name, task.scenarios, task.targets, draw, generator,
-            listener(training, tally),
-        )  # fmt: skip
-        if tally.accepted is not None:
-            with training.working(f"testing {name} on fresh scenarios"):
-                result = _result(run, name, tally.accepted, task.tests, earlier, tally)
-            entry = evidence(training, tally.accepted, parent, progress)
-            keep_stage(run, name, progress, result, entry)
-    if tally.accepted is None:
-        raise not_improved(run, name)
-    return progress
+    return make_stage(training, name, before, task, generator, test)[0]
 
 
-def listener(training: Training, tally: Tally) -> Any:
-    """What is told by a stage: the tally, and who watches the training."""
+def make_stage(
+    training: Training,
+    name: str,
+    before: Progress[Any],
+    task: Exercise,
+    generator: Generator,
+    test: Callable[[Progress[Any], Tally], Made | None],
+) -> Made:
+    """Make one stage or round and keep it in the run.
+
+    Args:
+        training: what to work with.
+        name: of the stage.
+        before: where the earlier ones ended.
+        task: what it is to solve.
+        generator: of all its random choices.
+        test: tries its skill on fresh scenarios: from where it has come to and what that cost to
+            where it ends and its result; None if there is no skill.
+
+    Raises:
+        NotImprovedError: there is no skill.
+        RunError: a file cannot be written or read.
+    """
+    run, tally = training.run, Tally()
 
     def listen(event: Event) -> None:
         tally.count(event)
         training.watch(event)
 
-    return listen
-
-
-def keep_stage(
-    run: Run, name: str, progress: Progress[Any], result: dict[str, Any], entry: Entry | None
-) -> None:
-    """Write what a stage or round has come to, the first rank only."""
-    if not ranks.first():
-        return
-    if entry is not None:
-        enter(run.folder, entry)
-    with whole_folder(run.folder / name) as folder:
-        save_progress(folder, progress, run.settings.seed)
-        write_json(folder / "result.json", result)
-
-
-def evidence(
-    training: Training, accepted: SkillAccepted[Any], parent: Skill | None, after: Progress[Any]
-) -> Entry:
-    """The ledger's entry of a skill that was just accepted; see `entry_of`."""
-    run, again = training.run, None
-    if run.domain.noisy_world:
-        with training.working(f"trying {accepted.stage} under other noise"):
-            score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
-        again = score.tried, score.successes
-    return entry_of(accepted, parent, after, again)
-
-
-def not_improved(run: Run, name: str) -> NotImprovedError:
-    """The error of a stage that found nothing."""
-    return NotImprovedError(
+    with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
+        stage = Stage(training.setup(journal), name, generator, listen)
+        began, method = time.perf_counter(), METHODS[run.settings.method]
+        after = method(stage, before, task.scenarios, task.targets, task.draw)
+        tally.seconds = time.perf_counter() - began
+        made = test(after, tally)
+        if made is not None:
+            _keep(training, name, tally.accepted, before, made)
+            return made
+    raise NotImprovedError(
         f"stage {name} found no skill that keeps W and solves more within "
         f"{run.settings.attempts} attempts; raise --attempts, --generations or --population"
     )
 
 
-def _result(
-    run: Run, name: str, accepted: SkillAccepted[Any], tests: int, earlier: int, tally: Tally
-) -> dict[str, Any]:
-    """A stage's line of the final table; it began with W of `earlier`."""
-    skill, succeeded = accepted.skill, accepted.succeeded
-    seed = FRESH_SEED + run.settings.seed
-    kind, usual = run.domain.stages[name], run.domain.usual_kind
-    fresh = evaluate_skill(skill, run.domain, kind, FRESH, seed)
-    overall = evaluate_skill(skill, run.domain, usual, OVERALL, seed)
-    targets = succeeded[accepted.targets]
-    return {
-        "stage": name,
-        "scenarios": kind,
-        "targets_succeeded": int(targets[:tests].sum()),
-        "targets": tests,
-        "earlier_failures": len(targets) - tests,
-        "earlier_failures_succeeded": int(targets[tests:].sum()),
-        "w_size": earlier,
-        "w_lost": int((~succeeded[accepted.keep]).sum()),
-        "nodes": skill.num_nodes,
-        "depth": skill.depth,
-        "generations": tally.generations,
-        "transitions": tally.transitions,
-        "seconds": round(accepted.seconds, 1),
-        "search_seconds": round(tally.searching, 3),
-        "fresh": counts(kind, fresh),
-        "overall": counts(usual, overall),
-    }
+def _keep(
+    training: Training,
+    name: str,
+    accepted: SkillAccepted[Any] | None,
+    before: Progress[Any],
+    made: Made,
+) -> None:
+    """Write what a stage or round has come to, the first rank only."""
+    run, (after, result) = training.run, made
+    again = None
+    if accepted is not None and run.domain.noisy_world:
+        with training.working(f"trying {name} under other noise"):
+            score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
+        again = score.tried, score.successes
+    if not ranks.first():
+        return
+    if accepted is not None:
+        enter(run.folder, entry_of(accepted, before.skill, after, again))
+    with whole_folder(run.folder / name) as folder:
+        save_progress(folder, after, run.settings.seed)
+        write_json(folder / "result.json", result)
 
 
 def finished_generations(run: Run) -> int:

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from cgtorch.domains.knowledge import ASIDE, MOST_NEW, Knowledge, learn, parted, sampled, taken
 from cgtorch.environment import Dataset, start_lanes
+from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.specialists import local_group
 from cgtorch.improvement.team import try_all
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.data import Scenes, collect

@@ -32,28 +32,28 @@ with ranks.together():
             torch.arange(rows) % 2 == 0,
         ):
             part = whole[ranks.share(rows)]
-            assert torch.equal(ranks.gathered(part, rows), whole)
-            assert ranks.gathered(part, rows).dtype == whole.dtype
+            assert torch.equal(ranks.all_gather(part, rows), whole)
+            assert ranks.all_gather(part, rows).dtype == whole.dtype
     for parts in range(1, 12):
-        mine, crew = ranks.held(parts), ranks.crew(parts)
+        mine, group = ranks.held(parts), ranks.group_of(parts)
         assert len(mine) == 1 or len(mine) <= -(-parts // 5)
         own = torch.arange(parts * 6.0).view(parts, 2, 3)
-        every = ranks.exchanged(own[mine.start : mine.stop], parts)
+        every = ranks.all_gather_parts(own[mine.start : mine.stop], parts)
         assert torch.equal(every, own)
         before = [(part - 1) % parts for part in mine]
         for whole in (own, own > 9):
-            found = ranks.passed_on(whole[mine.start : mine.stop], parts)
+            found = ranks.ring_shift(whole[mine.start : mine.stop], parts)
             assert torch.equal(found, whole[before])
         rows = torch.arange(7) + 10 * mine.start
-        part = rows[ranks.share(7, crew)]
-        assert torch.equal(ranks.gathered(part, 7, crew), rows)
+        part = rows[ranks.share(7, group)]
+        assert torch.equal(ranks.all_gather(part, 7, group), rows)
         for i in range(parts):
             held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
-            found = ranks.fetched(held, i, parts)
+            found = ranks.gather_part(held, i, parts)
             assert not ranks.first() or torch.equal(found["x"], own[i])
             assert not ranks.first() or bool(found["y"])
-    assert ranks.agreed(ranks.first())
-    assert ranks.told(torch.tensor([int(ranks.first())])).tolist() == [1]
+    assert ranks.broadcast(ranks.first())
+    assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
     ranks.wait()
     if ranks.first():
         print("all gathered")
@@ -114,13 +114,13 @@ def test_alone_everything_is_ones_own() -> None:
         assert ranks.count() == 1
         assert ranks.first()
         assert ranks.share(7) == slice(0, 7)
-        assert ranks.gathered(rows, 7) is rows
-        assert ranks.agreed(True)
-        assert not ranks.agreed(False)
+        assert ranks.all_gather(rows, 7) is rows
+        assert ranks.broadcast(True)
+        assert not ranks.broadcast(False)
         assert ranks.held(3) == range(3)
-        assert torch.equal(ranks.exchanged(rows, 7), rows)
-        assert torch.equal(ranks.passed_on(rows, 7), rows.roll(1))
-        assert ranks.fetched({"x": rows}, 6, 7)["x"] is rows
+        assert torch.equal(ranks.all_gather_parts(rows, 7), rows)
+        assert torch.equal(ranks.ring_shift(rows, 7), rows.roll(1))
+        assert ranks.gather_part({"x": rows}, 6, 7)["x"] is rows
         ranks.wait()
 
 

@@ -1,7 +1,6 @@
 """The coreset of W: what stays covers what goes, and what goes is not forgotten."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
@@ -15,8 +14,8 @@ from cgtorch.graphs import Skill
 from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import GenerationDone, SkillAccepted
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.team import Task, Team, compose_team
+from cgtorch.improvement.setup import Progress, Setup, Stage
+from cgtorch.improvement.team import StageState, compose_team
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -71,14 +70,11 @@ def test_acceptance_is_checked_on_all_of_w(setup: Setup, nothing_yet: Progress) 
     told: list[object] = []
     small = replace(setup, core=2, attempts=1, rounds=1)
     after = improve(
-        small,
+        Stage(small, "S1", seeded(1), told.append),
         progress,
-        "S1",
         missed,
         torch.ones(len(missed), dtype=torch.bool),
         lambda generator: random_scenarios("near", 0, generator),
-        seeded(1),
-        told.append,
     )
     assert after.skill is not None
     assert after.skill is not earlier
@@ -115,12 +111,14 @@ def test_no_scenario_is_dropped_where_a_further_try_fails(
         if isinstance(event, SkillAccepted):
             accepted.append(event)
 
-    def forgetful(setup: Setup, team: Team, task: Task, *rest: Any) -> tuple[Skill, Tensor] | None:
+    def forgetful(
+        stage: Stage, state: StageState, progress: Progress
+    ) -> tuple[Skill, Tensor] | None:
         """A team that loses something, and then none, once a skill was accepted."""
         if not accepted:
-            return compose_team(setup, team, task, *rest)
+            return compose_team(stage, state, progress)
         losing.append(nearly(1.5))
-        return (losing[0], task.keep) if len(losing) == 1 else None
+        return (losing[0], state.keep) if len(losing) == 1 else None
 
     def draw(generator: Generator) -> Scenarios:
         return random_scenarios("perimeter", 20, generator)
@@ -128,7 +126,7 @@ def test_no_scenario_is_dropped_where_a_further_try_fails(
     monkeypatch.setattr("cgtorch.improvement.improve.compose_team", forgetful)
     few = replace(setup, core=2, attempts=0, rounds=2)
     everything = torch.ones(len(missed), dtype=torch.bool)
-    after = improve(few, progress, "S1", missed, everything, draw, seeded(0), watch)
+    after = improve(Stage(few, "S1", seeded(0), watch), progress, missed, everything, draw)
     assert len(accepted) == 1
     assert len(losing) == 2
     assert len(after.solved) + len(after.missed) == len(solved) + len(missed) + 20
@@ -142,12 +140,14 @@ def test_where_no_team_can_be_composed_one_more_is_recruited(
     """Though members solve all that is missed, so that nobody seemed to be needed."""
     progress = two_members(setup, nothing_yet)
     missed = progress.missed
-    teams: list[Team] = []
+    teams: list[StageState] = []
     evolved: set[str] = set()
 
-    def failing_once(setup: Setup, team: Team, *rest: Any) -> tuple[Skill, Tensor] | None:
-        teams.append(team)
-        return compose_team(setup, team, *rest) if len(teams) > 1 else None
+    def failing_once(
+        stage: Stage, state: StageState, progress: Progress
+    ) -> tuple[Skill, Tensor] | None:
+        teams.append(state)
+        return compose_team(stage, state, progress) if len(teams) > 1 else None
 
     def watch(event: object) -> None:
         if isinstance(event, GenerationDone):
@@ -158,18 +158,15 @@ def test_where_no_team_can_be_composed_one_more_is_recruited(
     once = replace(
         setup, trials=1, attempts=1, rounds=1, budget=replace(setup.budget, generations=3)
     )
-    after = improve(
-        once, progress, "S1", missed, everything, lambda _: missed[:0], seeded(0), watch
-    )
+    stage = Stage(once, "S1", seeded(0), watch)
+    after = improve(stage, progress, missed, everything, lambda _: missed[:0])
     assert len(teams) == 2
     assert evolved == {"S1.1"}
     assert after.skill is not None
     assert after.skill.name == "S1"
-    nobody = replace(once, attempts=0)
+    nobody = Stage(replace(once, attempts=0), "S1", seeded(0), watch)
     teams.clear()
-    same = improve(
-        nobody, progress, "S1", missed, everything, lambda _: missed[:0], seeded(0), watch
-    )
+    same = improve(nobody, progress, missed, everything, lambda _: missed[:0])
     assert len(teams) == 1
     assert same.skill is progress.skill
 
@@ -179,8 +176,7 @@ def test_with_nothing_missed_all_stays(setup: Setup, nothing_yet: Progress) -> N
     nothing = progress.missed[:0]
     progress = replace(progress, members=(), missed=nothing)
     none = torch.zeros(0, dtype=torch.bool)
-    after = improve(
-        setup, progress, "S1", nothing, none, lambda _: nothing, seeded(0), lambda _: None
-    )
+    stage = Stage(setup, "S1", seeded(0), lambda event: None)
+    after = improve(stage, progress, nothing, none, lambda _: nothing)
     assert after.skill is progress.skill
     assert len(after.solved) == len(progress.solved)

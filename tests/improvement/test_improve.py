@@ -21,9 +21,9 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.gating import train_branches
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.stopping import Budget
-from cgtorch.improvement.team import Task, Team, compose_team
+from cgtorch.improvement.team import StageState, compose_team
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import (
     Scenarios,
@@ -43,16 +43,17 @@ def stage(
     scenarios = stage_scenarios(edge).joined(random_scenarios(edge, 5, seeded(seed)))
     told: Told = []
     after = METHODS[method](
-        setup,
+        Stage(setup, name, seeded(seed), told.append),
         progress,
-        name,
         scenarios,
         torch.arange(10) < 5,
         lambda generator: random_scenarios(edge, 5, generator),
-        seeded(seed),
-        told.append,
     )
     return after, told
+
+
+def unwatched(setup: Setup) -> Stage:
+    return Stage(setup, "S1", seeded(0), lambda event: None)
 
 
 def solves(setup: Setup, progress: Progress, scenarios: Scenarios) -> Tensor:
@@ -207,14 +208,7 @@ def test_a_stage_whose_every_scenario_is_w(setup: Setup, nothing_yet: Progress) 
     first, _ = stage("compose", setup, nothing_yet, "S0", "near", 1)
     none = stage_scenarios("near", 0)
     after = improve(
-        setup,
-        first,
-        "S1",
-        none,
-        torch.zeros(0, dtype=torch.bool),
-        lambda generator: none,
-        seeded(0),
-        lambda event: None,
+        unwatched(setup), first, none, torch.zeros(0, dtype=torch.bool), lambda generator: none
     )
     assert solves(setup, after, first.solved).all()
     assert len(after.solved) >= len(first.solved)
@@ -234,16 +228,17 @@ def test_a_team_that_would_lose_something_is_not_accepted(
     solved = try_skill(whole, setup.world_of(scenarios)).succeeded
     assert 0 < int(solved.sum()) < 40
     nobody = torch.zeros(40, dtype=torch.bool)
-    team = Team((idle, member), rates, None, nothing_yet.knowledge)
+    models, members = nothing_yet.knowledge, (idle, member)
     for keep, accepted in (
         (~solved, False),
         (solved, False),
         (nobody, True),
         (solved & (torch.arange(40) > 20), True),
     ):
-        task = Task("S1", scenarios, keep, nobody, percepts)
+        about = scenarios, keep, nobody, percepts, scenarios[:0]
+        state = StageState(*about, models, members, rates)
         progress = replace(nothing_yet, skill=nearly(0.0))
-        found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
+        found = compose_team(unwatched(setup), state, progress)
         assert (found is not None) == accepted
 
 
@@ -262,10 +257,11 @@ def test_members_take_the_earlier_skills_place_and_idle_ones_are_dropped(
     results = [try_skill(m, world).succeeded for m in (earlier, *members)]
     assert not results[2].any()
     assert (results[4] & ~results[0]).any()
-    team = Team((earlier, *members), torch.stack(results, 1).float(), None, nothing_yet.knowledge)
-    task = Task("S1", scenarios, results[0], none, first_percepts(world))
+    about = scenarios, results[0], none, first_percepts(world), scenarios[:0]
+    rates = torch.stack(results, 1).float()
+    state = StageState(*about, nothing_yet.knowledge, (earlier, *members), rates)
     progress = replace(nothing_yet, skill=earlier, members=members)
-    found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
+    found = compose_team(unwatched(setup), state, progress)
     assert found is not None
     skill, succeeded = found
     assert set(skill.sub_skills) == {"near", "far"}
@@ -282,10 +278,11 @@ def test_where_members_would_lose_something_the_earlier_skill_stays(
     earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
     results = [try_skill(m, world).succeeded for m in (earlier, far)]
     assert (results[0] & ~results[1]).any()
-    team = Team((earlier, far), torch.stack(results, 1).float(), None, nothing_yet.knowledge)
-    task = Task("S1", scenarios, results[0], none, first_percepts(world))
+    about = scenarios, results[0], none, first_percepts(world), scenarios[:0]
+    rates = torch.stack(results, 1).float()
+    state = StageState(*about, nothing_yet.knowledge, (earlier, far), rates)
     progress = replace(nothing_yet, skill=earlier, members=(far,))
-    found = compose_team(setup, team, task, progress, seeded(0), lambda event: None)
+    found = compose_team(unwatched(setup), state, progress)
     assert found is not None
     assert "S0" in found[0].sub_skills
     assert found[1][results[0]].all()

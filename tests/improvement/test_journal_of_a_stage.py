@@ -14,7 +14,7 @@ from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup
+from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.runs.journal import FileJournal
 from cgtorch.tabletop.world import random_scenarios, stage_scenarios
 
@@ -25,14 +25,11 @@ def stage(
     method: str, setup: Setup, progress: Progress, watch: Callable[[Event], None]
 ) -> Progress:
     return METHODS[method](
-        setup,
+        Stage(setup, "S0", seeded(0), watch),
         progress,
-        "S0",
         stage_scenarios("near"),
         torch.ones(5, dtype=torch.bool),
         lambda generator: random_scenarios("near", 5, generator),
-        seeded(0),
-        watch,
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 import torch
-from support import FOOTPRINT, seeded
+from support import FOOTPRINT, search, seeded
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
@@ -23,6 +23,7 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.improvement.setup import Stage
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
@@ -102,17 +103,10 @@ def events(models: Models) -> list[Event]:
     members: list[Skill] = []
     kept = torch.zeros(11, dtype=torch.bool)
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):
-        champion, solved = evolve_candidate(
-            world,
-            actions,
-            EvolutionSettings(population=60, capacity=12),
-            Budget(limit, patience=10**6, stall=10**6, enough=2.0),
-            generator,
-            told.append,
-            "S1",
-            name,
-            keep=kept,
-        )
+        budget = Budget(limit, patience=10**6, stall=10**6, enough=2.0)
+        setup = search(actions, EvolutionSettings(population=60, capacity=12), budget)
+        stage = Stage(setup, "S1", generator, told.append)
+        champion, solved = evolve_candidate(stage, name, world, keep=kept)
         members.append(Skill(name, champion.graphs, actions))
         result = try_skill(members[-1], world).succeeded
         kept = result & keep

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import write_bytes
+from cgtorch.improvement.checkpoint import Checkpoint
 from cgtorch.improvement.events import AboutToKeep, Event, JournalDamaged
-from cgtorch.improvement.journal import Standing
 from cgtorch.runs.journal import FileJournal, journal_of, recalled_generations
 
 
@@ -21,10 +21,10 @@ def result(number: int) -> dict[str, Tensor]:
     return {"x": torch.full((3,), float(number)), "generations": torch.tensor(number)}
 
 
-def standing(number: int, parts: int = 1, apart: bool = False) -> Standing:
+def checkpoint(number: int, parts: int = 1, apart: bool = False) -> Checkpoint:
     """Whose parts are 100, 101, … more than its number."""
     made = [partial(result, number + 100 + i) for i in range(parts)]
-    return Standing(result(number), tuple(made), apart)
+    return Checkpoint(result(number), tuple(made), apart)
 
 
 def filled(folder: Path, steps: int, notes: int = 0) -> None:
@@ -34,7 +34,7 @@ def filled(folder: Path, steps: int, notes: int = 0) -> None:
         assert journal.recall(f"step {i}") is None
         journal.record(f"step {i}", result(i))
     for i in range(notes):
-        journal.record_standing(f"step {steps}", standing(10 + i))
+        journal.record_checkpoint(f"step {steps}", checkpoint(10 + i))
 
 
 def numbers(folder: Path) -> list[float]:
@@ -53,13 +53,13 @@ def test_steps_are_recalled_in_their_order(tmp_path: Path) -> None:
     for i in range(3):
         journal.recall(f"step {i}")
     assert journal.recall("step 3") is None
-    known = journal.recall_standing("step 3")
+    known = journal.recall_checkpoint("step 3")
     assert known is not None
     assert float(known.about["x"][0]) == 10
     assert [float(part()["x"][0]) for part in known.parts] == [110]
     journal.record("step 3", result(3))
     assert numbers(tmp_path / "S0") == [0, 1, 2, 3]
-    assert FileJournal(tmp_path / "S0").recall_standing("step 4") is None
+    assert FileJournal(tmp_path / "S0").recall_checkpoint("step 4") is None
 
 
 def test_another_step_than_the_journal_knows_is_an_error(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_another_step_than_the_journal_knows_is_an_error(tmp_path: Path) -> None
     journal = FileJournal(tmp_path / "S0")
     journal.recall("step 0")
     with pytest.raises(RunError, match="goes on with 'step 1', not 'other'"):
-        journal.recall_standing("other")
+        journal.recall_checkpoint("other")
 
 
 def test_the_last_two_notes_are_kept_and_a_damaged_one_gives_way_to_the_one_before(
@@ -82,8 +82,8 @@ def test_the_last_two_notes_are_kept_and_a_damaged_one_gives_way_to_the_one_befo
     notes[1].write_bytes(notes[1].read_bytes()[:-1] + b"?")
     journal = FileJournal(tmp_path)
     assert journal.damaged == [notes[1]]
-    known = journal.recall("step 0") and journal.recall_standing("step 1")
-    assert isinstance(known, Standing)
+    known = journal.recall("step 0") and journal.recall_checkpoint("step 1")
+    assert isinstance(known, Checkpoint)
     assert float(known.about["x"][0]) == 13
 
 
@@ -132,7 +132,7 @@ def test_the_journal_goes_with_its_stage_and_an_interrupted_one_stays(tmp_path: 
     told: list[Event] = []
     with suppress(KeyboardInterrupt), journal_of(tmp_path, "S0", told.append) as journal:
         journal.record("step 0", result(4))
-        journal.record_standing("step 1", standing(5))
+        journal.record_checkpoint("step 1", checkpoint(5))
         raise KeyboardInterrupt
     assert all(isinstance(event, AboutToKeep) for event in told)
     assert len(told) == 3  # the interruption kept where the step stood, in two files
@@ -188,7 +188,7 @@ def test_a_note_counts_only_with_all_its_parts(
     folder = tmp_path_factory.mktemp("journal")
     journal = FileJournal(folder, seconds=0)
     for number in (1, 2):
-        journal.record_standing("step 0", standing(number, parts))
+        journal.record_checkpoint("step 0", checkpoint(number, parts))
     path = folder / f"00000-2.{which % parts}.safetensors"
     match how:
         case "gone":
@@ -199,7 +199,7 @@ def test_a_note_counts_only_with_all_its_parts(
             path.write_bytes((folder / f"00000-1.{which % parts}.safetensors").read_bytes())
     journal = FileJournal(folder)
     assert journal.damaged == [path]
-    known = journal.recall_standing("step 0")
+    known = journal.recall_checkpoint("step 0")
     assert known is not None
     assert float(known.about["x"][0]) == 1
     assert [float(part()["x"][0]) for part in known.parts] == [101 + i for i in range(parts)]
@@ -207,11 +207,11 @@ def test_a_note_counts_only_with_all_its_parts(
 
 def test_a_note_without_parts_is_none(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path, seconds=0)
-    journal.record_standing("step 0", standing(1))
-    journal.record_standing("step 0", Standing(result(2), ()))
+    journal.record_checkpoint("step 0", checkpoint(1))
+    journal.record_checkpoint("step 0", Checkpoint(result(2), ()))
     journal = FileJournal(tmp_path)
     assert journal.damaged == [tmp_path / "00000-2.safetensors"]
-    known = journal.recall_standing("step 0")
+    known = journal.recall_checkpoint("step 0")
     assert known is not None
     assert float(known.about["x"][0]) == 1
 
@@ -223,17 +223,17 @@ def test_parts_of_a_note_that_was_never_ended_are_no_note_and_go(tmp_path: Path)
         raise OSError
 
     journal = FileJournal(tmp_path, seconds=0)
-    journal.record_standing("step 0", standing(1, 2))
+    journal.record_checkpoint("step 0", checkpoint(1, 2))
     with suppress(OSError):
-        journal.record_standing("step 0", Standing(result(2), (standing(2).parts[0], fails)))
+        journal.record_checkpoint("step 0", Checkpoint(result(2), (checkpoint(2).parts[0], fails)))
     assert (tmp_path / "00000-2.0.safetensors").exists()
     journal = FileJournal(tmp_path, seconds=0)
     assert not journal.damaged
-    known = journal.recall_standing("step 0")
+    known = journal.recall_checkpoint("step 0")
     assert known is not None
     assert float(known.about["x"][0]) == 1
-    journal.record_standing("step 0", standing(3, 2))
-    journal.record_standing("step 0", standing(4, 2))
+    journal.record_checkpoint("step 0", checkpoint(3, 2))
+    journal.record_checkpoint("step 0", checkpoint(4, 2))
     names = {f"00000-{note}{part}.safetensors" for note in (2, 3) for part in (".0", ".1", "")}
     assert {p.name for p in tmp_path.iterdir()} == names
 
@@ -243,6 +243,6 @@ def test_what_other_ranks_hold_is_not_asked_for_when_one_is_interrupted(tmp_path
         raise AssertionError
 
     with suppress(KeyboardInterrupt), FileJournal(tmp_path / "S0") as journal:
-        journal.record_standing("step 0", Standing(result(1), (never,), apart=True))
+        journal.record_checkpoint("step 0", Checkpoint(result(1), (never,), apart=True))
         raise KeyboardInterrupt
     assert not (tmp_path / "S0").exists()

@@ -22,15 +22,15 @@ from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.improvement.attempt import trial_from, trial_tensors
-from cgtorch.improvement.journal import Standing
-from cgtorch.improvement.stopping import (
-    Found,
+from cgtorch.improvement.checkpoint import (
+    Checkpoint,
     found_from,
     found_tensors,
     island_from,
     island_tensors,
     islands_from,
 )
+from cgtorch.improvement.stopping import Found
 from cgtorch.improvement.trial import Trial
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.runs.ledger import read_entry, read_index
@@ -154,18 +154,18 @@ def _found(actions: ActionSet) -> Found:
     return Found(_population(actions)[:1], torch.arange(SCENARIOS) < 3, 0.5, 3, 9, 1000, 1.5)
 
 
-def _write_standing(folder: Path, actions: ActionSet) -> None:
+def _write_checkpoint(folder: Path, actions: ActionSet) -> None:
     """An evolution of two islands that is not over."""
     shutil.rmtree(folder / "journal", ignore_errors=True)
     state = EvolutionState(_population(actions), 9, _population(actions), 0.0)
     part = island_tensors(Island(state, Generator()))
-    standing = Standing(found_tensors(_found(actions)), (lambda: part, lambda: part))
-    FileJournal(folder / "journal" / "S4", seconds=0).record_standing("evolution x", standing)
+    checkpoint = Checkpoint(found_tensors(_found(actions)), (lambda: part, lambda: part))
+    FileJournal(folder / "journal" / "S4", seconds=0).record_checkpoint("evolution x", checkpoint)
 
 
-def _standing(name: str) -> Callable[[Path, ActionSet], list[bytes]]:
+def _checkpoint(name: str) -> Callable[[Path, ActionSet], list[bytes]]:
     def written(folder: Path, actions: ActionSet) -> list[bytes]:
-        _write_standing(folder, actions)
+        _write_checkpoint(folder, actions)
         return [(folder / name).read_bytes()]
 
     return written
@@ -176,9 +176,9 @@ def _read_journal(folder: Path, actions: ActionSet) -> object:
     journal = FileJournal(folder / "journal" / "S4")
     if journal.damaged:  # is told, and counts as never done
         raise RunError("damaged")
-    if standing := journal.recall_standing("evolution x"):
-        found_from(standing.about, actions, SCENARIOS)
-        return islands_from(standing, actions, Generator(), 2)
+    if checkpoint := journal.recall_checkpoint("evolution x"):
+        found_from(checkpoint.about, actions, SCENARIOS)
+        return islands_from(checkpoint, actions, Generator(), 2)
     try:
         known = journal.recall("evolution x")
     except RunError:
@@ -274,8 +274,8 @@ FORMATS = {
         _kept("S3/classifier.safetensors"),
     ),
     "journal": Format(damaged_tensors, 6, STEP, _read_journal, _journals),
-    "journal note": Format(damaged_tensors, 3, NOTE, _read_journal, _standing(NOTE)),
-    "journal part": Format(damaged_tensors, 3, PART, _read_part, _standing(PART)),
+    "journal note": Format(damaged_tensors, 3, NOTE, _read_journal, _checkpoint(NOTE)),
+    "journal part": Format(damaged_tensors, 3, PART, _read_part, _checkpoint(PART)),
     "urdf": Format(damaged_xml, 2, "robot/robot.urdf", _read_run, _kept("robot/robot.urdf")),
     "urdf pr2": Format(
         damaged_xml, 1, "pr2.urdf", _read_pr2, lambda *_: [(PR2 / "pr2.urdf").read_bytes()]

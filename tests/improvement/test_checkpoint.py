@@ -12,15 +12,15 @@ from torch import Tensor
 
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.journal import Standing
-from cgtorch.improvement.stopping import (
-    Found,
+from cgtorch.improvement.checkpoint import (
+    Checkpoint,
+    checkpoint_of,
     found_from,
     found_tensors,
     island_tensors,
     islands_from,
-    standing_of,
 )
+from cgtorch.improvement.stopping import Found
 from cgtorch.runs.journal import FileJournal
 
 ACTIONS = custom_actions()
@@ -33,25 +33,25 @@ def second_generation(count: int) -> Generation:
     return next(search)
 
 
-def stands(generation: Generation) -> Standing:
+def stands(generation: Generation) -> Checkpoint:
     solved = torch.tensor([True, False, True])
     found = Found(generation.champion, solved, 0.5, 1, 1, 99, 1.5)
-    return standing_of(found, generation.islands, len(generation.islands))
+    return checkpoint_of(found, generation.islands, len(generation.islands))
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_what_is_kept_is_what_is_read(count: int, tmp_path: Path) -> None:
     generation = second_generation(count)
     states = [island.generator.get_state() for island in generation.islands]
-    FileJournal(tmp_path, seconds=0).record_standing("x", stands(generation))
-    standing = FileJournal(tmp_path).recall_standing("x")
-    assert standing is not None
-    found = found_from(standing.about, ACTIONS, 3)
+    FileJournal(tmp_path, seconds=0).record_checkpoint("x", stands(generation))
+    checkpoint = FileJournal(tmp_path).recall_checkpoint("x")
+    assert checkpoint is not None
+    found = found_from(checkpoint.about, ACTIONS, 3)
     assert (found.best, found.since, found.generations, found.transitions) == (0.5, 1, 1, 99)
     assert found.solved.tolist() == [True, False, True]
     assert same(found.champion.graphs, generation.champion.graphs)
     generator = seeded(9)
-    islands = islands_from(standing, ACTIONS, generator, count)
+    islands = islands_from(checkpoint, ACTIONS, generator, count)
     assert islands[0].generator is generator
     for island, wanted, state in zip(islands, generation.islands, states, strict=True):
         assert same(island.state.population.graphs, wanted.state.population.graphs)
@@ -70,16 +70,16 @@ def test_what_is_kept_when_a_step_is_interrupted_is_where_it_stood(
 
     def interrupted() -> None:
         with FileJournal(tmp_path, seconds=99) as journal:
-            journal.record_standing("x", stands(generation))
+            journal.record_checkpoint("x", stands(generation))
             for island in generation.islands:
                 torch.rand(1000, generator=island.generator)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    standing = FileJournal(tmp_path).recall_standing("x")
-    assert standing is not None
-    islands = islands_from(standing, ACTIONS, seeded(9), count)
+    checkpoint = FileJournal(tmp_path).recall_checkpoint("x")
+    assert checkpoint is not None
+    islands = islands_from(checkpoint, ACTIONS, seeded(9), count)
     for island, state in zip(islands, states, strict=True):
         assert torch.equal(island.generator.get_state(), state)
 
@@ -104,10 +104,10 @@ def test_an_island_that_makes_no_sense_is_one_error(bad: dict[str, Any]) -> None
     generation = second_generation(2)
     tensors: dict[str, Tensor] = island_tensors(generation.islands[1])
     odd = {name: value for name, value in {**tensors, **bad}.items() if value is not None}
-    standing = stands(generation)
-    parts = (standing.parts[0], partial(dict, odd))
+    checkpoint = stands(generation)
+    parts = (checkpoint.parts[0], partial(dict, odd))
     with pytest.raises(RunError, match="the state of an evolution is damaged") as caught:
-        islands_from(replace(standing, parts=parts), ACTIONS, seeded(0), 2)
+        islands_from(replace(checkpoint, parts=parts), ACTIONS, seeded(0), 2)
     assert "\n" not in str(caught.value)
 
 

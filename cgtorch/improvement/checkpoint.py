@@ -1,0 +1,141 @@
+"""Checkpoints: where an evolution stands, as tensors, and how it goes on from there."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from functools import partial
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution import EvolutionState, Island, Population, population_from
+from cgtorch.graphs import Graphs
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import RunError
+from cgtorch.improvement.stopping import Found
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a long step stands.
+
+    Attributes:
+        about: what it has come to so far.
+        parts: each gives a part of what it goes on from, which may be large, when it is called.
+            All ranks call those that they call in the same order; what is kept is what the first
+            one gets.
+        apart: whether parts are held by several ranks, so that no rank has all without the others.
+    """
+
+    about: dict[str, Tensor]
+    parts: tuple[Callable[[], dict[str, Tensor]], ...]
+    apart: bool = False
+
+
+def found_tensors(found: Found) -> dict[str, Tensor]:
+    """What `found_from` reads again."""
+    return {
+        **_tensors("champion", found.champion),
+        "solved": found.solved,
+        "generations": torch.tensor(found.generations),
+        "counts": torch.tensor([found.since, found.transitions]),
+        "numbers": torch.tensor([found.best, found.seconds], dtype=torch.float64),
+    }
+
+
+def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -> Found:
+    """What an evolution of B scenarios had come to; RunError if the tensors do not say."""
+    with _damage():
+        champion = _population("champion", tensors, actions)[:1]
+        (since, transitions), (best, seconds) = (tensors[n].tolist() for n in ("counts", "numbers"))
+        solved, generations = tensors["solved"], tensors["generations"].item()
+        if type(generations) is not int or generations < 0:
+            raise ValueError(f"it has had {generations} generations")
+        if solved.shape != (scenarios,) or solved.dtype != torch.bool:
+            raise ValueError(f"solved has shape {tuple(solved.shape)}, not ({scenarios},)")
+        counts = int(since), generations, int(transitions)
+        return Found(champion, solved, float(best), *counts, float(seconds))
+
+
+def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkpoint:
+    """What `found_from` and `islands_from` read again.
+
+    Args:
+        found: what the evolution has come to.
+        islands: those of `count` that this rank holds, with the generation evaluated next.
+        count: how many islands there are.
+    """
+    # Looked at now: what is kept when a step is interrupted is written after more was drawn.
+    held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
+    own = held[min(held)]  # for its names and types, where the part is another rank's
+
+    def part(number: int) -> dict[str, Tensor]:
+        return ranks.gather_part(held.get(number, own), number, count)
+
+    parts = tuple(partial(part, number) for number in range(count))
+    return Checkpoint(found_tensors(found), parts, apart=len(held) < count)
+
+
+def island_tensors(island: Island) -> dict[str, Tensor]:
+    """What `island_from` reads again."""
+    state = {"generator": island.generator.get_state()}
+    return {**_tensors("population", island.state.population), **state}
+
+
+def islands_from(
+    checkpoint: Checkpoint, actions: ActionSet, generator: Generator, count: int
+) -> list[Island]:
+    """Of `count` islands those that this rank holds, from where they stood.
+
+    The generator is set to what the first island's was, and is that island's, if it is held.
+
+    Raises:
+        RunError: there are other tensors in it than `checkpoint_of` has put there.
+    """
+    if len(checkpoint.parts) != count:
+        raise RunError(
+            f"the state of an evolution is one of {len(checkpoint.parts)} islands, not {count}; "
+            "remove it"
+        )
+    done = int(checkpoint.about["generations"])
+    return [
+        island_from(checkpoint.parts[i](), actions, Generator() if i else generator, done)
+        for i in ranks.held(count)
+    ]
+
+
+def island_from(
+    tensors: dict[str, Tensor], actions: ActionSet, generator: Generator, generation: int
+) -> Island:
+    """An island that evaluates this generation next, from what may be `island_tensors`."""
+    with _damage():
+        population = _population("population", tensors, actions)
+    restore(generator, tensors)
+    return Island(EvolutionState(population, generation, population[:1], float("-inf")), generator)
+
+
+def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
+    """Set a generator to what `tensors` say it was; RunError if they do not."""
+    with _damage():
+        generator.set_state(tensors["generator"])
+
+
+@contextmanager
+def _damage() -> Iterator[None]:
+    """A RunError for all that reading tensors that are something else can raise."""
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError) as e:
+        reason = " ".join(str(e).split())[:200]
+        raise RunError(f"the state of an evolution is damaged ({reason}); remove it") from e
+
+
+def _tensors(part: str, population: Population) -> dict[str, Tensor]:
+    values = {**vars(population.graphs), "strategy": population.strategy}
+    return {f"{part}.{name}": value for name, value in values.items()}
+
+
+def _population(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:
+    names = [*(f.name for f in fields(Graphs)), "strategy"]
+    return population_from({name: tensors[f"{part}.{name}"] for name in names}, actions)
