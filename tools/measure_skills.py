@@ -22,7 +22,7 @@ import torch
 from cgtorch.graphs import Skill
 from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.runs.ledger import read_index
-from cgtorch.runs.run import last_skill
+from cgtorch.runs.skills import last_skill
 from cgtorch.training.evaluate import evaluate_skill
 
 KINDS: dict[str, tuple[list[str], list[str]]] = {

@@ -1,14 +1,14 @@
 """`cgtorch-evaluate`: try a skill in the world on fresh scenarios."""
 
 import json
+from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from cgtorch.commands.command import import_from_here, importing, run_command
-from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     actions_option,
     common_options,
@@ -16,16 +16,16 @@ from cgtorch.commands.options import (
     epilog,
     quiet_option,
     run_or_skill,
+    scenario_options,
     skill_option,
     waiting,
 )
 
 if TYPE_CHECKING:
-    from cgtorch.domains.domain import Domain
-    from cgtorch.graphs import Skill
-    from cgtorch.runs.run import Run
+    from cgtorch.runs.skills import Chosen
     from cgtorch.training.evaluate import Score
 
+PICTURED = 24
 EXAMPLES = """\b
 Examples:
   cgtorch-evaluate runs/reference
@@ -36,41 +36,15 @@ Examples:
 """
 
 
-PICTURED = 24
-
-
-class Chosen(NamedTuple):
-    """What is tried: the skill, its domain and kind of scenarios; the stage and run it is of."""
-
-    skill: "Skill"
-    domain: "Domain[Any]"
-    kind: str
-    stage: Path | None = None
-    run: "Run | None" = None
-
-
 @click.command("cgtorch-evaluate", epilog=epilog(EXAMPLES))
 @run_or_skill
-@click.option(
-    "--scenarios",
-    shell_complete=one_of(SCENARIOS),
-    help="Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
+@scenario_options(
+    "Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
     "table, from any side; general-clutter: half of them with a box in the way; of another domain "
     "one of its own kinds.  [those of the run; the usual ones for a skill file]",
-)
-@click.option(
-    "--count",
-    type=click.IntRange(1, 1_000_000),
-    default=40,
-    show_default=True,
-    help="How many scenarios.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(0, 2**31 - 1),
-    default=0,
-    show_default=True,
-    help="Seed of the scenarios and their noise.",
+    count="How many scenarios.",
+    seed="Seed of the scenarios and their noise.",
+    most=1_000_000,
 )
 @skill_option
 @domain_option
@@ -97,24 +71,25 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         import torch
 
         from cgtorch.runs.ledger import read_index
+        from cgtorch.runs.skills import chosen_skill
         from cgtorch.runs.storage import holds_models, load_knowledge
         from cgtorch.training.evaluate import evaluate_skill, promise_kept
 
     torch.set_num_threads(1)
-    chosen = _chosen(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
-    skill, domain, kind, stage, run = chosen
-    quiet = rest["quiet"]
+    about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
+    chosen, quiet = chosen_skill(path, *about), rest["quiet"]
+    skill, domain, kind, stage = chosen.skill, chosen.domain, chosen.kind, chosen.stage
     with waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
         score = evaluate_skill(skill, domain, kind, count, seed, done)
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
     kept, again = None, None
-    if stage is not None and run is not None:
+    if stage is not None and chosen.run is not None:
         if holds_models(stage):
             knowledge = load_knowledge(stage, domain.unfitted())
             with waiting(f"asking the models what they promise of {skill.name}", quiet):
                 kept = promise_kept(score, skill, knowledge, domain, seed)
-        index = {line["name"]: line for line in read_index(run.folder)}
+        index = {line["name"]: line for line in read_index(chosen.run.folder)}
         again = index.get(skill.name, {}).get("w_other_noise")
     if as_json:
         result = {
@@ -146,32 +121,6 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         )
 
 
-def _chosen(
-    path: Path,
-    name: str | None,
-    actions: tuple[str, ...],
-    scenarios: str | None,
-    domain: str | None,
-) -> Chosen:
-    """What is to be tried."""
-    from cgtorch.runs.ledger import read_entry
-    from cgtorch.runs.run import last_skill, lone_skill, open_run
-    from cgtorch.runs.settings import RunSettings
-
-    if path.is_file():
-        spec = domain or RunSettings.domain
-        made, kind, skill = lone_skill(path, actions, scenarios, spec)
-        return Chosen(skill, made, kind)
-    if name is not None:
-        run = open_run(path, actions, domain)
-        skill = read_entry(path, name, run.actions, run.like()).skill
-        stage = path / name if (path / name).is_dir() else None
-    else:
-        run, skill = last_skill(path, actions, domain)
-        stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
-    return Chosen(skill, run.domain, scenarios or run.kind, stage, run)
-
-
 def _returns_as_text(score: "Score", target: float) -> str:
     """The mean of the returns, and how many episodes were not finished."""
     returns = [] if score.returns is None else score.returns.tolist()
@@ -201,7 +150,7 @@ def _as_text(succeeded: int, tried: int) -> str:
     return f"{share['rate']:.1%} (95 % confidence {low:.1%} to {high:.1%})"
 
 
-def _draw(path: Path, score: "Score", chosen: Chosen) -> None:
+def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
     """Write the first scenarios and whether they were solved as a PNG file."""
     import io
 
@@ -222,10 +171,7 @@ def _draw(path: Path, score: "Score", chosen: Chosen) -> None:
     write_bytes(path, image.getvalue())
 
 
-def main() -> None:
-    """Entry point of `cgtorch-evaluate`."""
-    run_command(command)
-
+main = partial(run_command, command)
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,8 @@
 """`cgtorch-export`: a skill as something that others read or run."""
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -9,18 +10,17 @@ from cgtorch.commands.command import import_from_here, run_command
 from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     actions_option,
+    check_output,
     common_options,
     domain_option,
     epilog,
+    force_option,
+    output_option,
     quiet_option,
     run_or_skill,
     skill_option,
     waiting,
 )
-from cgtorch.ground.errors import RunError
-
-if TYPE_CHECKING:
-    from cgtorch.graphs import Skill
 
 EXAMPLES = """\b
 Examples:
@@ -47,12 +47,7 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     "any ONNX runtime; state-machine: a Python file with classes to fill in; dot, graphml, "
     "mermaid: drawings as text.",
 )
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    help="The file to write.",
-)
+@output_option("The file to write.")
 @skill_option
 @actions_option
 @domain_option
@@ -62,7 +57,7 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     help="Of a skill file: what the skill was evolved on, which says what it perceives.  "
     "[the usual ones of the domain]",
 )
-@click.option("--force", is_flag=True, help="Replace the file if there is one.")
+@force_option
 @quiet_option
 @common_options
 def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
@@ -71,43 +66,21 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
     skill file.
     """
-    if output.exists() and not force:
-        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+    check_output(output, force)
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes
+    from cgtorch.runs.skills import chosen_skill
 
     import_from_here([*rest["actions"], rest["domain"] or ""])
-    skill = _chosen(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
+    about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
+    skill = chosen_skill(path, *about).skill
     with waiting(f"exporting {skill.name} as {form}", quiet):
         data = WRITERS[form](skill)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
 
 
-def _chosen(
-    path: Path,
-    name: str | None,
-    actions: tuple[str, ...],
-    scenarios: str | None,
-    domain: str | None,
-) -> "Skill":
-    """The skill to export."""
-    from cgtorch.runs.ledger import read_entry
-    from cgtorch.runs.run import last_skill, lone_skill, open_run
-    from cgtorch.runs.settings import RunSettings
-
-    if path.is_file():
-        return lone_skill(path, actions, scenarios, domain or RunSettings.domain)[2]
-    if name is not None:
-        run = open_run(path, actions, domain)
-        return read_entry(path, name, run.actions, run.like()).skill
-    return last_skill(path, actions, domain)[1]
-
-
-def main() -> None:
-    """Entry point of `cgtorch-export`."""
-    run_command(command)
-
+main = partial(run_command, command)
 
 if __name__ == "__main__":
     main()

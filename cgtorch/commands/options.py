@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 from cgtorch.commands import completion
+from cgtorch.ground.errors import RunError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -67,20 +69,47 @@ domain_option = click.option(
     "what it is for.  [tabletop]",
 )
 
+force_option = click.option("--force", is_flag=True, help="Replace the file if there is one.")
+
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress, only the result.")
+
+
+def output_option(what: str) -> Callable[[F], F]:
+    """Decorator: which file is written."""
+    kind = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--output", type=kind, required=True, help=what)
+
+
+def check_output(output: Path, force: bool) -> None:
+    """RunError if there is a file that may not be replaced."""
+    if output.exists() and not force:
+        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+
+
+def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callable[[F], F]:
+    """Decorator: which scenarios, how many up to so many, and their seed, each with its help."""
+    kind = completion.one_of(completion.SCENARIOS)
+    options = (
+        click.option("--scenarios", shell_complete=kind, help=scenarios),
+        number_option("--count", click.IntRange(1, most), 40, count),
+        number_option("--seed", click.IntRange(0, 2**31 - 1), 0, seed),
+    )
+    return lambda function: reduce(lambda f, option: option(f), reversed(options), function)
+
+
+def number_option(
+    name: str, kind: click.IntRange | click.FloatRange, default: float, what: str
+) -> Callable[[F], F]:
+    """Decorator: a number within bounds."""
+    return click.option(name, type=kind, default=default, show_default=True, help=what)
 
 
 @contextmanager
 def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """On a terminal, show on one live line what is waited for, how long, and how much is done.
 
-    Args:
-        message: what is waited for.
-        quiet: show nothing.
-        total: how much there is to do, if that is known.
-
     Yields:
-        What is told how much more has been done.
+        What is told how much more of the `total` has been done.
     """
     from rich.console import Console
     from rich.progress import (

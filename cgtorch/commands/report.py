@@ -1,5 +1,6 @@
 """`cgtorch-report`: a run as one HTML page."""
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -8,13 +9,15 @@ from cgtorch.commands.command import import_from_here, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
     actions_option,
+    check_output,
     common_options,
     domain_option,
     epilog,
+    force_option,
+    output_option,
     quiet_option,
     waiting,
 )
-from cgtorch.ground.errors import RunError
 
 EXAMPLES = """\b
 Examples:
@@ -28,15 +31,10 @@ Examples:
 @click.argument(
     "run", metavar="RUN", type=click.Path(path_type=Path), shell_complete=runs_or_skills
 )
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    help="The HTML file to write.",
-)
+@output_option("The HTML file to write.")
 @domain_option
 @actions_option
-@click.option("--force", is_flag=True, help="Replace the file if there is one.")
+@force_option
 @quiet_option
 @common_options
 def command(
@@ -53,8 +51,7 @@ def command(
     generations, the graphs, Γ and C, settings, versions, and how to make it again. Everything
     comes from the folder RUN; of an unfinished run the page tells what is there and what is not.
     """
-    if output.exists() and not force:
-        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+    check_output(output, force)
     import torch
 
     from cgtorch.ground.files import write_bytes
@@ -68,10 +65,7 @@ def command(
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")
 
 
-def main() -> None:
-    """Entry point of `cgtorch-report`."""
-    run_command(command)
-
+main = partial(run_command, command)
 
 if __name__ == "__main__":
     main()

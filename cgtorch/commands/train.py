@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,13 @@ from cgtorch.commands.completion import (
     stages,
 )
 from cgtorch.commands.domain_command import DomainCommand
-from cgtorch.commands.options import actions_option, common_options, epilog, quiet_option
+from cgtorch.commands.options import (
+    actions_option,
+    common_options,
+    epilog,
+    number_option,
+    quiet_option,
+)
 from cgtorch.domains.registry import check_options, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
@@ -93,12 +100,11 @@ def _options(spec: str) -> list[click.Option]:
     help="auto, cpu, cuda or cuda:N.",
 )
 @actions_option
-@click.option(
+@number_option(
     "--checkpoint-seconds",
-    type=click.FloatRange(min=0),
-    default=20.0,
-    show_default=True,
-    help="Keep this often where an evolution stands, s; what is finished is kept at once.",
+    click.FloatRange(min=0),
+    20.0,
+    "Keep this often where an evolution stands, s; what is finished is kept at once.",
 )
 @quiet_option
 @common_options
@@ -115,7 +121,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     import_from_here([*options["actions"], options["domain"]])
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
-        from cgtorch.commands.training import Wish, begin, carry_on
+        from cgtorch.commands.training import Wish, begin, carry_on, device_of
         from cgtorch.ground.distributed import together
 
     given = {
@@ -123,26 +129,23 @@ def command(context: click.Context, /, **options: Any) -> None:
         for name in options
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
-    goal_names = {f.name for f in fields(Goal)}
     own = settings_class(context.meta[DOMAIN])
     of_domain = {f.name for f in fields(own)}
-    target = options["target"] if "target" in given and "target_return" in of_domain else None
-    goal = Goal(
-        **{name: options[name] for name in goal_names if target is None or name != "target"}
-    )
+    settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
+    wanted = {name: options[name] for name in given & settings}
+    aims = {f.name: options[f.name] for f in fields(Goal)}
+    goal_given = frozenset(given & set(aims))
+    if "target" in given and "target_return" in of_domain:
+        wanted["target_return"] = aims.pop("target")
+    overrides = _overrides(context, options["override"])
     wish = Wish(
         stage=options["stage"],
-        goal=goal,
-        goal_given=frozenset(given & goal_names),
-        device=options["device"],
+        goal=Goal(**aims),
+        goal_given=goal_given,
+        device=device_of(options["device"]),
         quiet=options["quiet"],
         checkpoint_seconds=options["checkpoint_seconds"],
     )
-    overrides = _overrides(context, options["override"])
-    settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
-    wanted = {name: options[name] for name in given & settings}
-    if target is not None:
-        wanted["target_return"] = target
     if options["resume"]:
         if "run_dir" in given:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
@@ -179,10 +182,7 @@ def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def main() -> None:
-    """Entry point of `cgtorch-train`."""
-    run_command(command)
-
+main = partial(run_command, command)
 
 if __name__ == "__main__":
     main()

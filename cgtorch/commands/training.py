@@ -31,7 +31,7 @@ from cgtorch.runs.run import AUTO, Run, open_run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.training.auto import reached, train_until
 from cgtorch.training.context import Training
-from cgtorch.training.stages import stages_to_make, stages_up_to
+from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
 
@@ -52,21 +52,13 @@ class Wish:
     stage: str | None
     goal: Goal
     goal_given: frozenset[str]
-    device: str
+    device: torch.device
     quiet: bool
     checkpoint_seconds: float
 
 
 def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, wish: Wish) -> None:
-    """Begin a run, or go on with one that was begun with the same settings.
-
-    Args:
-        folder: of the run.
-        settings: of the run.
-        domain_settings: of its domain.
-        wish: what else is asked for.
-    """
-    where = device_of(wish.device)
+    """Begin a run, or go on with one that was begun with the same settings."""
     domain_settings = with_name(settings.domain, domain_settings)
     if ranks.broadcast(not (folder / "run.json").is_file()):
         # On every rank, as they share what the world has to compute.
@@ -80,7 +72,7 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
         run = open_run(folder, settings.actions, settings.domain)
     given = {**to_plain(settings), **to_plain(domain_settings)}
     refuse_others(run, given, "choose another --run-dir")
-    _train(run, settings, wish, where)
+    _train(run, settings, wish)
 
 
 def carry_on(
@@ -102,11 +94,10 @@ def carry_on(
         wish: what else is asked for.
     """
     run = open_run(folder, trusted, domain)
-    where = device_of(wish.device)
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")
-    _train(run, settings, wish, where)
+    _train(run, settings, wish)
 
 
 def device_of(name: str) -> torch.device:
@@ -160,40 +151,34 @@ def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
     return stage
 
 
-def _train(run: Run, settings: RunSettings, wish: Wish, device: torch.device) -> None:
+def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
     native.use_threads(ranks.cores())
     wish = _asked(run, wish)
     stage, goal = str(wish.stage), wish.goal
-    taken = take_over(run, settings, stage)
+    taken, auto = take_over(run, settings, stage), stage == AUTO
     run = taken.run
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
         if native.to_be_compiled():
             with display.working("compiling for this CPU, once"):
                 native.available()
-        missing = [s for s in _up_to(run, stage) if s not in run.stages]
-        if missing and missing != [stage]:
-            earlier = ", ".join(missing[:-1])
+        missing = [s for s in run.domain.stages if s not in run.stages]
+        if not auto and stage in missing[1:]:
+            earlier = ", ".join(missing[: missing.index(stage)])
             display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
         for line in _changes(taken):
             display.say(line)
-        shown = run.all_settings() | (vars(goal) if stage == AUTO else {})
-        with _board(run, shown) as board:
+        with _board(run, run.all_settings() | (vars(goal) if auto else {})) as board:
 
             def watch(event: Event) -> None:
                 board(event)
                 display(event)
 
-            training = Training(run, watch, display.working, device, wish.checkpoint_seconds)
-            auto = stage == AUTO
+            training = Training(run, watch, display.working, wish.device, wish.checkpoint_seconds)
             results = train_until(training, goal) if auto else train(training, stage)
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
         Console().print(final_table(results, run.domain))
-
-
-def _up_to(run: Run, stage: str) -> tuple[str, ...]:
-    return () if stage == AUTO else stages_up_to(run.domain, stage)
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """`cgtorch-view`: watch a skill at work in the browser."""
 
 from contextlib import suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -8,13 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from cgtorch.commands.command import import_from_here, importing, run_command
-from cgtorch.commands.completion import SCENARIOS, one_of, runs_or_skills
+from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
     actions_option,
     common_options,
     epilog,
+    number_option,
     quiet_option,
     run_or_skill,
+    scenario_options,
     skill_option,
     waiting,
 )
@@ -41,32 +44,19 @@ Examples:
     shell_complete=runs_or_skills,
     help="Another skill, to be shown beside the first one on the same scenario.",
 )
-@click.option(
-    "--scenarios",
-    shell_complete=one_of(SCENARIOS),
-    help="What is shown first: near, left, right, far or perimeter of the paper's table; general: "
-    "any table, from any side; general-clutter: half of them with a box in the way. If not given, "
+@scenario_options(
+    "What is shown first: near, left, right, far or perimeter of the paper's table; general: any "
+    "table, from any side; general-clutter: half of them with a box in the way. If not given, "
     "what the run is about.",
-)
-@click.option(
-    "--count",
-    type=click.IntRange(1, 10_000),
-    default=40,
-    show_default=True,
-    help="Scenarios to choose from.",
-)
-@click.option(
-    "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Of these."
+    count="Scenarios to choose from.",
+    seed="Of these.",
+    most=10_000,
 )
 @skill_option
 @actions_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8080,
-    show_default=True,
-    help="If it is taken, the next free one; 0: any free one.",
+@number_option(
+    "--port", click.IntRange(0, 65535), 8080, "If it is taken, the next free one; 0: any free one."
 )
 @quiet_option
 @common_options
@@ -119,37 +109,29 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
     """The skills of a run, or the skill of a file."""
     from cgtorch.domains.registry import TABLETOP
     from cgtorch.runs.ledger import read_entry, read_index
-    from cgtorch.runs.run import last_skill, lone_skill, open_run, stored_domain
+    from cgtorch.runs.skills import chosen_skill, stored_domain
     from cgtorch.tabletop.domain import Tabletop
     from cgtorch.tabletop.viewer.choice import Candidate
 
-    if path.is_file():
-        domain, kind, skill = lone_skill(path, actions, scenarios)
-        assert isinstance(domain, Tabletop)  # noqa: S101  nothing else was asked for
-        return Offer(path.resolve(), skill.name, kind, {skill.name: Candidate(skill, domain)})
-    if (spec := stored_domain(path)) not in (None, TABLETOP):
+    if not path.is_file() and (spec := stored_domain(path)) not in (None, TABLETOP):
         raise SettingsError(
             f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched; see "
             "cgtorch-report"
         )
-    if name is None:
-        run, skill = last_skill(path, actions)
-    else:
-        run = open_run(path, actions)
-        skill = read_entry(path, name, run.actions, run.like()).skill
-    domain = run.domain
+    chosen = chosen_skill(path, name, actions, scenarios)
+    domain, run = chosen.domain, chosen.run
     assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
-    names = [line["name"] for line in read_index(run.folder)]
-    entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
-    skills = entries | {skill.name: skill}
+    skills = {chosen.skill.name: chosen.skill}
+    if run is not None:
+        names = [line["name"] for line in read_index(run.folder)]
+        entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
+        skills = entries | skills
     found = {n: Candidate(s, domain) for n, s in skills.items()}
-    return Offer(run.folder.resolve(), skill.name, scenarios or run.kind, found)
+    folder = path if run is None else run.folder
+    return Offer(folder.resolve(), chosen.skill.name, chosen.kind, found)
 
 
-def main() -> None:
-    """Entry point of `cgtorch-view`."""
-    run_command(command)
-
+main = partial(run_command, command)
 
 if __name__ == "__main__":
     main()

@@ -4,7 +4,10 @@ import json
 import math
 import os
 import secrets
+import shutil
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -95,6 +98,25 @@ def read_json(
         )
     except (ValueError, RecursionError) as e:
         raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A folder that appears under its name with all its files, or not at all."""
+    partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        try:
+            partial_path.mkdir()
+        except (OSError, ValueError) as e:
+            reason = e.strerror if isinstance(e, OSError) else e
+            raise RunError(f"cannot write {str(path)!r} ({reason}); check the folder") from e
+        yield partial_path
+        try:
+            partial_path.replace(path)
+        except OSError as e:
+            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
+    finally:
+        shutil.rmtree(partial_path, ignore_errors=True)
 
 
 def tensors_of(data: bytes) -> dict[str, "Tensor"]:

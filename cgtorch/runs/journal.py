@@ -54,15 +54,12 @@ class FileJournal(Journal):
         before_writing: Callable[[], None] = lambda: None,
         seconds: float = SECONDS,
     ):
-        """Read what there is.
+        """Read what there is in a folder, which is made as soon as there is something to keep.
 
         Args:
-            folder: of the stage's journal; made as soon as there is something to keep.
+            folder: of the stage's journal.
             before_writing: called before what was done is kept.
-            seconds: least time between two notes of where a step stands.
-
-        Raises:
-            RunError: the folder cannot be read.
+            seconds: least time between two checkpoints.
         """
         self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
         self.damaged: list[Path] = []
@@ -81,7 +78,7 @@ class FileJournal(Journal):
         return sum(int(t["generations"]) for t in known if _counts(t))
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
-        """See `Journal.recall`."""
+        """See the base class."""
         if self._next == len(self._steps):
             return None
         name, tensors = self._steps[self._next]
@@ -90,16 +87,17 @@ class FileJournal(Journal):
         return tensors
 
     def record(self, step: str, result: dict[str, Tensor]) -> None:
-        """See `Journal.record`."""
+        """See the base class."""
         self._checkpoint = self._unwritten = None
         self._write(f"{len(self._steps):05}", {"step": step}, result)
         self._steps.append((step, {}))  # only its place is needed any more
         self._next = len(self._steps)
-        self._remove(self._files(_STEP)[len(self._steps) :])
+        for path in self._files(_STEP)[len(self._steps) :]:
+            self._remove(path)
         self._keep_checkpoints(0)
 
     def recall_checkpoint(self, step: str) -> Checkpoint | None:
-        """See `Journal.recall_checkpoint`."""
+        """See the base class."""
         if self._checkpoint is None:
             return None
         name, checkpoint = self._checkpoint
@@ -107,10 +105,9 @@ class FileJournal(Journal):
         return checkpoint
 
     def record_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
-        """See `Journal.record_checkpoint`."""
+        """See the base class."""
         self._unwritten = step, checkpoint
-        due = time.monotonic() - self._written_at >= self._seconds
-        if ranks.broadcast(due):
+        if ranks.broadcast(time.monotonic() - self._written_at >= self._seconds):
             self._write_checkpoint(step, checkpoint)
 
     def __enter__(self) -> Self:
@@ -124,10 +121,12 @@ class FileJournal(Journal):
 
         Who ends early does so alone, so what other ranks hold cannot be had any more.
         """
-        if kind is None and ranks.first():
-            _forget(self._folder)
-        elif kind is not None and not issubclass(kind, RunError):
-            self._write_what_is_here()
+        unwritten = self._unwritten
+        if kind is None:
+            if ranks.first():
+                _forget(self._folder)
+        elif unwritten and not unwritten[1].apart and not issubclass(kind, RunError):
+            self._write_checkpoint(*unwritten)
 
     def _check(self, step: str, name: str) -> None:
         if step != name:
@@ -135,10 +134,6 @@ class FileJournal(Journal):
                 f"the journal {str(self._folder)!r} goes on with {name[:60]!r}, not {step!r}; "
                 "remove it, and the stage is made again"
             )
-
-    def _write_what_is_here(self) -> None:
-        if self._unwritten is not None and not self._unwritten[1].apart:
-            self._write_checkpoint(*self._unwritten)
 
     def _write_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
         self._notes += 1
@@ -152,14 +147,14 @@ class FileJournal(Journal):
     def _keep_checkpoints(self, count: int) -> None:
         """Remove notes of where steps stood, but for the last ones, and parts of no note."""
         notes = self._files(_CHECKPOINT)
-        kept = notes[len(notes) - count :] if count else []
-        self._remove([path for path in notes if path not in kept])
-        stems = {path.stem for path in kept}
-        self._remove([p for p in self._files(_PART) if p.name.split(".")[0] not in stems])
+        kept = {path.stem for path in notes[max(0, len(notes) - count) :]}
+        for path in (*notes, *self._files(_PART)):
+            if path.name.split(".")[0] not in kept:
+                self._remove(path)
 
     @staticmethod
-    def _remove(paths: list[Path]) -> None:
-        for path in paths if ranks.first() else ():
+    def _remove(path: Path) -> None:
+        if ranks.first():
             path.unlink(missing_ok=True)
 
     def _write(self, name: str, about: dict[str, str], tensors: dict[str, Tensor]) -> str:
@@ -217,13 +212,14 @@ class FileJournal(Journal):
             if found[0]["sha256"] != wanted:
                 self.damaged.append(part)
                 return None
-            parts.append(partial(_tensors_of, part))
+            parts.append(partial(_tensors, part))
         return about["step"], Checkpoint(tensors, tuple(parts))
 
     def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
         """What a file is about and its tensors; None if it is damaged, which is noted."""
         try:
-            about, tensors = _load(path)
+            data = read_bytes(path, MAX_BYTES)
+            tensors, about = tensors_of(data), notes_of(data)
             rest = {key: value for key, value in about.items() if key != "sha256"}
             if about["sha256"] == checksum(tensors, rest) and "step" in about:
                 return (about, tensors) if about["version"] == __version__ else None
@@ -264,15 +260,8 @@ def recalled_generations(folder: Path) -> int:
     return sum(FileJournal(path).generations for path in begun)
 
 
-def _tensors_of(path: Path) -> dict[str, Tensor]:
-    return _load(path)[1]
-
-
-def _load(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """A file's notes and its tensors."""
-    data = read_bytes(path, MAX_BYTES)
-    tensors = tensors_of(data)
-    return notes_of(data), tensors
+def _tensors(path: Path) -> dict[str, Tensor]:
+    return tensors_of(read_bytes(path, MAX_BYTES))
 
 
 def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:

@@ -29,7 +29,7 @@ from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.storage import scenarios_from_list, scenarios_to_list
+from cgtorch.runs.storage import is_count, is_share, scenarios_from_list, scenarios_to_list
 
 FOLDER, FORMAT, VERSION = "ledger", "cgtorch-ledger", 1
 WAS = ("W", "M", "new")
@@ -74,9 +74,7 @@ class Entry:
             "new_solved": int((new & self.succeeded).sum()),
             "nodes": self.skill.num_nodes,
             "depth": self.skill.depth,
-            "w_other_noise": None
-            if self.other_noise is None
-            else dict(zip(_OTHER, self.other_noise, strict=True)),
+            "w_other_noise": self.other_noise and dict(zip(_OTHER, self.other_noise, strict=True)),
         }
 
 
@@ -86,13 +84,9 @@ def entry_of(
     after: Progress[Any],
     other_noise: tuple[int, int] | None = None,
 ) -> Entry:
-    """The entry of a skill that was just accepted.
+    """The entry of a skill that was just accepted and has improved its parent.
 
-    Args:
-        accepted: what was told of it, with its result on W and M.
-        parent: the skill that it improved.
-        after: where the stage ended; scenarios that are in its W or M only were new.
-        other_noise: see `Entry`.
+    Scenarios that are only in the W or M of `after`, where the stage ended, were new.
     """
     known = set(_keys(accepted.scenarios))
     parts, was, succeeded = [accepted.scenarios], [(~accepted.keep).long()], [accepted.succeeded]
@@ -126,15 +120,8 @@ def enter(folder: Path, entry: Entry) -> None:
         ledger.mkdir(exist_ok=True)
     except OSError as e:
         raise RunError(f"cannot write {str(ledger)!r} ({e.strerror}); check the folder") from e
-    rows = [
-        {"was": WAS[was], "succeeded": succeeded, **row}
-        for was, succeeded, row in zip(
-            entry.was.tolist(),
-            entry.succeeded.tolist(),
-            scenarios_to_list(entry.scenarios),
-            strict=True,
-        )
-    ]
+    columns = entry.was.tolist(), entry.succeeded.tolist(), scenarios_to_list(entry.scenarios)
+    rows = [{"was": WAS[w], "succeeded": s, **row} for w, s, row in zip(*columns, strict=True)]
     head = {"format": FORMAT, "version": VERSION, **entry.summary}
     text = json.dumps({**head, "skill": skill_to_dict(entry.skill)}, indent=1, allow_nan=False)
     lines = ",\n  ".join(json.dumps(row, allow_nan=False) for row in rows)
@@ -163,13 +150,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
 
 
 def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch) -> Entry:
-    """A skill of the ledger with its evidence.
-
-    Args:
-        folder: of the run.
-        name: of the skill.
-        actions: the run's primitive actions.
-        like: scenarios of the run's kind, none will do.
+    """A skill of the ledger with its evidence; `like` are scenarios of the run's kind, or none.
 
     Raises:
         RunError: the ledger lacks it, or its file is damaged.
@@ -185,7 +166,7 @@ def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch)
     if (
         skill.name != name
         or not (parent is None or isinstance(parent, str))
-        or not (again is None or _is_share(again))
+        or not (again is None or is_share(again))
         or not isinstance(rows, list)
         or not all(isinstance(r, dict) and _is_evidence(r) for r in rows)
     ):
@@ -219,16 +200,8 @@ def _is_summary(data: Any) -> bool:
         isinstance(data, dict)
         and isinstance(data.get("name"), str)
         and re.fullmatch(r"\w[\w.-]{0,100}", data["name"]) is not None
-        and all(type(data.get(key)) is int for key in _COUNTS)
-        and (data.get("w_other_noise") is None or _is_share(data["w_other_noise"]))
-    )
-
-
-def _is_share(data: Any) -> bool:
-    return (
-        isinstance(data, dict)
-        and all(type(data.get(key)) is int for key in _OTHER)
-        and 0 <= data["succeeded"] <= data["tried"]
+        and all(is_count(data.get(key)) for key in _COUNTS)
+        and (data.get("w_other_noise") is None or is_share(data["w_other_noise"]))
     )
 
 

@@ -13,10 +13,7 @@ events.out.…        TensorBoard
 """
 
 import itertools
-import secrets
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,9 +33,8 @@ from cgtorch.domains.registry import (
 )
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
-from cgtorch.graphs import Skill, load_skill
-from cgtorch.ground.errors import ActionError, DomainError, GraphError, RunError, SettingsError
-from cgtorch.ground.files import read_json, write_json
+from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
+from cgtorch.ground.files import read_json, whole_folder, write_json
 from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
@@ -115,10 +111,7 @@ def versions() -> dict[str, str]:
 def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
     """A run as `create_run` would begin it in an empty or new folder; nothing is written.
 
-    Args:
-        folder: where it is to be.
-        settings: of the run.
-        domain_settings: of its domain; the defaults if not given.
+    The settings of the domain are the defaults if they are not given.
 
     Raises:
         DomainError: the domain cannot be made, or breaks its interface.
@@ -152,14 +145,7 @@ def write_run(run: Run) -> None:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
-    with whole_folder(folder) as new:
-        run.domain.write(new)
-        write_json(new / "run.json", about_run(run))
-
-
-def about_run(run: Run) -> dict[str, Any]:
-    """What run.json says of a run that begins."""
-    return {
+    about = {
         "format": FORMAT,
         "version": VERSION,
         **versions(),
@@ -167,6 +153,9 @@ def about_run(run: Run) -> dict[str, Any]:
         "settings": to_plain(run.settings),
         "domain_settings": to_plain(run.domain.settings),
     }
+    with whole_folder(folder) as new:
+        run.domain.write(new)
+        write_json(new / "run.json", about)
 
 
 def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Run:
@@ -226,18 +215,6 @@ def read_about(folder: Path) -> dict[str, Any]:
     return about
 
 
-def stored_domain(path: Path) -> str | None:
-    """The name of the domain of a run's folder or a stage's in it; None if there is no run.
-
-    Raises:
-        RunError: the run is of another version, or damaged.
-    """
-    for folder in (path, path.absolute().parent):
-        if (folder / "run.json").is_file():
-            return from_plain(RunSettings, read_about(folder).get("settings")).domain
-    return None
-
-
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
     """The run, its domain and the actions that are not the domain's own tried on two lanes."""
     kind = kind_of(settings, domain)
@@ -259,76 +236,3 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
             "evolved in the world itself: --models none"
         )
     return run
-
-
-def last_skill(
-    path: Path, trusted: Sequence[str] = (), domain: str | None = None
-) -> tuple[Run, Skill]:
-    """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
-
-    `trusted` and `domain` are those of `open_run`.
-
-    Raises:
-        RunError: there is no run, or no skill in it yet.
-    """
-    if (path / "run.json").is_file():
-        run = open_run(path, trusted, domain)
-        if not run.stages:
-            raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
-        return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
-    if (path / "skill.json").is_file():
-        run = open_run(path.absolute().parent, trusted, domain)  # also of "."
-        return run, load_skill(path / "skill.json", run.actions)
-    raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
-
-
-def lone_skill(
-    path: Path,
-    names: Sequence[str] = (),
-    kind: str | None = None,
-    domain: str = RunSettings.domain,
-    options: Mapping[str, Any] | None = None,
-) -> tuple[Domain[Any], str, Skill]:
-    """The skill of a file that stands for itself, its domain, and the kind of its scenarios.
-
-    Args:
-        path: the file.
-        names: of further actions that it uses.
-        kind: what it is to be tried on; the domain's usual kind if not given.
-        domain: what it is for.
-        options: settings of the domain.
-
-    Raises:
-        GraphError: the file cannot be read or describes no skill, for no variant of the domain.
-        ActionError: an action is not known.
-    """
-    made = make_domain(domain, settings_class(domain)(**(options or {})))
-    kind = made.usual_kind if kind is None else kind
-    if kind not in made.kinds:
-        raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
-    errors: list[GraphError | ActionError] = []
-    for variant in made.variants(kind):
-        try:
-            return variant, kind, load_skill(path, resolve_actions(names, variant.actions()))
-        except (GraphError, ActionError) as e:
-            errors.append(e)
-    raise next((e for e in errors if isinstance(e, GraphError)), errors[0])
-
-
-@contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
-    """A folder that appears under its name with all its files, or not at all."""
-    partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        try:
-            partial_path.mkdir()
-        except (OSError, ValueError) as e:
-            reason = e.strerror if isinstance(e, OSError) else e
-            raise RunError(f"cannot write {str(path)!r} ({reason}); check the folder") from e
-        yield partial_path
-        try:
-            partial_path.replace(path)
-        except OSError as e:
-            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
-    finally:
-        shutil.rmtree(partial_path, ignore_errors=True)

@@ -96,10 +96,6 @@ class Models:
 def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
     """Read what `save_knowledge` wrote.
 
-    Args:
-        folder: where that was.
-        unfitted: what makes the models of the domain.
-
     Raises:
         RunError: a file holds another kind of model, or a report that is none.
         ModelError: a model file is damaged.
@@ -151,15 +147,7 @@ def save_population(path: Path, population: Population) -> None:
 
 
 def load_population(path: Path, actions: ActionSet) -> Population:
-    """Read graphs and strategies.
-
-    Args:
-        path: the file.
-        actions: what the graphs' nodes can be.
-
-    Raises:
-        RunError: the file is damaged, or holds graphs that are not valid.
-    """
+    """Read graphs and strategies; RunError if the file is damaged or a graph is not valid."""
     names = {f.name for f in fields(Graphs)} | {"strategy"}
     try:
         return population_from(load_tensors(path, names), actions)
@@ -180,12 +168,11 @@ def load_result(path: Path) -> dict[str, Any]:
     data = read_json(path)
     if not isinstance(data, dict):
         raise RunError(f"{str(path)!r} is no result of a stage; restore the file")
-    scores = {name: data.get(name) for name in _SCORES}
     seconds: Any = data.get("seconds")
     right = {
         **{name: isinstance(data.get(name), str) for name in _WORDS},
-        **{name: _is_count(data.get(name)) for name in _COUNTS},
-        **{name: _is_score(score) for name, score in scores.items()},
+        **{name: is_count(data.get(name)) for name in _COUNTS},
+        **{name: _is_score(data.get(name)) for name in _SCORES},
         "decisive": data.get("decisive") is None or _is_score(data["decisive"]),
         "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
     }
@@ -195,23 +182,28 @@ def load_result(path: Path) -> dict[str, Any]:
     return data
 
 
-def _is_count(value: Any) -> bool:
+def is_count(value: Any) -> bool:
+    """Whether a value of a file is a number of things."""
     return type(value) is int and 0 <= value < 2**53
 
 
-def _is_score(value: Any) -> bool:
+def is_share(value: Any) -> bool:
+    """Whether a value of a file says how many succeeded of how many that were tried."""
     return (
         isinstance(value, dict)
-        and isinstance(value.get("scenarios"), str)
-        and _is_count(value.get("tried"))
-        and _is_count(value.get("succeeded"))
+        and is_count(value.get("tried"))
+        and is_count(value.get("succeeded"))
         and value["succeeded"] <= value["tried"]
-        and (value.get("mean_return") is None or _is_number(value["mean_return"]))
     )
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
+def _is_score(value: Any) -> bool:
+    return is_share(value) and isinstance(value.get("scenarios"), str) and _is_mean(value)
+
+
+def _is_mean(score: dict[str, Any]) -> bool:
+    mean = score.get("mean_return")
+    return mean is None or (type(mean) in (int, float) and math.isfinite(mean))
 
 
 def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
@@ -221,12 +213,7 @@ def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
 
 
 def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioBatch:
-    """Scenarios from what `scenarios_to_list` gave.
-
-    Args:
-        data: that, or anything else.
-        like: scenarios of the same kind, none will do.
-        where: what the messages call the data.
+    """Scenarios like others, of which there may be none, from what `scenarios_to_list` gave.
 
     Raises:
         RunError: an entry lacks a field, or its numbers are not of the right kind and count.
@@ -241,16 +228,12 @@ def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioB
                 f"scenario {i} of {where} is {row!r:.60}; give {', '.join(sorted(wanted))}"
             )
         for name in wanted:
-            value = parts[name]
-            _check_numbers(
-                row[name], value.shape[1:], value.dtype, f"{name} of scenario {i} of {where}"
-            )
+            shape, dtype = parts[name].shape[1:], parts[name].dtype
+            _check_numbers(row[name], shape, dtype, f"{name} of scenario {i} of {where}")
     made = {
-        name: torch.tensor([row[name] for row in data], dtype=value.dtype).view(
+        name: torch.tensor([row[name] for row in data if name in wanted], dtype=value.dtype).view(
             len(data), *value.shape[1:]
         )
-        if name in wanted
-        else value.new_zeros(len(data), *value.shape[1:])
         for name, value in parts.items()
     }
     return type(like)(**made)

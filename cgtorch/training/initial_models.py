@@ -9,9 +9,9 @@ from cgtorch.domains.knowledge import fit_models
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution.islands import generator_of
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import ModelsFitted
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.run import whole_folder
 from cgtorch.runs.stage_files import load_progress, save_progress
 from cgtorch.training.context import Training
 

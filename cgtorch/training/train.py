@@ -12,7 +12,7 @@ from cgtorch.evolution import Population
 from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
-from cgtorch.ground.files import write_json
+from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -25,7 +25,7 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
-from cgtorch.runs.run import Run, whole_folder
+from cgtorch.runs.run import Run
 from cgtorch.runs.stage_files import load_progress, save_progress
 from cgtorch.runs.storage import load_result
 from cgtorch.training.context import Training

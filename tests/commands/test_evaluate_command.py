@@ -9,7 +9,7 @@ from trained import Trained, copied
 
 from cgtorch.ground.interval import wilson
 from cgtorch.runs.ledger import read_entry
-from cgtorch.runs.run import last_skill
+from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_knowledge
 from cgtorch.training.evaluate import evaluate_skill, promise_kept
 

@@ -8,7 +8,8 @@ import pytest
 from trained import SMALL, Trained, copied
 
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.run import create_run, open_run, planned_run, stored_domain, write_run
+from cgtorch.runs.run import create_run, open_run, planned_run, write_run
+from cgtorch.runs.skills import stored_domain
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings
 

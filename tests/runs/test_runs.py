@@ -16,6 +16,7 @@ from trained import SMALL, Trained, copied
 from cgtorch.actions import paper_actions
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.ground.errors import ActionError, GraphError, RunError
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -25,13 +26,8 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
-from cgtorch.runs.run import (
-    create_run,
-    last_skill,
-    lone_skill,
-    open_run,
-    whole_folder,
-)
+from cgtorch.runs.run import create_run, open_run
+from cgtorch.runs.skills import last_skill, lone_skill
 from cgtorch.runs.stage_files import load_progress
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.training.context import Training

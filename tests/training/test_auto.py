@@ -17,7 +17,8 @@ from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run, last_skill, open_run
+from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stage_files import load_progress
 from cgtorch.runs.storage import load_result
 from cgtorch.training.auto import act, reached, train_until

@@ -6,7 +6,7 @@ from lxml import html
 from support import custom_actions, random_skill, world
 
 from cgtorch.graphs import Skill
-from cgtorch.runs.run import last_skill
+from cgtorch.runs.skills import last_skill
 from cgtorch.tabletop.viewer.choice import scenario_of
 from cgtorch.tabletop.viewer.execution import Execution, execute
 from cgtorch.tabletop.viewer.graph_levels import LIT, levels_html

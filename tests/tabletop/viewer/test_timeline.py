@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.runs.run import Run, last_skill
+from cgtorch.runs.run import Run
+from cgtorch.runs.skills import last_skill
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.viewer.execution import execute
