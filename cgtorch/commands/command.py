@@ -24,30 +24,24 @@ def options_of(
     defaults: Mapping[str, Any] = MappingProxyType({}),
     complete: Mapping[str, Completer] = MappingProxyType({}),
 ) -> list[click.Option]:
-    """One option per field of a dataclass of options, with its default and help text.
+    """One option per field of a dataclass of options (`cgtorch.domains.settings`) but some.
 
-    Args:
-        settings: the dataclass (`cgtorch.domains.settings`).
-        skip: fields that get no option.
-        defaults: in place of those of the fields.
-        complete: what shells complete for a field that has no choices.
+    `defaults` are in place of those of the fields, and shells `complete` those without choices.
     """
-    made = []
-    for f in fields(settings):
-        choices = f.metadata["choices"]
-        completer = one_of(choices) if choices else complete.get(f.name)
-        if f.name not in skip:
-            made.append(
-                click.Option(
-                    [f"--{f.name.replace('_', '-')}", f.name],
-                    type=type(f.default),
-                    default=defaults.get(f.name, f.default),
-                    show_default=f.default != "",
-                    help=f.metadata["help"],
-                    shell_complete=completer,
-                )
-            )
-    return made
+    choices = {f.name: f.metadata["choices"] for f in fields(settings)}
+    completers = {**complete, **{name: one_of(words) for name, words in choices.items() if words}}
+    return [
+        click.Option(
+            [f"--{f.name.replace('_', '-')}", f.name],
+            type=type(f.default),
+            default=defaults.get(f.name, f.default),
+            show_default=f.default != "",
+            help=f.metadata["help"],
+            shell_complete=completers.get(f.name),
+        )
+        for f in fields(settings)
+        if f.name not in skip
+    ]
 
 
 def import_from_here(specs: Sequence[str]) -> None:

@@ -40,34 +40,53 @@ def script(shell: str) -> str:
     )
 
 
-def one_of(words: Iterable[str]) -> Completer:
-    """Completes each of these words."""
+def completing(words: Callable[[Context], Iterable[str]]) -> Completer:
+    """Completes each of the words that there are in a context."""
 
     def complete(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
-        return [CompletionItem(word) for word in words if word.startswith(incomplete)]
+        return [CompletionItem(word) for word in words(context) if word.startswith(incomplete)]
 
     return complete
 
 
-def domains(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+def one_of(words: Iterable[str]) -> Completer:
+    """Completes each of these words."""
+    return completing(lambda context: words)
+
+
+@completing
+def domains(context: Context) -> Iterable[str]:
     """Names of the domains of the library and of installed packages."""
     from cgtorch.domains.registry import known_names
 
-    return one_of(known_names())(context, parameter, incomplete)
+    return known_names()
 
 
-def kinds_of_domain(
-    context: Context, parameter: Parameter, incomplete: str
-) -> list[CompletionItem]:
+@completing
+def kinds_of_domain(context: Context) -> Iterable[str]:
     """The kinds of scenarios that a run about the domain of a command line can be about."""
-    words = _of_domain(context, TRAINED, lambda domain: domain.trained_kinds or domain.kinds)
-    return one_of(words)(context, parameter, incomplete)
+    return _of_domain(context, TRAINED, lambda domain: domain.trained_kinds or domain.kinds)
 
 
-def stages(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+@completing
+def stages(context: Context) -> Iterable[str]:
     """The stages of the domain that a command line is about, and auto."""
-    words = _of_domain(context, STAGES, lambda domain: (*domain.stages, "auto"))
-    return one_of(words)(context, parameter, incomplete)
+    return _of_domain(context, STAGES, lambda domain: (*domain.stages, "auto"))
+
+
+@completing
+def ledger_names(context: Context) -> Iterable[str]:
+    """Names of the skills in the ledger of the run that has been named."""
+    # While an option lacks its value, click has not yet taken the arguments out of `args`.
+    run = context.params.get("path") or next(iter(context.args), ".")
+    ledger = Path(run) / "ledger"
+    return sorted(path.stem for path in ledger.glob("*.json") if path.stem != "index")
+
+
+@completing
+def declared_actions(context: Context) -> Iterable[str]:
+    """Names of the actions that installed packages declare."""
+    return sorted(entry_points(group="cgtorch.actions").names)
 
 
 def _of_domain(
@@ -100,20 +119,3 @@ def runs_or_skills(context: Context, parameter: Parameter, incomplete: str) -> l
         CompletionItem(item.value, type="file" if item.type == "dir" else item.type)
         for item in runs(context, parameter, incomplete)
     ]
-
-
-def ledger_names(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
-    """Names of the skills in the ledger of the run that has been named."""
-    # While an option lacks its value, click has not yet taken the arguments out of `args`.
-    run = context.params.get("path") or next(iter(context.args), ".")
-    ledger = Path(run) / "ledger"
-    names = sorted(path.stem for path in ledger.glob("*.json") if path.stem != "index")
-    return one_of(names)(context, parameter, incomplete)
-
-
-def declared_actions(
-    context: Context, parameter: Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Names of the actions that installed packages declare."""
-    names = sorted(entry_points(group="cgtorch.actions").names)
-    return one_of(names)(context, parameter, incomplete)

@@ -10,11 +10,9 @@ import click
 
 from cgtorch.commands.command import import_from_here, importing, run_command
 from cgtorch.commands.options import (
-    actions_option,
     common_options,
     domain_option,
     epilog,
-    quiet_option,
     run_or_skill,
     scenario_options,
     skill_option,
@@ -48,14 +46,12 @@ Examples:
 )
 @skill_option
 @domain_option
-@actions_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"Also draw the first {PICTURED} scenarios into this PNG file, if the domain can.",
 )
-@quiet_option
 @common_options
 def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.

@@ -9,14 +9,12 @@ import click
 from cgtorch.commands.command import import_from_here, run_command
 from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
-    actions_option,
     check_output,
     common_options,
     domain_option,
     epilog,
     force_option,
     output_option,
-    quiet_option,
     run_or_skill,
     skill_option,
     waiting,
@@ -49,7 +47,6 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
 )
 @output_option("The file to write.")
 @skill_option
-@actions_option
 @domain_option
 @click.option(
     "--scenarios",
@@ -58,7 +55,6 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     "[the usual ones of the domain]",
 )
 @force_option
-@quiet_option
 @common_options
 def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
     """Write a skill as something that others read or run, without cgtorch.

@@ -1,6 +1,6 @@
 """Options that mean the same wherever a command has them, and what every command has."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import reduce
 from pathlib import Path
@@ -29,15 +29,31 @@ def _print_script(context: click.Context, parameter: click.Parameter, shell: str
 
 def common_options(function: F) -> F:
     """Decorator: the options that every command has, to stand last."""
-    function = click.option(
-        "--completion",
-        type=click.Choice(completion.SHELLS),
-        expose_value=False,
-        is_eager=True,
-        callback=_print_script,
-        help="Print what makes this shell complete the words of all commands and exit.",
-    )(function)
-    return click.version_option(package_name="cgtorch")(function)
+    options = (
+        click.option(
+            "--actions",
+            multiple=True,
+            shell_complete=completion.declared_actions,
+            help="Further action that a skill may use: name or package.module:Class; may be given "
+            "more than once.",
+        ),
+        click.option("--quiet", is_flag=True, help="Show no progress, only the result."),
+        click.version_option(package_name="cgtorch"),
+        click.option(
+            "--completion",
+            type=click.Choice(completion.SHELLS),
+            expose_value=False,
+            is_eager=True,
+            callback=_print_script,
+            help="Print what makes this shell complete the words of all commands and exit.",
+        ),
+    )
+    return _with_options(function, options)
+
+
+def _with_options(function: F, options: Sequence[Callable[[F], F]]) -> F:
+    """A function with options that are told in this order."""
+    return reduce(lambda f, option: option(f), reversed(options), function)
 
 
 run_or_skill = click.argument(
@@ -54,14 +70,6 @@ skill_option = click.option(
     help="An earlier skill of the run, by its name in the run's ledger.",
 )
 
-actions_option = click.option(
-    "--actions",
-    multiple=True,
-    shell_complete=completion.declared_actions,
-    help="Further action that a skill may use: name or package.module:Class; may be given more "
-    "than once.",
-)
-
 domain_option = click.option(
     "--domain",
     shell_complete=completion.domains,
@@ -70,8 +78,6 @@ domain_option = click.option(
 )
 
 force_option = click.option("--force", is_flag=True, help="Replace the file if there is one.")
-
-quiet_option = click.option("--quiet", is_flag=True, help="Show no progress, only the result.")
 
 
 def output_option(what: str) -> Callable[[F], F]:
@@ -94,7 +100,7 @@ def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callab
         number_option("--count", click.IntRange(1, most), 40, count),
         number_option("--seed", click.IntRange(0, 2**31 - 1), 0, seed),
     )
-    return lambda function: reduce(lambda f, option: option(f), reversed(options), function)
+    return lambda function: _with_options(function, options)
 
 
 def number_option(

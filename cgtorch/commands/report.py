@@ -8,14 +8,12 @@ import click
 from cgtorch.commands.command import import_from_here, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
-    actions_option,
     check_output,
     common_options,
     domain_option,
     epilog,
     force_option,
     output_option,
-    quiet_option,
     waiting,
 )
 
@@ -33,9 +31,7 @@ Examples:
 )
 @output_option("The HTML file to write.")
 @domain_option
-@actions_option
 @force_option
-@quiet_option
 @common_options
 def command(
     run: Path,

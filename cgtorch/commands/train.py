@@ -20,11 +20,9 @@ from cgtorch.commands.completion import (
 )
 from cgtorch.commands.domain_command import DomainCommand
 from cgtorch.commands.options import (
-    actions_option,
     common_options,
     epilog,
     number_option,
-    quiet_option,
 )
 from cgtorch.domains.registry import check_options, settings_class
 from cgtorch.ground.errors import SettingsError
@@ -99,14 +97,12 @@ def _options(spec: str) -> list[click.Option]:
     shell_complete=one_of(DEVICES),
     help="auto, cpu, cuda or cuda:N.",
 )
-@actions_option
 @number_option(
     "--checkpoint-seconds",
     click.FloatRange(min=0),
     20.0,
     "Keep this often where an evolution stands, s; what is finished is kept at once.",
 )
-@quiet_option
 @common_options
 @click.pass_context
 def command(context: click.Context, /, **options: Any) -> None:

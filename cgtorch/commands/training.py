@@ -83,15 +83,9 @@ def carry_on(
     overrides: Mapping[str, Any],
     wish: Wish,
 ) -> None:
-    """Go on with a run under the settings it has, but for those that are taken over.
+    """Go on with a run under its settings, which must be those given, but for the `overrides`.
 
-    Args:
-        folder: of the run.
-        trusted: actions of its own that may be imported.
-        domain: the domain, if it is code of its own that may be imported.
-        given: settings that must be the run's.
-        overrides: settings to go on with in place of the run's.
-        wish: what else is asked for.
+    Actions that are `trusted`, and a domain that is named, may be code of their own.
     """
     run = open_run(folder, trusted, domain)
     settings = overridden(run, overrides)
@@ -101,11 +95,7 @@ def carry_on(
 
 
 def device_of(name: str) -> torch.device:
-    """The device called `name`; "auto" is a GPU if there is one.
-
-    Raises:
-        SettingsError: it does not exist.
-    """
+    """The device called `name`, "auto" for a GPU if there is one; SettingsError if it is none."""
     if name == "auto":
         gpu = f"cuda:{os.environ.get('LOCAL_RANK', 0)}"  # each rank of a machine has its own
         return torch.device(gpu if torch.cuda.is_available() else "cpu")

@@ -11,11 +11,9 @@ import click
 from cgtorch.commands.command import import_from_here, importing, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
-    actions_option,
     common_options,
     epilog,
     number_option,
-    quiet_option,
     run_or_skill,
     scenario_options,
     skill_option,
@@ -53,12 +51,10 @@ Examples:
     most=10_000,
 )
 @skill_option
-@actions_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
 @number_option(
     "--port", click.IntRange(0, 65535), 8080, "If it is taken, the next free one; 0: any free one."
 )
-@quiet_option
 @common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.

@@ -31,11 +31,7 @@ class Dataset:
         )
 
     def whole(self, percept_size: int | None = None) -> bool:
-        """Whether the tensors, which may be anything, fit one another and are finite.
-
-        Args:
-            percept_size: D; whatever it is, if not given.
-        """
+        """Whether the tensors, which may be anything, fit one another, and D, and are finite."""
         n, d = (*self.percept.shape, 0, 0)[:2]
         return (
             self.percept.shape == self.next_percept.shape == (n, d)

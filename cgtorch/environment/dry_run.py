@@ -45,13 +45,7 @@ def expect(
 ) -> None:
     """An `error` unless a value is a tensor of that shape and type.
 
-    Args:
-        error: its class.
-        who: has returned it, such as "action 'Wave': forward".
-        what: it is, "" if it is all that was returned.
-        value: the value.
-        shape: that it should have.
-        dtype: that it should have.
+    It is about `who`, such as "action 'Wave': forward", and `what` of several things it returned.
     """
     if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
         raise error(
@@ -84,15 +78,7 @@ def copied(lanes: Lanes) -> Lanes:
 def expect_lanes(
     error: type[CgtorchError], who: str, lanes: Lanes, kept: Lanes, after: object
 ) -> None:
-    """An `error` unless lanes as they were given came back.
-
-    Args:
-        error: its class.
-        who: has returned them.
-        lanes: that were given, which must not have changed.
-        kept: a copy from before.
-        after: what was returned.
-    """
+    """An `error` unless `who`, given `lanes` like a `kept` copy, left them so and returned such."""
     if not isinstance(after, Lanes):
         raise error(f"{who} returned {kind(after)} as lanes; return Lanes")
     for f in fields(Lanes):
@@ -107,11 +93,7 @@ def expect_lanes(
 
 
 def check_environment(environment: Environment, device: torch.device | str = "cpu") -> None:
-    """Try every method of an environment on two of its scenarios.
-
-    Args:
-        environment: a world, models, or a domain of one's own.
-        device: where it runs.
+    """Try every method of an environment, which runs on `device`, on two of its scenarios.
 
     Raises:
         WorldError: naming the method and what is wrong with what it returned.

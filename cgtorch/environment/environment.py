@@ -35,11 +35,7 @@ class ScenarioBatch:
         return type(self)(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(self)))
 
     def with_noise(self, copy: int) -> Self:
-        """The same met by other noise; copy 0 is the scenarios themselves. Here nothing is noisy.
-
-        Args:
-            copy: which noise.
-        """
+        """The same under other noise; copy 0 is the scenarios themselves. Here nothing is noisy."""
         return self
 
 

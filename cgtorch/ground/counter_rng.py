@@ -21,12 +21,7 @@ WORD = 0xFFFFFFFF
 def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Threefry-2x32 with 20 rounds, element by element.
 
-    Args:
-        key: two tensors (...) long, of 32-bit words, 0 … 2³² - 1.
-        counter: two that broadcast with these (...), likewise.
-
-    Returns:
-        Two tensors (...) of random words.
+    Key, counter and result are two tensors (...) long each, of 32-bit words, 0 … 2³² - 1.
     """
     keys = (*key, key[0] ^ key[1] ^ PARITY)
     x, y = (counter[0] + keys[0]) & WORD, (counter[1] + keys[1]) & WORD
@@ -42,16 +37,13 @@ def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tupl
 
 
 def uniform(seed: Tensor, who: str, count: Tensor, size: int) -> Tensor:
-    """Random numbers in [0, 1), multiples of 2⁻²⁴.
+    """(n, size) float32 random numbers in [0, 1), multiples of 2⁻²⁴; rows are independent.
 
     Args:
         seed: (n,) long, of each row's scenario.
         who: draws; another name gives other numbers.
         count: (n,) long, how often it has drawn for that scenario.
         size: numbers of a row.
-
-    Returns:
-        (n, size) float32. Rows are independent of one another.
     """
     name = zlib.crc32(who.encode())
     key = (seed & WORD)[:, None], ((seed >> 32) & WORD ^ name)[:, None]

@@ -203,9 +203,7 @@ def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
 def ring_shift(mine: Tensor, parts: int) -> Tensor:
     """For each part that this rank holds the row of the part before; the first has the last one's.
 
-    Args:
-        mine: (held, ...) one row for each part that this rank holds.
-        parts: how many there are in all.
+    It is given one row for each part that this rank holds (held, ...), out of so many parts.
     """
     holds, me = [_held(rank, parts) for rank in range(count())], _index()
     # Of the ranks that hold a part, the first one sends it.
@@ -240,13 +238,10 @@ def _all_gather(
 
 
 def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
-    """A part that some rank holds, on the first rank; to be called by all.
+    """A part, out of so many, that some rank holds, on the first rank; to be called by all.
 
-    Args:
-        tensors: of the part on the rank that holds it; elsewhere any of the same names, numbers of
-            dimensions and types, which come back as they are, but on the first rank.
-        part: which one.
-        parts: out of how many.
+    Ranks that do not hold it give any tensors of the same names, numbers of dimensions and types.
+    They get them back as they are, but for the first one.
     """
     holder = next(rank for rank in range(count()) if part in _held(rank, parts))
     if holder == 0 or _index() not in (0, holder):

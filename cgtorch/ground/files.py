@@ -23,10 +23,7 @@ _LENGTH = 8  # bytes of a safetensors file that say how long its JSON is
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
     """Write a file so that at any moment it holds either its old content or all of the new.
 
-    Args:
-        path: the file; its folder must exist.
-        data: the new content.
-        error: what to raise where it cannot be written; nothing is left behind then.
+    Its folder must exist. Where it cannot be written, `error` is raised and nothing left behind.
     """
     path = Path(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
@@ -55,13 +52,7 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
 
 
 def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
-    """Read a file of at most `max_bytes`, once, and no larger one at all.
-
-    Args:
-        path: the file.
-        max_bytes: more is refused.
-        error: what to raise where it cannot be read or is too large.
-    """
+    """Read a file once; `error` where that cannot be done or it has more than `max_bytes`."""
     path = Path(path)
     try:
         if not path.is_file():
@@ -117,6 +108,19 @@ def whole_folder(path: Path) -> Iterator[Path]:
             raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
     finally:
         shutil.rmtree(partial_path, ignore_errors=True)
+
+
+def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, Any]:
+    """Read a JSON object that says its format and version; RunError if these are others."""
+    data = read_json(path)
+    if not isinstance(data, dict) or data.get("format") != form:
+        raise RunError(f"{str(path)!r} is not of {what}; restore the file or give another")
+    if data.get("version") != version:
+        raise RunError(
+            f"{str(path)!r} is of version {data.get('version')!r:.20}, this cgtorch reads "
+            f"{version}; use the version that wrote it"
+        )
+    return data
 
 
 def tensors_of(data: bytes) -> dict[str, "Tensor"]:

@@ -5,12 +5,9 @@ from statistics import NormalDist
 
 
 def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
-    """The two-sided confidence interval of a share (Wilson 1927).
+    """The two-sided confidence interval, such as of 0.95, of a share (Wilson 1927).
 
-    Args:
-        successes: how many succeeded.
-        tried: of how many; with 0 the interval is that of one failure.
-        confidence: in (0, 1), such as 0.95.
+    Where none was tried it is that of one failure.
     """
     n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
     rate = successes / n

@@ -36,8 +36,7 @@ def in_processes(
     Args:
         work: Must not draw from a generator that it shares; its results are sent by pickle.
         times: How often to call it; the first are begun first.
-        processes: How many to use; one, or a system that cannot fork, calls it here, and so does a
-            process that was forked itself.
+        processes: One, or a system that cannot fork, calls it here, as a forked process does.
         done: Called here with each result as it comes.
 
     Raises:

@@ -29,15 +29,9 @@ def compose(
 ) -> Skill:
     """A skill that branches to one of its members, each a frozen sub-skill.
 
-    The branches are asked in turn; a member that fails hands over to the next one, the last to the
-    first, so that a wrong branch is not the end. Members that behave the same are one node.
-
-    Args:
-        name: of the new skill.
-        members: M skills; those that differ need different names.
-        branches: (M - 1, K) parameters of the branching networks.
-        actions: the primitive actions.
-        max_transitions: of the new skill.
+    The branches, with parameters (M - 1, K), are asked in turn; a member that fails hands over to
+    the next one, the last to the first, so that a wrong branch is not the end. Members that behave
+    the same are one node; those that differ need different names.
     """
     kind, branch = branching_action(actions)
     m = len(members)
@@ -71,17 +65,11 @@ def specialists_of(skill: Skill) -> tuple[Skill, ...]:
 
 
 def fewest_members(solves: Tensor, keep: Tensor, most: int | None = None) -> list[int]:
-    """Members that together solve all that any solve, chosen greedily; few where possible.
+    """Members that together solve all that any solve, chosen greedily, as ascending indices.
 
     Who adds nothing is left out: members that no longer matter, and one of two that do the same.
-
-    Args:
-        solves: (B, M) bool.
-        keep: (M,) bool, members that stay in any case.
-        most: where more would be needed, those that solve most of it.
-
-    Returns:
-        Their indices, ascending.
+    `solves` is (B, M) bool, `keep` (M,) bool marks members that stay in any case, and where more
+    than `most` would be needed, those are chosen that solve most of it.
     """
     chosen = keep.nonzero()[:, 0].tolist()
     covered = solves[:, chosen].any(1)

@@ -20,8 +20,8 @@ def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
         size: how many to keep at most, at least 1; of the same percept, only one is kept.
 
     Returns:
-        (n,) long, the rows that are kept, ascending, all if there are no more than `size`, and the
-        distance (m) within which every other row has one of them.
+        (n,) long, the rows that are kept, ascending, and the distance (m) within which every other
+        row has one of them.
     """
     if len(percepts) <= size:
         return torch.arange(len(percepts)), 0.0

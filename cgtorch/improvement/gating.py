@@ -25,7 +25,7 @@ def train_branches(
 
     Args:
         branch: the action, which gives the shape of the networks.
-        percepts: (B, D) first percepts, in m.
+        percepts: (B, D) first percepts.
         solves: (B, M) float, how surely each member solves each scenario, in [0, 1].
         weight: (B,) how much each scenario counts.
         generator: of initial weights and of the noise added to percepts.

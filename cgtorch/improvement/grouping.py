@@ -11,13 +11,9 @@ def broad_group(percepts: Tensor, missed: Tensor, size: int, generator: Generato
 
 
 def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
-    """Indices of a random missed scenario and the missed ones nearest to it.
+    """Indices (n,), at most `size`, of a random `missed` (B,) scenario and those nearest to it.
 
-    Args:
-        percepts: (B, D) first percepts.
-        missed: (B,) bool.
-        size: the most scenarios in a group.
-        generator: of the choice.
+    Near is what the robot sees at first, `percepts` (B, D).
     """
     rows = missed.nonzero()[:, 0]
     seed = rows[torch.randint(len(rows), (1,), generator=generator)]

@@ -40,8 +40,8 @@ class Setup(Generic[S]):
         rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
         group_of: chooses the scenarios that a specialist is evolved on.
         group: how many these are.
-        lanes: runs of a specialist on its group, each scenario at least `replicas` times.
-        replicas: 2 so that each is met under different errors of Γ, or other noise.
+        replicas: of each scenario of a whole group, of fewer ones more: 2 so that it is met under
+            different errors of Γ, or other noise.
         trials: runs in the world, with different noise, that a member must all pass to count as
             solving a scenario.
         core: scenarios of W at most that members are tried on; a new skill is tried on all.
@@ -62,7 +62,6 @@ class Setup(Generic[S]):
     rounds: int = 3
     group_of: Grouping = local_group
     group: int = 12
-    lanes: int = 24
     replicas: int = 2
     trials: int = 3
     core: int = 1000

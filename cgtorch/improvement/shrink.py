@@ -27,13 +27,8 @@ def shrunk(
     Every way to lead all edges into one node to another instead is tried in the models at once;
     of those that solve all that was solved, the one that leaves the fewest nodes is taken.
 
-    Args:
-        champion: a population of one.
-        actions: what its nodes can be.
-        environment: the models, on the scenarios that it is for.
-        max_transitions: see `cgtorch.simulation.rollout`.
-        fitness: what a run is worth.
-        device: where the environment runs.
+    The champion is a population of one. The environment, which runs on `device`, is the models on
+    the scenarios that it is for; see `cgtorch.evolution.evaluator` for the rest.
     """
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
     evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)

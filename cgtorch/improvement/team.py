@@ -145,7 +145,7 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
         state.knowledge,
         state.scenarios[group],
         state.percepts[group],
-        max(setup.replicas, setup.lanes // len(group)),
+        setup.replicas * setup.group // len(group),
         stage.generator,
         setup.device,
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from cgtorch.domains.settings import check_options, option
+from cgtorch.ground.interval import wilson
 
 DOUBT = 0.05
 """What all two-sided intervals of one run together leave to chance."""
@@ -83,8 +84,6 @@ def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
     with a probability of 2.5 % at most (intervals are two-sided, and Wilson's are approximate).
     A goal that holds says therefore: at least 98.75 %, with confidence 97.5 %, no more.
     """
-    from cgtorch.ground.interval import wilson  # whose package needs torch, but no help text does
-
     low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
     return tried > 0 and succeeded >= goal.target * tried and 1 - low <= SLACK * (1 - goal.target)
 

@@ -26,7 +26,7 @@ from cgtorch.environment import ScenarioBatch
 from cgtorch.graphs import Skill
 from cgtorch.graphs.files import skill_from_dict, skill_to_dict
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import read_json, write_bytes, write_json
+from cgtorch.ground.files import read_versioned, write_bytes, write_json
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.storage import is_count, is_share, scenarios_from_list, scenarios_to_list
@@ -143,7 +143,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
     path = folder / FOLDER / "index.json"
     if not path.is_file():
         return []
-    skills = _of_version(path).get("skills")
+    skills = read_versioned(path, FORMAT, VERSION, "a ledger").get("skills")
     if not isinstance(skills, list) or not all(map(_is_summary, skills)):
         raise RunError(f"skills of {str(path)!r} are {skills!r:.60}; restore the file")
     return skills
@@ -160,7 +160,7 @@ def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch)
         known = f"one of {', '.join(names)}" if names else "another run; this one has no ledger"
         raise RunError(f"no skill {name!r:.40} in the ledger of {str(folder)!r}; give {known}")
     path = folder / FOLDER / f"{name}.json"
-    data = _of_version(path)
+    data = read_versioned(path, FORMAT, VERSION, "a ledger")
     skill = skill_from_dict(data.get("skill"), actions)
     rows, parent, again = data.get("scenarios"), data.get("parent"), data.get("w_other_noise")
     if (
@@ -180,18 +180,6 @@ def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch)
         torch.tensor([r["succeeded"] for r in rows], dtype=torch.bool),
         None if again is None else (again["tried"], again["succeeded"]),
     )
-
-
-def _of_version(path: Path) -> dict[str, Any]:
-    data = read_json(path)
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise RunError(f"{str(path)!r} is not of a ledger; restore the file")
-    if data.get("version") != VERSION:
-        raise RunError(
-            f"{str(path)!r} is of version {data.get('version')!r:.20}, this cgtorch reads "
-            f"{VERSION}; use the version that wrote it"
-        )
-    return data
 
 
 def _is_summary(data: Any) -> bool:

@@ -21,7 +21,7 @@ from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.journal import FOLDER
 from cgtorch.runs.run import AUTO, Run, round_name, versions
-from cgtorch.runs.settings import RunSettings, all_fields
+from cgtorch.runs.settings import NAMES, RunSettings, all_fields
 
 ASIDE = "set-aside"
 
@@ -49,13 +49,7 @@ def option_of(name: str) -> str:
 
 
 def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
-    """SettingsError if a setting that was given is not the run's.
-
-    Args:
-        run: an open run.
-        given: settings by name.
-        how: what else one can do.
-    """
+    """SettingsError if a setting that was given is not the run's; it says `how` else to go on."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in given.items():
         if not _differs(value, was := known[name]):
@@ -76,13 +70,9 @@ def _differs(value: Any, plain: Any) -> bool:
 
 def fixed_settings(run: Run) -> dict[str, str]:
     """Settings that cannot be taken over, by name, and why."""
+    own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
     every = all_fields(type(run.domain.settings))
-    own = {f.name for f in fields(run.domain.settings)}
-    return {
-        f.name: f.metadata["fixed"] or "the domain was made with it"
-        for f in every
-        if f.metadata["fixed"] or f.name in own
-    }
+    return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
 
 
 def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
@@ -98,8 +88,7 @@ def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
                 f"{option_of(name)} {known[name]} of run {str(run.folder)!r} cannot become "
                 f"{value}, as {fixed[name]}; begin another run for it"
             )
-    names = {f.name for f in fields(RunSettings)}
-    return replace(run.settings, **{k: v for k, v in overrides.items() if k in names})
+    return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})
 
 
 def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
@@ -107,11 +96,6 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
 
     A journal that was begun under other settings or by another cgtorch is set aside. That comes
     first: whatever stops this in between, the stage is at most made again under the old settings.
-
-    Args:
-        run: as it was opened.
-        settings: what it goes on with, of `overridden`.
-        stage: that is to be made.
 
     Raises:
         RunError: the run cannot be read or written.
@@ -127,11 +111,8 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
     history = about.get("history", [])
     if not isinstance(history, list):
         raise RunError(f"history in {str(run.folder / 'run.json')!r} is no list; restore the file")
-    aside = (
-        _free(run)
-        if set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
-        else None
-    )
+    stale = set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
+    aside = _free(run) if stale else None
     ranks.wait()  # all have read before anyone writes
     if ranks.first():
         entry: dict[str, Any] = {"before": before, "changed": {k: [*v] for k, v in changed.items()}}

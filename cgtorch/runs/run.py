@@ -34,7 +34,7 @@ from cgtorch.domains.registry import (
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
-from cgtorch.ground.files import read_json, whole_folder, write_json
+from cgtorch.ground.files import read_versioned, whole_folder, write_json
 from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
@@ -204,15 +204,7 @@ def read_about(folder: Path) -> dict[str, Any]:
     """The run.json of a run; RunError if there is none, or it is of another version."""
     if not (folder / "run.json").is_file():
         raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
-    about = read_json(folder / "run.json")
-    if not isinstance(about, dict) or about.get("format") != FORMAT:
-        raise RunError(f"{str(folder / 'run.json')!r} is not of a cgtorch run; give another folder")
-    if about.get("version") != VERSION:
-        raise RunError(
-            f"run {str(folder)!r} is of version {about.get('version')!r:.20}, this cgtorch reads "
-            f"{VERSION}; use the version that wrote it"
-        )
-    return about
+    return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:

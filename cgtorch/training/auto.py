@@ -5,7 +5,7 @@ it on fresh scenarios; what succeeds joins W, what fails joins M.
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -38,21 +38,6 @@ from cgtorch.training.train import Made, Tally, counts, make_stage
 
 BATCH = 400  # scenarios tried before the next look at how many were missed
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
-
-
-@dataclass(frozen=True)
-class Tests:
-    """How a round's skill did on fresh scenarios.
-
-    Attributes:
-        screening: on up to `Goal.screening` of them.
-        decisive: on those that decide; None where that was not worth it.
-        holds: whether the goal holds.
-    """
-
-    screening: Score
-    decisive: Score | None
-    holds: bool
 
 
 def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
@@ -126,11 +111,23 @@ def _round(
         if skill is None:
             return None
         with training.working(f"testing {name} on fresh scenarios"):
-            if run.domain.rewarded:
-                after, tests = _tested_by_return(training, name, after, generator)
-            else:
-                after, tests = _tested(training, goal, name, decisions, after, generator)
-        return after, _result(run, name, tally, progress, skill, tests)
+            after, scores, met = _tested(training, goal, name, decisions, after, generator)
+        accepted, tests = tally.accepted, [counts(run.kind, score) for score in scores]
+        won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
+        return after, {
+            "stage": name,
+            "scenarios": run.kind,
+            "skill": skill.name,
+            "targets_succeeded": won,
+            "targets": len(missed),
+            "earlier_failures": 0,
+            "earlier_failures_succeeded": 0,
+            **tally.result(progress, skill, tally.seconds),
+            "fresh": tests[0],
+            "overall": tests[-1],
+            "decisive": tests[1] if len(tests) > 1 else None,
+            "mean_holds": met if run.domain.rewarded else None,
+        }
 
     everything = torch.ones(len(missed), dtype=torch.bool)
     # Fresh scenarios are drawn at the round's end.
@@ -160,43 +157,37 @@ def _tested(
     decisions: int,
     progress: Progress[Any],
     generator: Generator,
-) -> tuple[Progress[Any], Tests]:
-    """Try a round's skill on fresh scenarios, all of which join W or M."""
-    run = training.run
-    screening = act(run, progress.skill, goal.screening, generator)
-    counted = screening.successes, screening.tried
-    training.watch(FreshTested(name, *counted, goal.target, decisive=False))
-    progress = _with(progress, screening)
-    if not worth_deciding(goal, *counted):
-        return progress, Tests(screening, None, holds=False)
-    tried = goal.decisive
-    most = next(m for m in range(tried + 1) if not holds(goal, tried - m, tried, decisions + 1))
-    decisive = act(run, progress.skill, tried, generator, enough=most)
-    counted = decisive.successes, decisive.tried
-    training.watch(FreshTested(name, *counted, goal.target, decisive=True))
-    met = holds(goal, *counted, decisions + 1)
-    return _with(progress, decisive), Tests(screening, decisive, met)
+) -> tuple[Progress[Any], list[Score], bool]:
+    """Try a round's skill on fresh scenarios, all of which join W or M.
 
-
-def _tested_by_return(
-    training: Training, name: str, progress: Progress[Any], generator: Generator
-) -> tuple[Progress[Any], Tests]:
-    """The same where the domain gives rewards: what counts is the mean of the returns."""
-    target, scores = float(training.run.domain.target_return), list[Score]()
-    for episodes in (EPISODES, DECISIVE_EPISODES):
-        score = act(training.run, progress.skill, episodes, generator, enough=episodes + 1)
-        scores.append(score)
-        mean, decisive = score.mean_return, episodes == DECISIVE_EPISODES
-        counted = score.successes, score.tried
-        training.watch(FreshTested(name, *counted, target, decisive, mean_return=mean))
+    Returns:
+        Where the round ends; how the skill did in the test before the one that decides and, if that
+        was worth it, in that one; and whether the goal holds.
+    """
+    domain, scores = training.run.domain, list[Score]()
+    if domain.rewarded:  # what counts is the mean of the returns
+        target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)
+        enough = EPISODES + 1, DECISIVE_EPISODES + 1
+    else:
+        target, sizes, n = goal.target, (goal.screening, goal.decisive), goal.decisive
+        enough = ENOUGH, next(m for m in range(n + 1) if not holds(goal, n - m, n, decisions + 1))
+    for most, failures in zip(sizes, enough, strict=True):
+        score = act(training.run, progress.skill, most, generator, failures)
+        counted, mean, decisive = (score.successes, score.tried), score.mean_return, bool(scores)
+        training.watch(FreshTested(name, *counted, target, decisive, mean))
         progress = _with(progress, score)
-        if mean is None or mean < target:
+        scores.append(score)
+        if domain.rewarded:
+            if mean is None or mean < target:
+                break
+        elif not worth_deciding(goal, *counted):
             break
     if len(scores) == 1:
-        return progress, Tests(scores[0], None, holds=False)
-    returns = scores[1].returns
-    met = returns is not None and mean_holds(returns.tolist(), target)
-    return progress, Tests(scores[0], scores[1], met)
+        return progress, scores, False
+    if domain.rewarded:
+        returns = scores[1].returns
+        return progress, scores, returns is not None and mean_holds(returns.tolist(), target)
+    return progress, scores, holds(goal, scores[1].successes, scores[1].tried, decisions + 1)
 
 
 def act(
@@ -230,25 +221,3 @@ def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
         solved=progress.solved.joined(solved),
         missed=progress.missed.joined(missed),
     )
-
-
-def _result(
-    run: Run, name: str, tally: Tally, before: Progress[Any], skill: Skill, tests: Tests
-) -> dict[str, Any]:
-    """A round's line of the final table."""
-    accepted, kind, decisive = tally.accepted, run.kind, tests.decisive
-    won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
-    return {
-        "stage": name,
-        "scenarios": kind,
-        "skill": skill.name,
-        "targets_succeeded": won,
-        "targets": len(before.missed),
-        "earlier_failures": 0,
-        "earlier_failures_succeeded": 0,
-        **tally.result(before, skill, tally.seconds),
-        "fresh": counts(kind, tests.screening),
-        "overall": counts(kind, decisive or tests.screening),
-        "decisive": None if decisive is None else counts(kind, decisive),
-        "mean_holds": None if tests.screening.returns is None else tests.holds,
-    }

@@ -66,7 +66,6 @@ class Training:
             budget=budget,
             group_of=specialists.group_of,
             group=specialists.group,
-            lanes=replicas * specialists.group,
             replicas=replicas,
             trials=3 if domain.noisy_world else 1,
             attempts=s.attempts,

@@ -13,7 +13,6 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.robust_success import robust_success
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.interval import wilson
 from cgtorch.improvement.trial import first_percepts, run_skill
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
@@ -54,16 +53,6 @@ class Score:
         return int(self.succeeded.sum())
 
     @property
-    def rate(self) -> float:
-        """Their share, 0 if none was tried."""
-        return self.successes / max(1, self.tried)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % confidence interval of the rate (Wilson 1927)."""
-        return wilson(self.successes, self.tried, 0.95)
-
-    @property
     def mean_return(self) -> float | None:
         """The mean of the returns; None if there are none, or an episode was not finished."""
         if self.returns is None or not len(self.returns) or not self.returns.isfinite().all():
@@ -97,15 +86,9 @@ def evaluate_skill(
     seed: int,
     done: Callable[[int], object] = lambda count: None,
 ) -> Score:
-    """Try a skill on `count` fresh scenarios of a kind.
+    """Try a skill on `count` fresh scenarios of a kind, drawn with their noise from a seed.
 
-    Args:
-        skill: what to try.
-        domain: what it is for.
-        kind: one of the domain's.
-        count: how many scenarios.
-        seed: of the scenarios and their noise.
-        done: is told of how many more scenarios it has been tried.
+    `done` is told of how many more scenarios it has been tried.
 
     Raises:
         SettingsError: unknown kind, negative count, or a skill for other percepts.
@@ -131,19 +114,10 @@ def check_kind(domain: Domain[Any], kind: str) -> None:
 def promise_kept(
     score: Score, skill: Skill, knowledge: Knowledge, domain: Domain[Any], seed: int
 ) -> Score | None:
-    """How a skill did in the world where it succeeds in the models.
+    """The score in the world of a skill where it succeeds in the models.
 
-    Args:
-        score: in the world.
-        skill: what was tried.
-        knowledge: the models.
-        domain: what they are of.
-        seed: of the errors that are imagined.
-
-    Returns:
-        The score where the models say so under all sampled errors
-        (`cgtorch.domains.robust_success`); None where they were learned from percepts of another
-        length.
+    That is under all errors sampled from the seed (`cgtorch.domains.robust_success`); None where
+    the models were learned from percepts of another length.
     """
     percepts = first_percepts(domain.world(score.scenarios))
     if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
@@ -157,28 +131,14 @@ def under_other_noise(
 ) -> Score:
     """How a skill does on what it solved, W, when it meets other noise than it did.
 
-    Args:
-        skill: what to try.
-        domain: what it is for.
-        solved: W.
-        seed: of the choice where W is larger than `most`.
-        most: scenarios at most, a random choice of W.
+    Of a larger W, `most` scenarios are chosen at random.
     """
     pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
     return try_on(skill, domain, solved[pick].with_noise(FRESH_COPY))
 
 
 def check_percepts(skill: Skill, size: int, where: str) -> None:
-    """Refuse a skill whose networks, or those of a skill in it, read percepts of another length.
-
-    Args:
-        skill: what is to be tried.
-        size: length of the percepts there.
-        where: how the message calls that place.
-
-    Raises:
-        SettingsError: naming both lengths.
-    """
+    """SettingsError if networks of a skill, or in it, do not read percepts as long as they are."""
     for index in skill.graph.action[0].unique().tolist():
         action = skill.actions.actions[index] if index >= 0 else None
         if isinstance(action, ContinuousNN | BranchingNN) and action.percept_size != size:

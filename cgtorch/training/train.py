@@ -166,14 +166,8 @@ def make_stage(
 ) -> Made:
     """Make one stage or round and keep it in the run.
 
-    Args:
-        training: what to work with.
-        name: of the stage.
-        before: where the earlier ones ended.
-        task: what it is to solve.
-        generator: of all its random choices.
-        test: tries its skill on fresh scenarios: from where it has come to and what that cost to
-            where it ends and its result; None if there is no skill.
+    `test` tries its skill on fresh scenarios: from where it has come to and what that cost to where
+    it ends and its result; None if there is no skill.
 
     Raises:
         NotImprovedError: there is no skill.
