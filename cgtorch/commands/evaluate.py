@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands.command import import_from_here, importing, run_command
+from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.options import (
     common_options,
     domain_option,
@@ -18,6 +18,7 @@ from cgtorch.commands.options import (
     skill_option,
     waiting,
 )
+from cgtorch.ground.interval import wilson
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen
@@ -62,7 +63,6 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
     skill file, which is tried in its domain as it is by default: the built-in PR2.
     """
-    import_from_here([*rest["actions"], rest["domain"] or ""])
     with importing():
         import torch
 
@@ -79,42 +79,38 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         score = evaluate_skill(skill, domain, kind, count, seed, done)
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
-    kept, again = None, None
+    own, promised, noise = _share(score.successes, score.tried), None, None
     if stage is not None and chosen.run is not None:
         if holds_models(stage):
             knowledge = load_knowledge(stage, domain.unfitted())
             with waiting(f"asking the models what they promise of {skill.name}", quiet):
                 kept = promise_kept(score, skill, knowledge, domain, seed)
+            promised = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}
         again = index.get(skill.name, {}).get("w_other_noise")
+        noise = again and _share(again["succeeded"], again["tried"])
     if as_json:
         result = {
             "skill": skill.name,
             "scenarios": kind,
             "seed": seed,
-            **_share(score.successes, score.tried),
+            **own,
             "mean_return": score.mean_return,
-            "promised": None if kept is None else _share(kept.successes, kept.tried),
-            "w_other_noise": None if again is None else _share(again["succeeded"], again["tried"]),
+            "promised": promised,
+            "w_other_noise": noise,
         }
         click.echo(json.dumps(result))
         return
-    click.echo(
-        f"{skill.name} on {kind}: {score.successes} / {score.tried} succeeded, "
-        f"{_as_text(score.successes, score.tried)}"
-    )
+    click.echo(f"{skill.name} on {kind}: {_as_text(own)}")
     if score.returns is not None:
         click.echo(_returns_as_text(score, domain.target_return))
-    if kept is not None:
+    if promised is not None:
         click.echo(
-            f"the models promised {kept.tried} of {score.tried}, of which {kept.successes} "
-            f"succeeded in the world, {_as_text(kept.successes, kept.tried)}"
+            f"the models promised {promised['tried']} of {score.tried}, of which "
+            f"{promised['succeeded']} succeeded in the world, {_confidence(promised)}"
         )
-    if again is not None:
-        click.echo(
-            f"of W, met by other noise when it was accepted, {again['succeeded']} / "
-            f"{again['tried']} succeeded, {_as_text(again['succeeded'], again['tried'])}"
-        )
+    if noise is not None:
+        click.echo(f"of W, met by other noise when it was accepted, {_as_text(noise)}")
 
 
 def _returns_as_text(score: "Score", target: float) -> str:
@@ -132,16 +128,17 @@ def _returns_as_text(score: "Score", target: float) -> str:
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:
     """A counted share with its interval, for programs."""
-    from cgtorch.ground.interval import wilson
-
     interval = list(wilson(succeeded, tried, 0.95))
     rate = succeeded / max(1, tried)
     return {"tried": tried, "succeeded": succeeded, "rate": rate, "interval": interval}
 
 
-def _as_text(succeeded: int, tried: int) -> str:
+def _as_text(share: dict[str, Any]) -> str:
     """The same for people."""
-    share = _share(succeeded, tried)
+    return f"{share['succeeded']} / {share['tried']} succeeded, {_confidence(share)}"
+
+
+def _confidence(share: dict[str, Any]) -> str:
     low, high = share["interval"]
     return f"{share['rate']:.1%} (95 % confidence {low:.1%} to {high:.1%})"
 

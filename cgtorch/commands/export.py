@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import SCENARIOS, one_of
 from cgtorch.commands.options import (
     check_output,
@@ -67,7 +67,6 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill
 
-    import_from_here([*rest["actions"], rest["domain"] or ""])
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
     skill = chosen_skill(path, *about).skill
     with waiting(f"exporting {skill.name} as {form}", quiet):

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from cgtorch.commands import completion
+from cgtorch.commands.command import import_from_here
 from cgtorch.ground.errors import RunError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -27,6 +28,11 @@ def _print_script(context: click.Context, parameter: click.Parameter, shell: str
         context.exit()
 
 
+def _importable(context: click.Context, parameter: click.Parameter, specs: Any) -> Any:
+    import_from_here(specs if isinstance(specs, tuple) else [specs or ""])
+    return specs
+
+
 def common_options(function: F) -> F:
     """Decorator: the options that every command has, to stand last."""
     options = (
@@ -34,6 +40,7 @@ def common_options(function: F) -> F:
             "--actions",
             multiple=True,
             shell_complete=completion.declared_actions,
+            callback=_importable,
             help="Further action that a skill may use: name or package.module:Class; may be given "
             "more than once.",
         ),
@@ -73,6 +80,7 @@ skill_option = click.option(
 domain_option = click.option(
     "--domain",
     shell_complete=completion.domains,
+    callback=_importable,
     help="The run's domain, where that is code of its own that may be imported; of a skill file "
     "what it is for.  [tabletop]",
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from cgtorch.commands.command import import_from_here, run_command
+from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
     check_output,
@@ -54,7 +54,6 @@ def command(
     from cgtorch.report.page import report_page
 
     torch.set_num_threads(1)
-    import_from_here([*actions, domain or ""])
     with waiting(f"drawing {run}", quiet):
         page = report_page(run, actions, domain)
     write_bytes(output, page)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands.command import import_from_here, importing, options_of, run_command
+from cgtorch.commands.command import importing, options_of, run_command
 from cgtorch.commands.completion import (
     DEVICES,
     DOMAIN,
@@ -114,7 +114,6 @@ def command(context: click.Context, /, **options: Any) -> None:
     tried on fresh scenarios and improved on what it missed, round by round, until the target
     holds.
     """
-    import_from_here([*options["actions"], options["domain"]])
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
         from cgtorch.commands.training import Wish, begin, carry_on, device_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from cgtorch.commands.command import import_from_here, importing, run_command
+from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.options import (
     common_options,
@@ -74,7 +74,6 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
         from cgtorch.tabletop.world import draw_of
 
     torch.set_num_threads(1)
-    import_from_here(rest["actions"])
     with waiting(f"loading {path}", rest["quiet"]):
         offer = _offer(path, rest["name"], rest["actions"], scenarios)
     draw_of(offer.kind)  # there must be such scenarios

@@ -107,16 +107,13 @@ def all_ranks() -> Group:
     return Group(_index(), count())
 
 
-def held(parts: int) -> range:
-    """The parts, out of so many, that this rank holds: at least one, and all if it is alone.
+def held(parts: int, rank: int | None = None) -> range:
+    """The parts, out of so many, that a rank, this one if not given, holds: at least one.
 
     Parts are shared out in order, as evenly as can be. Of more ranks than parts, those next to one
     another hold the same part.
     """
-    return _held(_index(), parts)
-
-
-def _held(rank: int, parts: int) -> range:
+    rank = _index() if rank is None else rank
     first = rank * parts // count()
     return range(first, max(first + 1, (rank + 1) * parts // count()))
 
@@ -128,7 +125,7 @@ def group_of(parts: int) -> Group:
     if count() <= parts:
         return Group(0, 1)
     mine = held(parts)
-    members = [rank for rank in range(count()) if _held(rank, parts) == mine]
+    members = [rank for rank in range(count()) if held(parts, rank) == mine]
     return Group(members.index(_index()), len(members), _groups(parts)[mine.start])
 
 
@@ -137,7 +134,7 @@ def _groups(parts: int) -> list[torch.distributed.ProcessGroup]:
     """For each part the group of the ranks that hold it, where ranks are more than parts."""
     holders: list[list[int]] = [[] for _ in range(parts)]
     for rank in range(count()):
-        holders[_held(rank, parts).start].append(rank)
+        holders[held(parts, rank).start].append(rank)
     return [torch.distributed.new_group(each) for each in holders]
 
 
@@ -161,14 +158,11 @@ def wait() -> None:
         torch.distributed.barrier()
 
 
-def share(rows: int, group: Group | None = None) -> slice:
-    """This rank's part of so many rows; the parts of a group lie one after the other."""
+def share(rows: int, group: Group | None = None, index: int | None = None) -> slice:
+    """The part of so many rows that a rank of a group has, this one if not given, in order."""
     group = group or all_ranks()
-    return _share(rows, group.index, group.size)
-
-
-def _share(rows: int, index: int, size: int) -> slice:
-    return slice(index * rows // size, (index + 1) * rows // size)
+    index = group.index if index is None else index
+    return slice(index * rows // group.size, (index + 1) * rows // group.size)
 
 
 def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
@@ -176,7 +170,7 @@ def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
     group = group or all_ranks()
     if group.size == 1:
         return part
-    shares = [_share(rows, index, group.size) for index in range(group.size)]
+    shares = [share(rows, group, index) for index in range(group.size)]
     return _all_gather(part, [each.stop - each.start for each in shares], group.handle)
 
 
@@ -194,7 +188,7 @@ def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
     """Of all parts (parts, ...), given one row for each that this rank holds."""
     if len(mine) == parts:  # on every rank
         return mine
-    holds = [_held(rank, parts) for rank in range(count())]
+    holds = [held(parts, rank) for rank in range(count())]
     # Where several ranks hold a part, the first of them speaks.
     sizes = [0 if each in holds[:rank] else len(each) for rank, each in enumerate(holds)]
     return _all_gather(mine, sizes, None)
@@ -205,7 +199,7 @@ def ring_shift(mine: Tensor, parts: int) -> Tensor:
 
     It is given one row for each part that this rank holds (held, ...), out of so many parts.
     """
-    holds, me = [_held(rank, parts) for rank in range(count())], _index()
+    holds, me = [held(parts, rank) for rank in range(count())], _index()
     # Of the ranks that hold a part, the first one sends it.
     sources = [
         next(rank for rank, each in enumerate(holds) if (hold.start - 1) % parts in each)
@@ -243,7 +237,7 @@ def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, 
     Ranks that do not hold it give any tensors of the same names, numbers of dimensions and types.
     They get them back as they are, but for the first one.
     """
-    holder = next(rank for rank in range(count()) if part in _held(rank, parts))
+    holder = next(rank for rank in range(count()) if part in held(parts, rank))
     if holder == 0 or _index() not in (0, holder):
         return tensors
     if _index() == holder:

@@ -34,7 +34,6 @@ from cgtorch.runs.storage import is_count, is_share, scenarios_from_list, scenar
 FOLDER, FORMAT, VERSION = "ledger", "cgtorch-ledger", 1
 WAS = ("W", "M", "new")
 _COUNTS = ("w_before", "w_lost", "m_before", "m_solved", "new", "new_solved", "nodes", "depth")
-_OTHER = ("tried", "succeeded")
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,8 @@ class Entry:
         scenarios: B of them, all that it was tried on.
         was: (B,) long, index into `WAS`: where each was before.
         succeeded: (B,) bool, in the world, on the scenario's own noise.
-        other_noise: of W, how many were tried again under other noise and how many of these
-            succeeded; None if that was not tried.
+        other_noise: of W, how many were "tried" again under other noise and how many of these
+            "succeeded"; None if that was not tried.
     """
 
     skill: Skill
@@ -56,7 +55,7 @@ class Entry:
     scenarios: ScenarioBatch
     was: Tensor
     succeeded: Tensor
-    other_noise: tuple[int, int] | None = None
+    other_noise: dict[str, int] | None = None
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -74,7 +73,7 @@ class Entry:
             "new_solved": int((new & self.succeeded).sum()),
             "nodes": self.skill.num_nodes,
             "depth": self.skill.depth,
-            "w_other_noise": self.other_noise and dict(zip(_OTHER, self.other_noise, strict=True)),
+            "w_other_noise": self.other_noise,
         }
 
 
@@ -82,7 +81,7 @@ def entry_of(
     accepted: SkillAccepted[Any],
     parent: Skill | None,
     after: Progress[Any],
-    other_noise: tuple[int, int] | None = None,
+    other_noise: dict[str, int] | None = None,
 ) -> Entry:
     """The entry of a skill that was just accepted and has improved its parent.
 
@@ -178,7 +177,7 @@ def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch)
         scenarios_from_list(plain, like, f"scenarios of {str(path)!r}"),
         torch.tensor([WAS.index(r["was"]) for r in rows], dtype=torch.long),
         torch.tensor([r["succeeded"] for r in rows], dtype=torch.bool),
-        None if again is None else (again["tried"], again["succeeded"]),
+        again,
     )
 
 

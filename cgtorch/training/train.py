@@ -207,7 +207,7 @@ def _keep(
     if accepted is not None and run.domain.noisy_world:
         with training.working(f"trying {name} under other noise"):
             score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
-        again = score.tried, score.successes
+        again = {"tried": score.tried, "succeeded": score.successes}
     if not ranks.first():
         return
     if accepted is not None:

@@ -54,25 +54,25 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
         "tried": 12,
         "succeeded": score.successes,
         "rate": score.successes / 12,
-        "interval": list(score.interval),
+        "interval": list(wilson(score.successes, 12, 0.95)),
         "mean_return": None,
         "promised": {
             "tried": kept.tried,
             "succeeded": kept.successes,
-            "rate": kept.rate,
-            "interval": list(kept.interval),
+            "rate": kept.successes / max(1, kept.tried),
+            "interval": list(wilson(kept.successes, kept.tried, 0.95)),
         },
         "w_other_noise": {
-            "tried": again[0],
-            "succeeded": again[1],
-            "rate": again[1] / again[0],
-            "interval": list(wilson(again[1], again[0], 0.95)),
+            **again,
+            "rate": again["succeeded"] / again["tried"],
+            "interval": list(wilson(again["succeeded"], again["tried"], 0.95)),
         },
     }
     ended = shell(EVALUATE, *words)
     assert f"{name} on near: {score.successes} / 12 succeeded" in ended.out
     assert f"the models promised {kept.tried} of 12, of which {kept.successes} " in ended.out
-    assert f"met by other noise when it was accepted, {again[1]} / {again[0]}" in ended.out
+    counted = f"{again['succeeded']} / {again['tried']}"
+    assert f"met by other noise when it was accepted, {counted}" in ended.out
     assert listing(trained.folder) == before
 
 

@@ -63,7 +63,7 @@ def test_w_under_other_noise(trained: Trained) -> None:
         entry = read_entry(run.folder, name, run.actions, run.like())
         solved = load_progress(run, run.folder / name).solved
         again = under_other_noise(entry.skill, run.domain, solved, run.settings.seed)
-        assert entry.other_noise == (again.tried, again.successes)
+        assert entry.other_noise == {"tried": again.tried, "succeeded": again.successes}
         assert entry.summary["w_other_noise"]["tried"] == len(solved)
         assert again.successes > len(solved) / 2
         assert not set(again.scenarios.seed.tolist()) & set(solved.seed.tolist())
