@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeAlias
+from typing import Generic, TypeAlias
 
 from torch import Tensor
 
@@ -12,8 +12,12 @@ from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.model_summary import ModelSummary
 
 
+class Event:
+    """Something that happens during improvement."""
+
+
 @dataclass(frozen=True)
-class StageStarted:
+class StageStarted(Event):
     """A stage begins: so many scenarios in W, so many to be solved anew.
 
     `stages` are all stages of this run, in order; `attempts` bounds the evolutions in each.
@@ -27,7 +31,7 @@ class StageStarted:
 
 
 @dataclass(frozen=True)
-class ModelsFitted:
+class ModelsFitted(Event):
     """Γ and C were trained, in `seconds`."""
 
     stage: str
@@ -36,7 +40,7 @@ class ModelsFitted:
 
 
 @dataclass(frozen=True)
-class GenerationDone:
+class GenerationDone(Event):
     """A generation was evaluated in the models.
 
     It belongs to the evolution of `candidate`, which ends after `limit` generations at the latest.
@@ -56,7 +60,7 @@ class GenerationDone:
 
 
 @dataclass(frozen=True)
-class EvolutionRecalled:
+class EvolutionRecalled(Event):
     """The first `generations` of an evolution are known from before an interruption.
 
     They executed `transitions` actions in the models and took `seconds`; `champion` is the best
@@ -73,12 +77,12 @@ class EvolutionRecalled:
 
 
 @dataclass(frozen=True)
-class AboutToKeep:
+class AboutToKeep(Event):
     """What has been told so far is about to be kept, so that it will not be told again."""
 
 
 @dataclass(frozen=True)
-class JournalDamaged:
+class JournalDamaged(Event):
     """Files of a stage's journal cannot be read; what they held is done again."""
 
     stage: str
@@ -86,7 +90,7 @@ class JournalDamaged:
 
 
 @dataclass(frozen=True)
-class WorldTested:
+class WorldTested(Event):
     """A candidate was tried in the world: what it solves of W and of M.
 
     Of the group it was evolved on, it solved `promised` in the models and `kept` in the world.
@@ -103,7 +107,7 @@ class WorldTested:
 
 
 @dataclass(frozen=True)
-class SkillAccepted(Generic[S]):
+class SkillAccepted(Event, Generic[S]):
     """Eq. 1 holds in the world for a new skill.
 
     `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those that are W,
@@ -120,7 +124,7 @@ class SkillAccepted(Generic[S]):
 
 
 @dataclass(frozen=True)
-class FreshTested:
+class FreshTested(Event):
     """A round's skill was tried on fresh placements: it solved `succeeded` of `tried`.
 
     `target` is the share that is aimed at, `decisive` whether this is the test that says if it
@@ -135,15 +139,4 @@ class FreshTested:
     mean_return: float | None = None
 
 
-Event: TypeAlias = (
-    StageStarted
-    | ModelsFitted
-    | GenerationDone
-    | EvolutionRecalled
-    | AboutToKeep
-    | JournalDamaged
-    | WorldTested
-    | SkillAccepted[Any]
-    | FreshTested
-)
 Watch: TypeAlias = Callable[[Event], None]

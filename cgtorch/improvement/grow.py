@@ -8,12 +8,12 @@ from torch import Tensor
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
-from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.team import initial_state, learned, tell_tested
+from cgtorch.improvement.trial import attempt
 
 
 def grow(

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.interfaces import Draw, S
@@ -27,7 +26,7 @@ from cgtorch.improvement.team import (
     with_fresh,
     with_members,
 )
-from cgtorch.improvement.trial import first_percepts
+from cgtorch.improvement.trial import attempt, first_percepts
 
 CHECKS = 8  # on all of W, before a team is given up
 

@@ -11,7 +11,6 @@ from cgtorch.environment import Dataset
 from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
-from cgtorch.improvement.attempt import attempt
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, WorldTested
 from cgtorch.improvement.gating import train_branches
@@ -19,7 +18,7 @@ from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.trial import first_percepts
+from cgtorch.improvement.trial import attempt, first_percepts
 
 FEW = 8  # members of a team: 15 nodes with the branches to them
 TRIES = 3  # of training the branches of one team

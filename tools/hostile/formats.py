@@ -21,7 +21,6 @@ from cgtorch.evolution.population import random_population
 from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
-from cgtorch.improvement.attempt import trial_from, trial_tensors
 from cgtorch.improvement.checkpoint import (
     Checkpoint,
     found_from,
@@ -31,7 +30,7 @@ from cgtorch.improvement.checkpoint import (
     islands_from,
 )
 from cgtorch.improvement.stopping import Found
-from cgtorch.improvement.trial import Trial
+from cgtorch.improvement.trial import Trial, trial_from, trial_tensors
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.runs.ledger import read_entry, read_index
 from cgtorch.runs.run import open_run

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.attempt import trial_from
+from cgtorch.improvement.trial import trial_from
 
 SIZE = 7
 
