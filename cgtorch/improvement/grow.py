@@ -36,7 +36,9 @@ def grow(
         environment = setup.imagine(
             knowledge, state.scenarios, state.percepts, 1, stage.generator, setup.device
         )
-        name, seeds = f"{stage.name}.{number + 1}", _seeds(skill)
+        # The last skill's graph is a population of one.
+        seeds = Population(skill.graph, initial_strategy(1)) if skill else None
+        name = f"{stage.name}.{number + 1}"
         champion, _ = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds)
         candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
         trial = attempt(setup, candidate, state.scenarios)
@@ -57,8 +59,3 @@ def grow(
         missed=state.scenarios[(~solved).nonzero()[:, 0]],
         knowledge=knowledge,
     )
-
-
-def _seeds(skill: Skill | None) -> Population | None:
-    """The last skill's graph as a population of one."""
-    return Population(skill.graph, initial_strategy(1)) if skill else None

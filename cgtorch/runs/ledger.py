@@ -167,7 +167,8 @@ def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch)
         or not (parent is None or isinstance(parent, str))
         or not (again is None or is_share(again))
         or not isinstance(rows, list)
-        or not all(isinstance(r, dict) and _is_evidence(r) for r in rows)
+        or not all(isinstance(r, dict) for r in rows)
+        or not all(r.get("was") in WAS and isinstance(r.get("succeeded"), bool) for r in rows)
     ):
         raise RunError(f"{str(path)!r} is no entry of skill {name!r}; restore the file")
     plain = [{k: v for k, v in r.items() if k not in ("was", "succeeded")} for r in rows]
@@ -190,7 +191,3 @@ def _is_summary(data: Any) -> bool:
         and all(is_count(data.get(key)) for key in _COUNTS)
         and (data.get("w_other_noise") is None or is_share(data["w_other_noise"]))
     )
-
-
-def _is_evidence(row: dict[str, Any]) -> bool:
-    return row.get("was") in WAS and isinstance(row.get("succeeded"), bool)

@@ -205,7 +205,7 @@ def act(
         fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
         if skill is None:
             nobody = torch.zeros(len(fresh), dtype=torch.bool)
-            parts.append(Score(fresh, nobody, nobody.long()))
+            parts.append(Score(fresh, nobody))
         else:
             parts.append(try_on(skill, domain, fresh))
     return joined(parts)

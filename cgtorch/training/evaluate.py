@@ -27,20 +27,18 @@ class Score:
     Attributes:
         scenarios: what it was tried on.
         succeeded: (B,) bool.
-        transitions: (B,) long.
         returns: (B,) of its episodes; None where the world gives no rewards.
     """
 
     scenarios: Any
     succeeded: Tensor
-    transitions: Tensor
     returns: Tensor | None = None
 
     def of(self, rows: Tensor) -> "Score":
         """The score on some of the scenarios, a mask (B,)."""
         returns = None if self.returns is None else self.returns[rows]
         some = self.scenarios[rows.nonzero()[:, 0]]
-        return Score(some, self.succeeded[rows], self.transitions[rows], returns)
+        return Score(some, self.succeeded[rows], returns)
 
     @property
     def tried(self) -> int:
@@ -67,7 +65,6 @@ def joined(scores: list[Score]) -> Score:
     return Score(
         first.joined(*more),
         torch.cat([s.succeeded for s in scores]),
-        torch.cat([s.transitions for s in scores]),
         torch.cat(returns) if len(returns) == len(scores) else None,
     )
 
@@ -75,7 +72,7 @@ def joined(scores: list[Score]) -> Score:
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
     """How a skill does on scenarios."""
     trial = run_skill(skill, domain.world(scenarios))
-    return Score(scenarios, trial.succeeded, trial.transitions, trial.returns)
+    return Score(scenarios, trial.succeeded, trial.returns)
 
 
 def evaluate_skill(
@@ -93,7 +90,8 @@ def evaluate_skill(
     Raises:
         SettingsError: unknown kind, negative count, or a skill for other percepts.
     """
-    check_kind(domain, kind)
+    if kind not in domain.kinds:
+        raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
     if count < 0:
         raise SettingsError(f"count is {count}; give 0 or more scenarios")
     scenarios = domain.draw(kind, count, Generator().manual_seed(seed))
@@ -103,12 +101,6 @@ def evaluate_skill(
         scores.append(try_on(skill, domain, scenarios[begin : begin + PART]))
         done(scores[-1].tried)
     return joined(scores)
-
-
-def check_kind(domain: Domain[Any], kind: str) -> None:
-    """SettingsError if a domain has no scenarios of a kind."""
-    if kind not in domain.kinds:
-        raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
 
 
 def promise_kept(

@@ -190,7 +190,6 @@ def test_acting_is_trying_in_the_world(made: Made) -> None:
     score = act(run, skill, 20, seeded(3))
     again = try_skill(skill, run.domain.world(score.scenarios))
     assert torch.equal(again.succeeded, score.succeeded)
-    assert torch.equal(again.transitions, score.transitions)
 
 
 @pytest.fixture(scope="module")
