@@ -9,8 +9,9 @@ from support import same
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.improvement.events import Event, EvolutionRecalled, WorldTested
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run, last_skill, open_run
+from cgtorch.runs.run import Run, create_run, open_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stage_files import load_progress
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
