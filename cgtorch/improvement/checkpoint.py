@@ -61,10 +61,7 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
 def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkpoint:
     """What `found_from` and `islands_from` read again.
 
-    Args:
-        found: what the evolution has come to.
-        islands: those of `count` that this rank holds, with the generation evaluated next.
-        count: how many islands there are.
+    The islands are those of `count` that this rank holds, with the generation evaluated next.
     """
     # Looked at now: what is kept when a step is interrupted is written after more was drawn.
     held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))

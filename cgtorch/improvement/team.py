@@ -58,14 +58,7 @@ class StageState(Generic[S]):
 def initial_state(
     stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, rest: S | None = None
 ) -> StageState[S]:
-    """The state of a stage that begins with W and M, without any members.
-
-    Args:
-        stage: what to work with.
-        progress: W and what the earlier stages have learned.
-        scenarios: what the stage adds.
-        targets: their bool mask of its own test placements.
-        rest: more of W; none if not given.
+    """The state of a stage that begins with W and more scenarios, without any members.
 
     Raises:
         WorldError: the world, tried on two of them, breaks its interface.
