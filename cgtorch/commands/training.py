@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -191,23 +191,20 @@ def _changes(taken: TakenOver) -> Iterator[str]:
         yield f"what {taken.before} had come to is in {taken.run.folder / taken.set_aside}"
 
 
-@contextmanager
-def _board(run: Run, settings: dict[str, Any]) -> Iterator[Watch]:
+def _board(run: Run, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
     """What writes the run's TensorBoard files: the first rank does."""
     if not ranks.first():
-        yield lambda event: None
-        return
+        return nullcontext(lambda event: None)
     recalled = recalled_generations(run.folder)
     models = int((run.folder / "start").is_dir())
-    with TensorBoardWatch(
+    return TensorBoardWatch(
         run.folder,
         settings,
         models + finished_generations(run) + len(run.stages) + recalled,
         recalled=recalled,
         actions=run.actions,
         draw_scenarios=run.domain.draw_scenarios,
-    ) as board:
-        yield board
+    )
 
 
 def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) -> str:
