@@ -71,6 +71,7 @@ with ranks.together():
         if ranks.first():
             os.kill(os.getpid(), signal.SIGKILL)
         ranks.wait()
+    ranks.wait()  # one that ends while others still connect would break their connection
     if ranks.first():
         print("met again")
 """
