@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgtorch.commands import options
 from cgtorch.commands.command import importing, run_command
-from cgtorch.commands.options import (
-    common_options,
-    domain_option,
-    epilog,
-    run_or_skill,
-    scenario_options,
-    skill_option,
-    waiting,
-)
 from cgtorch.ground.interval import wilson
 
 if TYPE_CHECKING:
@@ -35,9 +27,9 @@ Examples:
 """
 
 
-@click.command("cgtorch-evaluate", epilog=epilog(EXAMPLES))
-@run_or_skill
-@scenario_options(
+@click.command("cgtorch-evaluate", epilog=options.epilog(EXAMPLES))
+@options.run_or_skill
+@options.scenario_options(
     "Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
     "table, from any side; general-clutter: half of them with a box in the way; of another domain "
     "one of its own kinds.  [those of the run; the usual ones for a skill file]",
@@ -45,15 +37,15 @@ Examples:
     seed="Seed of the scenarios and their noise.",
     most=1_000_000,
 )
-@skill_option
-@domain_option
+@options.skill_option
+@options.domain_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"Also draw the first {PICTURED} scenarios into this PNG file, if the domain can.",
 )
-@common_options
+@options.common_options
 def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
@@ -75,7 +67,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
     chosen, quiet = chosen_skill(path, *about), rest["quiet"]
     skill, domain, kind, stage = chosen.skill, chosen.domain, chosen.kind, chosen.stage
-    with waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
+    with options.waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
         score = evaluate_skill(skill, domain, kind, count, seed, done)
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
@@ -83,7 +75,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     if stage is not None and chosen.run is not None:
         if holds_models(stage):
             knowledge = load_knowledge(stage, domain.unfitted())
-            with waiting(f"asking the models what they promise of {skill.name}", quiet):
+            with options.waiting(f"asking the models what they promise of {skill.name}", quiet):
                 kept = promise_kept(score, skill, knowledge, domain, seed)
             promised = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}

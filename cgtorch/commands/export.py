@@ -6,19 +6,9 @@ from typing import Any
 
 import click
 
+from cgtorch.commands import options
 from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import SCENARIOS, one_of
-from cgtorch.commands.options import (
-    check_output,
-    common_options,
-    domain_option,
-    epilog,
-    force_option,
-    output_option,
-    run_or_skill,
-    skill_option,
-    waiting,
-)
 
 EXAMPLES = """\b
 Examples:
@@ -34,8 +24,8 @@ Examples:
 FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
 
 
-@click.command("cgtorch-export", epilog=epilog(EXAMPLES))
-@run_or_skill
+@click.command("cgtorch-export", epilog=options.epilog(EXAMPLES))
+@options.run_or_skill
 @click.option(
     "--format",
     "form",
@@ -45,31 +35,31 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     "any ONNX runtime; state-machine: a Python file with classes to fill in; dot, graphml, "
     "mermaid: drawings as text.",
 )
-@output_option("The file to write.")
-@skill_option
-@domain_option
+@options.output_option("The file to write.")
+@options.skill_option
+@options.domain_option
 @click.option(
     "--scenarios",
     shell_complete=one_of(SCENARIOS),
     help="Of a skill file: what the skill was evolved on, which says what it perceives.  "
     "[the usual ones of the domain]",
 )
-@force_option
-@common_options
+@options.force_option
+@options.common_options
 def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
     """Write a skill as something that others read or run, without cgtorch.
 
     RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
     skill file.
     """
-    check_output(output, force)
+    options.check_output(output, force)
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill
 
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
     skill = chosen_skill(path, *about).skill
-    with waiting(f"exporting {skill.name} as {form}", quiet):
+    with options.waiting(f"exporting {skill.name} as {form}", quiet):
         data = WRITERS[form](skill)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")

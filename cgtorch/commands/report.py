@@ -5,17 +5,9 @@ from pathlib import Path
 
 import click
 
+from cgtorch.commands import options
 from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import runs_or_skills
-from cgtorch.commands.options import (
-    check_output,
-    common_options,
-    domain_option,
-    epilog,
-    force_option,
-    output_option,
-    waiting,
-)
 
 EXAMPLES = """\b
 Examples:
@@ -25,14 +17,14 @@ Examples:
 """
 
 
-@click.command("cgtorch-report", epilog=epilog(EXAMPLES))
+@click.command("cgtorch-report", epilog=options.epilog(EXAMPLES))
 @click.argument(
     "run", metavar="RUN", type=click.Path(path_type=Path), shell_complete=runs_or_skills
 )
-@output_option("The HTML file to write.")
-@domain_option
-@force_option
-@common_options
+@options.output_option("The HTML file to write.")
+@options.domain_option
+@options.force_option
+@options.common_options
 def command(
     run: Path,
     output: Path,
@@ -47,14 +39,14 @@ def command(
     generations, the graphs, Γ and C, settings, versions, and how to make it again. Everything
     comes from the folder RUN; of an unfinished run the page tells what is there and what is not.
     """
-    check_output(output, force)
+    options.check_output(output, force)
     import torch
 
     from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
 
     torch.set_num_threads(1)
-    with waiting(f"drawing {run}", quiet):
+    with options.waiting(f"drawing {run}", quiet):
         page = report_page(run, actions, domain)
     write_bytes(output, page)
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")

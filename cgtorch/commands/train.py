@@ -8,16 +8,8 @@ from typing import Any
 
 import click
 
+from cgtorch.commands import completion
 from cgtorch.commands.command import importing, options_of, run_command
-from cgtorch.commands.completion import (
-    DEVICES,
-    DOMAIN,
-    domains,
-    kinds_of_domain,
-    one_of,
-    runs,
-    stages,
-)
 from cgtorch.commands.domain_command import DomainCommand
 from cgtorch.commands.options import (
     common_options,
@@ -52,7 +44,7 @@ def _options(spec: str) -> list[click.Option]:
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
-    skip, complete = ("actions", "domain"), {"scenarios": kinds_of_domain}
+    skip, complete = ("actions", "domain"), {"scenarios": completion.kinds_of_domain}
     return [
         *options_of(Goal),
         *options_of(RunSettings, skip, defaults_of(own), complete),
@@ -65,13 +57,13 @@ def _options(spec: str) -> list[click.Option]:
     "--domain",
     default=RunSettings.domain,
     show_default=True,
-    shell_complete=domains,
+    shell_complete=completion.domains,
     help="What the run is about: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
     "package.module:Class. With --help, its settings are among the options below.",
 )
 @click.option(
     "--stage",
-    shell_complete=stages,
+    shell_complete=completion.stages,
     help="Last stage to make, S0 to S3 of the tabletop, or auto: go on until a goal is met.  "
     "[what the run was begun for; else S2 of the tabletop, auto where a domain has no stages]",
 )
@@ -81,7 +73,7 @@ def _options(spec: str) -> list[click.Option]:
 @click.option(
     "--resume",
     type=click.Path(path_type=Path),
-    shell_complete=runs,
+    shell_complete=completion.runs,
     help="Go on with this run.",
 )
 @click.option(
@@ -94,7 +86,7 @@ def _options(spec: str) -> list[click.Option]:
     "--device",
     default="auto",
     show_default=True,
-    shell_complete=one_of(DEVICES),
+    shell_complete=completion.one_of(completion.DEVICES),
     help="auto, cpu, cuda or cuda:N.",
 )
 @number_option(
@@ -124,7 +116,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         for name in options
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     }
-    own = settings_class(context.meta[DOMAIN])
+    own = settings_class(context.meta[completion.DOMAIN])
     of_domain = {f.name for f in fields(own)}
     settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
     wanted = {name: options[name] for name in given & settings}
@@ -163,7 +155,7 @@ def command(context: click.Context, /, **options: Any) -> None:
 def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
     """Settings by name from NAME=VALUE, read as their own options read them."""
     options = {option.name: option for option in context.command.get_params(context)}
-    own = {f.name for f in fields(settings_class(context.meta[DOMAIN]))}
+    own = {f.name for f in fields(settings_class(context.meta[completion.DOMAIN]))}
     found = {}
     for word in words:
         name, _, text = word.partition("=")

@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from cgtorch.commands import options
 from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.completion import runs_or_skills
-from cgtorch.commands.options import (
-    common_options,
-    epilog,
-    number_option,
-    run_or_skill,
-    scenario_options,
-    skill_option,
-    waiting,
-)
 from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -33,8 +25,8 @@ Examples:
 """
 
 
-@click.command("cgtorch-view", epilog=epilog(EXAMPLES))
-@run_or_skill
+@click.command("cgtorch-view", epilog=options.epilog(EXAMPLES))
+@options.run_or_skill
 @click.option(
     "--against",
     metavar="RUN_OR_SKILL",
@@ -42,7 +34,7 @@ Examples:
     shell_complete=runs_or_skills,
     help="Another skill, to be shown beside the first one on the same scenario.",
 )
-@scenario_options(
+@options.scenario_options(
     "What is shown first: near, left, right, far or perimeter of the paper's table; general: any "
     "table, from any side; general-clutter: half of them with a box in the way. If not given, "
     "what the run is about.",
@@ -50,12 +42,12 @@ Examples:
     seed="Of these.",
     most=10_000,
 )
-@skill_option
+@options.skill_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
-@number_option(
+@options.number_option(
     "--port", click.IntRange(0, 65535), 8080, "If it is taken, the next free one; 0: any free one."
 )
-@common_options
+@options.common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
@@ -74,7 +66,7 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
         from cgtorch.tabletop.world import draw_of
 
     torch.set_num_threads(1)
-    with waiting(f"loading {path}", rest["quiet"]):
+    with options.waiting(f"loading {path}", rest["quiet"]):
         offer = _offer(path, rest["name"], rest["actions"], scenarios)
     draw_of(offer.kind)  # there must be such scenarios
     candidates, against, other = dict(offer.candidates), None, rest["against"]
