@@ -27,7 +27,7 @@ class Action(nn.Module, ABC):
         memory_size: numbers of the common memory that it uses; they are zero when a skill begins.
         memory_part: name of the part of the memory that these are. Actions that give the same name
             share it; without a name the part is the action's own.
-        native_kind: name of the compiled counterpart in the enumeration of native/lanes.h, for
+        native_kind: name of the compiled counterpart, as native/engine/lanes.h lists it, for
             just this class; "" if there is none.
         plain_module: name of the module that has the same class in plain Python, for exported
             state machines; "" if there is none.

@@ -16,7 +16,7 @@ from cgtorch.evolution.fitness import evaluate as evaluate
 from cgtorch.evolution.fitness import evaluator as evaluator
 from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase
-from cgtorch.evolution.mutation import mutate as mutate
+from cgtorch.evolution.offspring import mutate as mutate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy

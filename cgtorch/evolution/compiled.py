@@ -1,86 +1,35 @@
-"""Operators in C (`cgtorch/native`), one individual after the other; in torch they are the same.
+"""Operators in C (`cgtorch/native/engine`), one individual after the other, as they are in torch.
 
 Where there is no compiler, or graphs are not of a size or type that the sources take, the batched
-ones in torch run (`cgtorch.evolution.structure`, `parameters`, `crossover`, `lexicase`). Both give
+ones in torch run (`cgtorch.evolution.offspring`, `parameters`, `lexicase`, `selection`). Both give
 the same children to the last bit.
 """
 
-import ctypes
-from ctypes import POINTER, addressof, byref, c_int64, c_void_p
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch import native
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.drift import bounds
-from cgtorch.evolution.operator_draws import Choices
-from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import quantiles
+from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import Graphs
-
-MOST_NODES, MOST_OUTCOMES = 64, 16  # as in native/graph.h
-NO_PARENT = 2  # as in native/operators.c
-
-
-class _Pointers(ctypes.Structure):
-    """`Graphs` in native/graph.h."""
-
-    _fields_ = tuple((name, c_void_p) for name in ("action", "edges", "marks", "start"))
-
-
-class _Breeding(ctypes.Structure):
-    """`Breeding` in native/operators.c."""
-
-    _fields_ = (
-        *((name, _Pointers) for name in ("before", "after")),
-        *(
-            (name, c_void_p)
-            for name in ("elite", "parents", "strategy", "theirs", "has_edge", "first")
-        ),
-        *((name, c_int64) for name in ("people", "nodes", "outcomes", "elites", "pairs")),
-        *((name, c_int64) for name in ("actions", "pair_key", "key", "slots")),
-    )
-
-
-class _Children(ctypes.Structure):
-    """`Children` in native/parameters.c."""
-
-    _fields_ = (
-        *((name, c_void_p) for name in ("action", "num_parameters", "marks", "old", "fresh")),
-        *((name, c_void_p) for name in ("strategy", "factors", "bounds", "quantiles")),
-        *((name, c_void_p) for name in ("parameters", "drifted")),
-        *((name, c_int64) for name in ("rows", "nodes", "most", "actions", "same", "key")),
-    )
-
-
-_G, _P, _I = POINTER(_Pointers), c_void_p, c_int64
-_TYPES: dict[str, tuple[Any, ...]] = {
-    "mutated": (_G, _G, _P, _P, _I, _I, _P, _I, _P, _I, _I),
-    "bred": (POINTER(_Breeding), _I),
-    "changed": (POINTER(_Children), _I),
-    "deviation": (_P, _I, _I, _P, _I),
-    "lexicase": (_P, _I, _I, _P, _I, _I, _P, _I),
-    "ranking": (_P, _P, _I, _I, _P),
-}
+from cgtorch.ground.counter_rng import quantiles
+from cgtorch.native import NO_PARENT, constants, function, structure, threads
+from cgtorch.native.interface import agree
 
 
 def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
-    """Whether graphs, and parameters of such a type, are worked on by compiled operators.
-
-    Args:
-        graphs: P of them.
-        parameters: theirs.
-        slots: of what comes out, if it may be more than they have.
-    """
+    """Whether graphs, parameters of such a type, and so many slots are for compiled operators."""
     _, n, o = graphs.edges.shape
     return (
-        max(n, slots) <= MOST_NODES
-        and o <= MOST_OUTCOMES
+        function("changed", parameters.dtype) is not None
+        and function("bred", torch.float32) is not None
+        and max(n, slots) <= _limits()["MOST_NODES"]
+        and o <= _limits()["MOST_OUTCOMES"]
         and all(is_whole(x) for x in (graphs.action, graphs.edges, graphs.start))
-        and _function("changed", parameters.dtype) is not None
-        and _function("bred", torch.float32) is not None
     )
 
 
@@ -91,30 +40,7 @@ def is_whole(numbers: Tensor) -> bool:
 
 def takes_scores(scores: Tensor) -> bool:
     """Whether parents are chosen by compiled code from scores."""
-    return scores.device.type == "cpu" and _function("lexicase", scores.dtype) is not None
-
-
-def restructured(
-    graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int
-) -> tuple[Graphs, list[int]]:
-    """See `cgtorch.evolution.structure.restructured` and `parameters.mark_new`.
-
-    The capacity is that of the graphs.
-    """
-    graphs, out = _contiguous(graphs), _room(len(graphs), capacity, graphs.edges.shape[2])
-    first = (c_int64 * (len(actions) + 1))()
-    _call(
-        "mutated", torch.float32,
-        byref(_pointers(graphs)), byref(_pointers(out)), _shape(graphs), choices.strategy,
-        choices.key, choices.width, actions.has_edge, len(actions), first, len(graphs),
-    )  # fmt: skip
-    return out, list(first)
-
-
-def swapped(graphs: Graphs, strategy: Tensor, key: int) -> Graphs:
-    """Children of first and second parents (2 Q); see `cgtorch.evolution.crossover.swapped`."""
-    every, slots = torch.arange(len(graphs)), graphs.capacity
-    return bred(Population(graphs, strategy), every[:0], every, (key, 0), None, slots)[0]
+    return scores.device.type == "cpu" and function("lexicase", scores.dtype) is not None
 
 
 def bred(
@@ -125,21 +51,23 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """See `cgtorch.evolution.offspring.bred`; without actions nothing is mutated."""
-    graphs, count = _contiguous(population.graphs), len(elite) + len(parents)
-    n, o = graphs.edges.shape[1:]
-    given = elite, parents, population.strategy.float()
-    kept = [tensor.contiguous() for tensor in given]
-    room, theirs = _room(count, min(n + 1, capacity), o), torch.empty(count, kept[2].shape[1])
-    kinds, has_edge = (0, None) if actions is None else (len(actions), actions.has_edge.data_ptr())
-    first = (c_int64 * (kinds + 1))()
-    breeding = _Breeding(
-        _pointers(graphs, marks=False), _pointers(room), *(x.data_ptr() for x in (*kept, theirs)),
-        has_edge, addressof(first), len(graphs), n, o, len(elite), len(parents) // 2, kinds, *keys,
-        capacity,
+    """See `cgtorch.evolution.offspring.bred_in_torch`."""
+    count, (_, n, o) = len(elite) + len(parents), population.graphs.edges.shape
+    size = count, min(n + 1, capacity)
+    sizes = size, (*size, o), (*size, 1), size[:1]
+    room = Graphs(*(torch.empty(each, dtype=torch.long) for each in sizes))
+    strategy, first = torch.empty(count, len(STRATEGY)), [0] * (len(actions or ()) + 1)
+    begins = torch.tensor(first)
+    breeding = structure("Breeding", torch.float32)(
+        given=_graphs(population.graphs, None), made=_graphs(room, room.parameters),
+        elite=elite, parents=parents, strategy=population.strategy.float(),
+        parent_strategy=strategy, has_edge=actions and actions.has_edge, first=begins,
+        individuals=len(population), nodes=n, outcomes=o, elites=len(elite),
+        pairs=len(parents) // 2, actions=len(first) - 1, pair_key=keys[0], key=keys[1],
+        slots=capacity,
     )  # fmt: skip
-    _call("bred", torch.float32, byref(breeding))
-    return _in_slots(room, breeding.slots), theirs, list(first)
+    _call("bred", torch.float32, breeding, threads())
+    return _in_slots(room, breeding.slots), strategy, begins.tolist()
 
 
 def changed(
@@ -152,67 +80,59 @@ def changed(
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
-    """See `cgtorch.evolution.parameters.parameters` and `drift.drifted`: what both give."""
+    """See `cgtorch.evolution.parameters.changed_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
     made, drifted = old.new_empty(p, n, k), torch.empty(p, factors.shape[1])
-    given = (
-        graphs.action, actions.num_parameters, graphs.parameters, old, fresh, strategy.float(),
-        factors, bounds(), quantiles(), made, drifted,
+    children = structure("Children", old.dtype)(
+        action=graphs.action, num_parameters=actions.num_parameters, origins=graphs.parameters,
+        old=old, fresh=fresh, strategy=strategy.float(), factors=factors, bounds=bounds(),
+        quantiles=quantiles(), parameters=made, drifted=drifted, rows=p, nodes=n, most=k,
+        actions=len(actions), same=same, key=key,
     )  # fmt: skip
-    kept = [tensor.contiguous() for tensor in given]
-    children = _Children(*(x.data_ptr() for x in kept), p, n, k, len(actions), same, key)
-    _call("changed", old.dtype, byref(children))
+    _call("changed", old.dtype, children, threads())
     return made, drifted
 
 
 def deviation(scores: Tensor) -> Tensor:
     """See `cgtorch.evolution.lexicase.deviation`."""
     out = scores.new_empty(scores.shape[1])
-    _call("deviation", scores.dtype, scores, *scores.shape, out)
+    _call("deviation", scores.dtype, scores.contiguous(), *scores.shape, out, threads())
     return out
 
 
 def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     """See `cgtorch.evolution.lexicase.parents`."""
-    chosen = torch.empty(count, dtype=torch.long)
-    _call("lexicase", scores.dtype, scores, *scores.shape, epsilon, key, count, chosen)
+    chosen, scores = torch.empty(count, dtype=torch.long), scores.contiguous()
+    task = scores, *scores.shape, epsilon.contiguous(), key, count, chosen, threads()
+    _call("lexicase", scores.dtype, *task)
     return chosen
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
     """See `cgtorch.evolution.selection.ranking`."""
-    order = torch.empty(len(graphs), dtype=torch.long)
-    _call("ranking", fitness.dtype, fitness, graphs.action, graphs.capacity, len(graphs), order)
+    order, action = torch.empty(len(graphs), dtype=torch.long), graphs.action.contiguous()
+    _call("ranking", fitness.dtype, fitness.contiguous(), action, *action.shape[::-1], order)
     return order
 
 
-def _function(name: str, dtype: torch.dtype) -> Any:
-    return native.function(name, dtype, *_TYPES[name])
+@cache
+def _limits() -> Mapping[str, int]:
+    agree(constants("strategy"), {name.upper(): i for i, name in enumerate(STRATEGY)})
+    return constants("graph_limits")
 
 
 def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
-    """Call with tensors, whose values are read in order, in place of pointers.
-
-    Where one more argument is expected, it is how many threads may work.
-    """
-    kept = [a.contiguous() if isinstance(a, Tensor) else a for a in arguments]
-    plain = [a.data_ptr() if isinstance(a, Tensor) else a for a in kept]
-    more = len(_TYPES[name]) - len(plain)
-    why = _function(name, dtype)(*plain, *[native.threads()] * more)
-    if why == NO_PARENT:
+    failure = function(name, dtype)(*arguments)
+    if failure == NO_PARENT:
         raise IndexError("a parent is none of the individuals; choose indices from 0 on")
-    if why:
+    if failure:
         raise MemoryError(f"no memory to run {name}")
 
 
-def _contiguous(graphs: Graphs) -> Graphs:
-    return Graphs(*(x.contiguous() for x in vars(graphs).values()))
-
-
-def _room(count: int, nodes: int, outcomes: int) -> Graphs:
-    """Room for so many marked graphs."""
-    sizes = (count, nodes), (count, nodes, outcomes), (count, nodes, 1), (count,)
-    return Graphs(*(torch.empty(size, dtype=torch.long) for size in sizes))
+def _graphs(graphs: Graphs, origins: Tensor | None) -> Any:
+    action, edges, start = (x.contiguous() for x in (graphs.action, graphs.edges, graphs.start))
+    kind = structure("Graphs", torch.float32)
+    return kind(action=action, edges=edges, origins=origins, start=start)
 
 
 def _in_slots(room: Graphs, slots: int) -> Graphs:
@@ -226,14 +146,3 @@ def _in_slots(room: Graphs, slots: int) -> Graphs:
         room.parameters.as_strided((p, slots, 1), (slots, 1, 1)),
         room.start,
     )
-
-
-def _pointers(graphs: Graphs, marks: bool = True) -> _Pointers:
-    g = graphs
-    third = g.parameters.data_ptr() if marks else None
-    return _Pointers(g.action.data_ptr(), g.edges.data_ptr(), third, g.start.data_ptr())
-
-
-def _shape(graphs: Graphs) -> Tensor:
-    """N and O."""
-    return torch.tensor(graphs.edges.shape[1:])

@@ -1,77 +1,41 @@
 """Crossover: swap connected subgraphs, which are the likely sub-solutions (section IV-B)."""
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
-from cgtorch.evolution import compiled
-from cgtorch.evolution.operator_draws import Pairs, numbers, pair_parts
-from cgtorch.evolution.parameters import copied, marked
-from cgtorch.evolution.population import Population
-from cgtorch.evolution.sampling import BITS, fields, key, nth_true, pick, uniform
-from cgtorch.graphs import (
-    NO_NODE,
-    Graphs,
-    compacted,
-    concatenate,
-    narrowed,
-    pruned,
-    widened,
-)
+from cgtorch.evolution.parameters import with_origins
+from cgtorch.graphs import NO_NODE, Graphs, compacted, concatenate, narrowed, pruned, widened
+from cgtorch.ground.counter_rng import BITS, fields, individual_words, nth_true, pick, uniform_from
 
 
-def crossover(first: Population, second: Population, generator: Generator) -> Population:
-    """Two children of each pair of parents.
-
-    In each parent the k nodes that an undirected breadth-first search from a random node meets
-    first are swapped node by node, with k uniform in 1 … half of the smaller parent. Edges within
-    a group keep their shape; edges that leave it go to random nodes of the new graph. A pair is
-    crossed with the mean of the parents' crossover probabilities, else copied. Parameters are
-    never mixed within a node.
+def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int) -> Graphs:
+    """Children (2 Q) of pairs, in torch; `native/engine/crossover.h` makes one after the other.
 
     Args:
-        first: Q parents.
-        second: Q parents.
-        generator: of all random choices.
+        graphs: of all.
+        parents: (2 Q,) long, the first of all pairs and then the second.
+        rates: (2 Q, S) float32 strategies of the parents.
+        key: of all pairs' numbers.
+        width: nodes of the largest parent.
 
     Returns:
-        2 Q children, those that take the frame of the first parents before the others.
+        Graphs with their nodes in the first slots, and origins in place of parameters
+        (`cgtorch.evolution.parameters`), which point to the parameters of `graphs`.
     """
-    graphs = concatenate([first.graphs, second.graphs])
-    strategy, word = torch.cat([first.strategy, second.strategy]), key(generator)
-    if compiled.takes(graphs, graphs.parameters):
-        children = compiled.swapped(graphs, strategy, word)
-    else:
-        every = torch.arange(len(graphs))
-        pairs = Pairs(every, strategy.float(), word, most_nodes(graphs, every))
-        children = swapped(graphs, pairs)
-    return Population(copied(children, graphs.parameters), strategy)
-
-
-def most_nodes(graphs: Graphs, rows: Tensor) -> int:
-    """Nodes of the largest of the graphs `rows` (n,)."""
-    return int(graphs.num_nodes[rows].max()) if len(rows) else 0
-
-
-def swapped(graphs: Graphs, pairs: Pairs) -> Graphs:
-    """Children (2 Q) of pairs, in torch; `native/crossover.h` makes them one pair after the other.
-
-    They are marked (`cgtorch.evolution.parameters`): marks point to the parameters of `graphs`.
-    Their nodes are in the first slots.
-    """
-    parents, width, q = pairs.parents, pairs.width, len(pairs)
-    n, o = graphs.edges.shape[1:]
-    both = compacted(marked(graphs)[parents])
+    q, (_, n, o) = len(parents) // 2, graphs.edges.shape
+    both = compacted(with_origins(graphs)[parents])
     a, b = narrowed(both[:q], width), narrowed(both[q:], width)
-    crosses, share, *begins, jitter_a, jitter_b, heads_a, heads_b = numbers(
-        pairs.key, q, pair_parts(width, o)
-    )
+    # Whether a pair is crossed and how many nodes are swapped; of either parent where its group
+    # begins, and the order of nodes; of either child its heads.
+    sizes = [1, 1, 1, 1, width, width, width * o, width * o]
+    crosses, share, *begins, jitter_a, jitter_b, heads_a, heads_b = individual_words(key, q, sizes)
     half = torch.minimum(a.num_nodes, b.num_nodes) // 2
-    probability = pairs.strategy[:, 0].view(2, -1).sum(0) / 2
-    crossed = (uniform(crosses)[:, 0] < probability) & (half > 0)
-    size = torch.where(crossed, 1 + pick(uniform(share)[:, 0], half), 0)
+    probability = rates[:, 0].view(2, -1).sum(0) / 2
+    crossed = (uniform_from(crosses)[:, 0] < probability) & (half > 0)
+    size = torch.where(crossed, 1 + pick(uniform_from(share)[:, 0], half), 0)
     group_a, group_b = group(a, begins[0], jitter_a), group(b, begins[1], jitter_b)
-    one = graft(a, group_a, b, group_b, size, uniform(heads_a).view(q, width, o))
-    two = graft(b, group_b, a, group_a, size, uniform(heads_b).view(q, width, o))
+    one = graft(a, group_a, b, group_b, size, uniform_from(heads_a).view(q, width, o))
+    two = graft(b, group_b, a, group_a, size, uniform_from(heads_b).view(q, width, o))
     return widened(compacted(pruned(concatenate([one, two]))), n)
 
 
@@ -81,7 +45,7 @@ def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     The search begins at the node that the word `begin` (Q, 1) draws; within one distance the order
     is that of words `jitter` (Q, N).
     """
-    distance = undirected_distance(graphs, nth_true(graphs.used, uniform(begin))[:, 0])
+    distance = undirected_distance(graphs, nth_true(graphs.used, uniform_from(begin))[:, 0])
     return torch.argsort((distance << BITS) + fields(jitter), dim=1, stable=True)
 
 

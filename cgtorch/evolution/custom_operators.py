@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from typing import TypeAlias
 
-import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import expect, kind
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import Population, expected_tensors
 from cgtorch.graphs import check_graph, valid
 from cgtorch.ground.errors import GraphError, SettingsError
 
@@ -48,15 +47,8 @@ def check_offspring(
         raise SettingsError(
             f"{who} returned graphs of {nodes} slots; return {capacity} at most, the capacity"
         )
-    shapes: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
-        "action": ((count, nodes), torch.long),
-        "edges": ((count, nodes, actions.outcome_capacity), torch.long),
-        "parameters": ((count, nodes, actions.parameter_capacity), torch.float32),
-        "start": ((count,), torch.long),
-        "strategy": ((count, len(STRATEGY)), torch.float32),
-    }
     given: dict[str, Tensor] = {**vars(graphs), "strategy": offspring.strategy}
-    for name, (shape, dtype) in shapes.items():
+    for name, (shape, dtype) in expected_tensors(count, nodes, actions).items():
         expect(SettingsError, who, name, given[name], shape, dtype)
     if not (good := valid(graphs, actions)).all():
         bad = int((~good).nonzero()[0])

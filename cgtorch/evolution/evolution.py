@@ -7,13 +7,11 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
-from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.custom_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
-from cgtorch.evolution.mutation import mutate
-from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import (
     Population,
     join,
@@ -162,10 +160,10 @@ def tell(
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
     order = ranking(fitness, state.population.graphs)
-    return following(state, order, fitness, scores, settings, actions, generator)
+    return next_state(state, order, fitness, scores, settings, actions, generator)
 
 
-def following(
+def next_state(
     state: EvolutionState,
     order: Tensor,
     fitness: Tensor,
@@ -174,7 +172,7 @@ def following(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """What `tell` gives where all numbers are real ones.
+    """`tell` without validation: fitness and scores must be free of NaN.
 
     Args:
         state: see `tell`, like all that is not told of here.
@@ -185,31 +183,17 @@ def following(
         actions: what nodes can do.
         generator: of all random choices.
     """
-    population = state.population
-    elite, pairs = order[: settings.elite], (settings.population - settings.elite + 1) // 2
+    population, size = state.population, settings.population
+    elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
     parents, best = settings.selection(order, scores, 2 * pairs, generator), int(order[0])
-    return EvolutionState(
-        population=_next(population, elite, parents, settings, actions, generator),
-        generation=state.generation + 1,
-        best=population[best : best + 1],
-        best_fitness=float(fitness[best]),
-    )
-
-
-def _next(
-    population: Population,
-    elite: Tensor,
-    parents: Tensor,
-    settings: EvolutionSettings,
-    actions: ActionSet,
-    generator: Generator,
-) -> Population:
-    """The elite (E,) and children of parents (2 Q,) by the operators of the settings."""
     if settings.crossover is crossover and settings.mutation is mutate:
-        sizes = settings.capacity, settings.tau, settings.population
-        return offspring(population, elite, parents, actions, generator, *sizes)
-    children = _children(population, parents, settings, actions, generator)
-    return join(slim(population[elite]), children)[: settings.population]
+        sizes = settings.capacity, settings.tau, size
+        following = offspring(population, elite, parents, actions, generator, *sizes)
+    else:
+        children = _children(population, parents, settings, actions, generator)
+        following = join(slim(population[elite]), children)[:size]
+    leader = population[best : best + 1]
+    return EvolutionState(following, state.generation + 1, leader, float(fitness[best]))
 
 
 def _children(

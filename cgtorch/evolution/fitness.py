@@ -14,8 +14,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
-from cgtorch.simulation.compiled import compiled_evaluation
-from cgtorch.simulation.engine_inputs import interpreter
+from cgtorch.simulation.compiled import compiled_engine
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
@@ -169,17 +168,13 @@ def _all_at_once(
     fitness: Fitness,
 ) -> Callable[[Graphs], Parts]:
     """An evaluation of some individuals, compiled where that is possible."""
-    known = interpreter(actions, environment) if fitness is chance_of_success else None
+    engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
     steps = most_steps(actions, max_transitions)
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
 
     def parts(graphs: Graphs) -> Parts:
-        found = None
-        if known:
-            found = compiled_evaluation(known, graphs, order, kept, max_transitions, steps)
-        if found is None:
-            found = _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
-        return found
+        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps)
+        return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
 
     return parts
 

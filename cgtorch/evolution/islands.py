@@ -21,8 +21,8 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution.evolution import (
     EvolutionSettings,
     EvolutionState,
-    following,
     initial_state,
+    next_state,
 )
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
@@ -133,25 +133,19 @@ def migrated(tried: Tried, arrivals: Tried) -> Tried:
     return Tried.of([torch.cat([old[stay], new]) for old, new in pairs])
 
 
-def told_islands(
+def next_islands(
     islands: Sequence[Island],
     tried: Sequence[Tried],
     settings: EvolutionSettings,
     actions: ActionSet,
 ) -> list[Island]:
     """Each island's next generation, given how this one did; see `tell`."""
-    return [
-        Island(
-            following(
-                replace(island.state, population=each.population),
-                each.order,
-                each.fitness,
-                each.scores,
-                settings,
-                actions,
-                island.generator,
-            ),
-            island.generator,
+    made = []
+    for island, each in zip(islands, tried, strict=True):
+        state, found = (
+            replace(island.state, population=each.population),
+            (each.fitness, each.scores),
         )
-        for island, each in zip(islands, tried, strict=True)
-    ]
+        state = next_state(state, each.order, *found, settings, actions, island.generator)
+        made.append(Island(state, island.generator))
+    return made

@@ -4,9 +4,9 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
-from cgtorch.evolution.sampling import key, keys, pick, uniform, words
+from cgtorch.ground.counter_rng import keys, pick, random_key, uniform_from, words
 
-POOL = 1024  # individuals that a parent is chosen from at most
+MOST_CANDIDATES = 1024  # individuals that a parent is chosen from at most
 
 
 def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
@@ -18,8 +18,8 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     order; of what stays at the end, a random one. So who alone solves a hard scenario has
     children, however little else it solves.
 
-    A population of more than `POOL` is parted at random into equal pools, each of which gives as
-    many parents, so that time and memory grow with the population and no faster.
+    A population of more than `MOST_CANDIDATES` is split at random into equal groups, each of which
+    gives as many parents, so that time and memory grow with the population and no faster.
 
     Args:
         order: (P,) long, individuals from best to worst; it does not matter here.
@@ -30,13 +30,13 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     Returns:
         (count,) long, the parents.
     """
-    pools = -(-len(order) // POOL)
-    if pools == 1:
+    groups = -(-len(order) // MOST_CANDIDATES)
+    if groups == 1:
         return _from_all(scores, count, generator)
-    members = torch.randperm(len(order), generator=generator).tensor_split(pools)
+    members = torch.randperm(len(order), generator=generator).tensor_split(groups)
     chosen = [
-        pool[_from_all(scores[pool], len(part), generator)]
-        for pool, part in zip(members, torch.arange(count).tensor_split(pools), strict=True)
+        group[_from_all(scores[group], len(part), generator)]
+        for group, part in zip(members, torch.arange(count).tensor_split(groups), strict=True)
     ]
     return torch.cat(chosen)[torch.randperm(count, generator=generator)]
 
@@ -49,13 +49,13 @@ def deviation(scores: Tensor) -> Tensor:
 def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
     """(count,) parents from all P individuals of `scores` (P, B)."""
     if compiled.takes_scores(scores):
-        return compiled.lexicase(scores, compiled.deviation(scores), count, key(generator))
+        return compiled.lexicase(scores, compiled.deviation(scores), count, random_key(generator))
     scores = scores + 0.0  # there is one zero only
-    return parents(scores, deviation(scores), count, key(generator))
+    return parents(scores, deviation(scores), count, random_key(generator))
 
 
 def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
-    """(count,) parents, in torch; `native/lexicase.c` chooses one after the other.
+    """(count,) parents, in torch; `native/engine/lexicase.c` chooses one after the other.
 
     Individuals of equal scores stand or fall together, so they are one row here. Who still stands
     for which parent is a list of pairs, sorted by parent: after the first scenarios few are left.
@@ -93,7 +93,7 @@ def _turns(own: Tensor, scenarios: int) -> Tensor:
     """(B, count) in what order the scenarios come for keys (count,): Fisher and Yates' shuffle."""
     turns = torch.arange(scenarios)[:, None].repeat(1, len(own))
     for turn in range(scenarios):
-        at = turn + pick(uniform(words(own, torch.tensor(turn))), scenarios - turn)
+        at = turn + pick(uniform_from(words(own, torch.tensor(turn))), scenarios - turn)
         found = turns.gather(0, at[None])
         turns.scatter_(0, at[None], turns[turn : turn + 1].clone())
         turns[turn] = found[0]

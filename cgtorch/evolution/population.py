@@ -117,6 +117,19 @@ def seeded_population(
     return join(Population(resized(compacted(copies.graphs), *shape), copies.strategy), fresh)
 
 
+def expected_tensors(
+    count: int, nodes: int, actions: ActionSet
+) -> dict[str, tuple[tuple[int, ...], torch.dtype]]:
+    """Shapes and types of the tensors of so many individuals of so many slots, by name."""
+    return {
+        "action": ((count, nodes), torch.long),
+        "edges": ((count, nodes, actions.outcome_capacity), torch.long),
+        "parameters": ((count, nodes, actions.parameter_capacity), torch.float32),
+        "start": ((count,), torch.long),
+        "strategy": ((count, len(STRATEGY)), torch.float32),
+    }
+
+
 def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Population:
     """A population from tensors that may be anything, as they come from a file.
 
@@ -129,13 +142,7 @@ def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Populatio
         GraphError: they are not those of at least one valid graph.
     """
     p, n = (*tensors["action"].shape, 0, 0)[:2]
-    expected = {
-        "action": ((p, n), torch.long),
-        "edges": ((p, n, actions.outcome_capacity), torch.long),
-        "parameters": ((p, n, actions.parameter_capacity), torch.float32),
-        "start": ((p,), torch.long),
-        "strategy": ((p, len(STRATEGY)), torch.float32),
-    }
+    expected = expected_tensors(p, n, actions)
     graphs = Graphs(*(tensors[name] for name in list(expected)[:-1]))
     whole = (
         p * n > 0

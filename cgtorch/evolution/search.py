@@ -17,7 +17,7 @@ from cgtorch.evolution.islands import (
     emigrants,
     first_islands,
     migrated,
-    told_islands,
+    next_islands,
 )
 from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
@@ -113,7 +113,7 @@ def evolve(
         if count > 1 and (generation.number + 1) % settings.migration == 0:
             arrivals = _ring_shifted([emigrants(each, settings.capacity) for each in tried], count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
-        islands = told_islands(islands, tried, settings, actions)
+        islands = next_islands(islands, tried, settings, actions)
 
 
 def _generation(

@@ -28,7 +28,7 @@ def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
 
 
 def ranked(fitness: Tensor, graphs: Graphs) -> Tensor:
-    """The same in torch; `native/ranking.c` sorts faster."""
+    """The same in torch; `native/engine/ranking.c` sorts faster."""
     by_size = torch.argsort(graphs.num_nodes, stable=True)
     return by_size[torch.argsort(fitness[by_size], descending=True, stable=True)]
 

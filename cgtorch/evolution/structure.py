@@ -1,7 +1,7 @@
 """Mutations of nodes and edges (section IV-B) of all graphs at once, in torch.
 
-Each is a function of the graphs and of uniform draws. A draw below a rate, divided by it, is
-uniform again: it says which, too. `native/mutation.c` does the same to one graph at a time.
+Each is a function of the graphs and of uniform draws. Given u < rate, u / rate is uniform on [0, 1)
+and says which. `native/engine/mutation.h` does the same to one graph at a time.
 """
 
 from dataclasses import replace
@@ -10,50 +10,42 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.operator_draws import Choices, numbers, parts
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.evolution.sampling import nth_true, pick, uniform
-from cgtorch.graphs import (
-    NO_NODE,
-    Graphs,
-    compacted,
-    narrowed,
-    pruned,
-    widened,
-)
+from cgtorch.graphs import NO_NODE, Graphs, compacted, narrowed, pruned, widened
+from cgtorch.ground.counter_rng import individual_words, nth_true, pick, uniform_from
 
 
-def restructured(graphs: Graphs, choices: Choices, actions: ActionSet, capacity: int) -> Graphs:
+def restructured(graphs: Graphs, rates: Tensor, key: int, actions: ActionSet, slots: int) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
     Args:
-        graphs: P of them, whose parameters are marks (`cgtorch.evolution.parameters`).
-        choices: how they are mutated.
+        graphs: P of them, nodes first, with origins in place of parameters
+            (`cgtorch.evolution.parameters`).
+        rates: (P, S) float32 strategies.
+        key: of all graphs' numbers.
         actions: what nodes can be.
-        capacity: slots of each in the end, as many as `choices.width` at least.
+        slots: of each in the end: one more than nodes of the largest, or as many as there may be.
 
     Returns:
-        The graphs, their nodes in the first slots; nodes that are new have no marks.
+        The graphs, their nodes in the first slots; nodes that are new have the origin 0.
     """
-    width, o = choices.width, graphs.edges.shape[2]
-    rate = dict(zip(STRATEGY, choices.strategy.unbind(1), strict=True))
-    draws = [uniform(x) for x in numbers(choices.key, len(graphs), parts(width, o))]
-    add, delete, start, replaced, changed, heads = draws
-    heads = heads.view(-1, width, o)
-    graphs = compacted(graphs)
-    dense = narrowed(widened(graphs, max(width, graphs.capacity)), width)
-    dense = add_node(dense, actions, rate["add_node"], add)
-    dense = delete_node(dense, rate["delete_node"], delete, heads)
-    dense = replace_nodes(dense, actions, rate["replace_node"], replaced, heads)
-    dense = change_edges(dense, rate["change_edge"], changed, heads)
-    dense = pruned(new_start(dense, rate["new_start"], start))
-    return widened(compacted(dense), capacity)
+    o, rate = graphs.edges.shape[2], dict(zip(STRATEGY, rates.unbind(1), strict=True))
+    # To add, to delete, to move the start; to replace, to change, and heads of all edges.
+    words = individual_words(key, len(graphs), [3 + o, 3, 2, slots, slots, slots * o])
+    add, delete, start, replaced, changed, heads = (uniform_from(x) for x in words)
+    heads = heads.view(-1, slots, o)
+    graphs = narrowed(widened(graphs, max(slots, graphs.capacity)), slots)
+    graphs = add_node(graphs, actions, rate["add_node"], add)
+    graphs = delete_node(graphs, rate["delete_node"], delete, heads)
+    graphs = replace_nodes(graphs, actions, rate["replace_node"], replaced, heads)
+    graphs = change_edges(graphs, rate["change_edge"], changed, heads)
+    return compacted(pruned(new_start(graphs, rate["new_start"], start)))
 
 
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:
     """A random node takes over one incoming edge of a node that has at least two.
 
-    Its own edges go to random nodes; it has no parameters, or mark, yet. Graphs that are full, or
+    Its own edges go to random nodes; it has no parameters, or origin, yet. Graphs that are full, or
     without such an edge, stay.
 
     Args:

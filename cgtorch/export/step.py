@@ -14,8 +14,7 @@ from cgtorch.export.computed import Computed, Sizes, control_size_of, named_prim
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import most_steps
-from cgtorch.simulation.action_table import SUCCESS
-from cgtorch.simulation.call_stack import TIMEOUT
+from cgtorch.simulation.action_table import SUCCESS, TIMEOUT
 from cgtorch.simulation.program import compile_graphs
 
 ENDS = ("success", "failure", "timeout")
@@ -77,21 +76,22 @@ class SkillStep(nn.Module):
         most = most_steps(skill.actions, skill.max_transitions)
         self.max_steps = most if max_steps is None else max_steps
         program = compile_graphs(skill.graph, skill.actions)
-        self.depth, self.start = program.depth, int(program.start[0])
+        table = program.actions
+        self.depth, self.start = table.depth, int(program.start[0])
         self.max_transitions = skill.max_transitions
-        self.message_size, self.memory_size = program.message_size, program.memory_size
+        self.message_size, self.memory_size = table.message_size, table.memory_size
         self.place_size = STACK + 2 * self.depth
         self.mind_size = self.message_size + 1 + self.memory_size
-        self.num_primitives = len(program.primitives)
+        self.num_primitives = len(table.primitives)
         request = torch.full((self.num_primitives + len(program.limit),), -1)
         self.own: list[tuple[int, int, slice]] = []  # kind, parameters, part of the memory
         self.computed = nn.ModuleList()
         for name, action in named_primitives(skill):
-            i = next(i for i, p in enumerate(program.primitives) if p is action)
+            i = next(i for i, p in enumerate(table.primitives) if p is action)
             if type(action) in ROUTINES:
                 request[i] = REQUESTS.index(ROUTINES[type(action)])
             else:
-                part = program.memory[i]
+                part = table.memory[i]
                 memory = part.stop - part.start
                 lengths = self.percept_size, self.control_size, self.message_size, memory
                 self.own.append((i, action.num_parameters, part))
@@ -123,7 +123,7 @@ class SkillStep(nn.Module):
         """
         percept, outcome, place, mind = (x[None] for x in (percept, outcome, place, mind))
         fresh = place[:, STATUS] == FRESH
-        place = torch.where(fresh[:, None], self._begun(place), self._follow(place, outcome))
+        place = torch.where(fresh[:, None], self._begun(place), self._advance(place, outcome))
 
         def thinking(place: Tensor, mind: Tensor) -> Tensor:
             return self._thinks(place, mind).any()
@@ -150,10 +150,10 @@ class SkillStep(nn.Module):
         left = left + self._at(torch.zeros_like(head)) * self.max_transitions
         return self._entered(head, torch.zeros_like(head), torch.zeros_like(head), caller, left)
 
-    def _follow(self, place: Tensor, outcome: Tensor) -> Tensor:
+    def _advance(self, place: Tensor, outcome: Tensor) -> Tensor:
         """Along the edge of an outcome, out of skills that end with it and into those it leads to.
 
-        The same as `cgtorch.simulation.call_stack.follow` without shortcuts; who does not run
+        The same as `cgtorch.simulation.call_stack.advance` without shortcuts; who does not run
         stays.
         """
         caller, left = place[:, STACK:].split(self.depth, 1)
@@ -221,7 +221,7 @@ class SkillStep(nn.Module):
             after = torch.cat([said, has_said[:, None].to(mind.dtype), *around], 1)
             mind = torch.where(here[:, None], after, mind)
             outcome = torch.where(here, out, outcome)
-        return torch.where(thinks[:, None], self._follow(place, outcome), place), mind
+        return torch.where(thinks[:, None], self._advance(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Arguments of a first step where all that is perceived is zero.

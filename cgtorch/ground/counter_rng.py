@@ -1,21 +1,36 @@
-"""Random numbers that belong to a scenario, for actions that are stochastic.
+"""Random numbers that are functions of what they are for, of scenarios and of individuals.
 
-A `torch.Generator` gives its numbers in turn, so what a lane got would depend on the lanes beside
-it. These numbers are a function of what they are for: Threefry-2x32 with 20 rounds (Salmon et al.,
-"Parallel random numbers: as easy as 1, 2, 3", SC 2011) of the scenario's seed, of who draws, and of
-how often that has been done. Like the noise of the world they are part of the scenario: the same
-skill on the same scenario does the same, in any batch, in another skill, on any number of ranks.
+A `torch.Generator` gives its numbers in turn, so what a lane or an individual got would depend on
+those beside it.
+
+What stochastic actions draw belongs to the scenario, as the noise of the world does: Threefry-2x32
+with 20 rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011) of the
+scenario's seed, of who draws, and of how often that has been done. The same skill on the same
+scenario does the same, in any batch, in another skill, on any number of ranks.
+
+What the operators of evolution draw belongs to the individual: one word is drawn for all of a
+generation and gives every one of them a key; number i of an individual is then SplitMix64 (Steele,
+Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) of its key, i steps on.
+So a number is made only where it is looked at, in any order and in any number of threads.
 """
 
 import math
 import zlib
+from functools import cache
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 PARITY = 0x1BD11BDA
 WORD = 0xFFFFFFFF
+BITS = 24
+"""Of a word, the upper ones, that make a uniform number; the lower 40 make a normal one."""
+GOLDEN, FIRST, SECOND = (
+    constant - 2**64 for constant in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
+OCTAVES, STEPS = 40, 32
+"""The quantile is a polynomial on each of so many steps of each octave of chances."""
 
 
 def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
@@ -59,3 +74,87 @@ def normal(numbers: Tensor) -> Tensor:
     """
     radius, angle = numbers.chunk(2, 1)
     return (-2 * torch.log(1 - radius)).sqrt() * torch.cos(2 * math.pi * angle)
+
+
+def random_key(generator: Generator) -> int:
+    """A random word that `keys` of all individuals follow from."""
+    return int(torch.empty((), dtype=torch.long).random_(generator=generator))
+
+
+def keys(key: int, count: int) -> Tensor:
+    """(count,) long, the key of each individual."""
+    return _mixed(key + GOLDEN * torch.arange(1, count + 1))
+
+
+def words(keys: Tensor, numbers: Tensor) -> Tensor:
+    """(...) long, 64 random bits for numbers (...), counted from 0, of individuals' keys (...)."""
+    return _mixed(keys + GOLDEN * (numbers + 1))
+
+
+def individual_words(key: int, count: int, sizes: list[int]) -> tuple[Tensor, ...]:
+    """Words (count, size) of so many individuals, for parts of such sizes one after the other."""
+    return words(keys(key, count)[:, None], torch.arange(sum(sizes))).split(sizes, 1)
+
+
+def uniform_from(words: Tensor) -> Tensor:
+    """Float32 in [0, 1), multiples of 2^-24, of words (...)."""
+    return fields(words).float() * 2.0**-BITS
+
+
+def fields(words: Tensor) -> Tensor:
+    """`uniform_from` words (...) as whole numbers (long), by which they can be sorted."""
+    return words >> 64 - BITS & 2**BITS - 1
+
+
+def normal_from(words: Tensor) -> Tensor:
+    """Standard normal numbers (float32) of words (...), up to 7.1 and to six digits."""
+    chance = (words & 2 ** (OCTAVES - 1) - 1) * 2 + 1  # of 2^41, as a half of them is negative
+    bits = chance.float().view(torch.int32)
+    # The bits of a float are the octave, then the step in it, then the place in the step.
+    a, b, c = quantiles()[((bits >> 18) - 127 * STEPS).long()].unbind(-1)
+    place = (bits & 2**18 - 1).float() * 2.0**-18
+    size = a + place * (b + place * c)
+    return torch.where(words >> OCTAVES - 1 & 1 != 0, -size, size)
+
+
+@cache
+def quantiles() -> Tensor:
+    """(1281, 3) float32: size of the normal quantile of chances 2^e (1 + (k + t) / 32) / 2^41.
+
+    The row of e and k holds coefficients of 1, t and t². They interpolate at the ends of a step and
+    in its middle; a chance that is rounded up to 2^40 has the last row.
+    """
+    place = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    step = torch.arange(STEPS, dtype=torch.float64)[:, None]
+    octave = torch.arange(OCTAVES, dtype=torch.float64)[:, None, None] - (OCTAVES + 1)
+    at = torch.special.ndtri(torch.exp2(octave) * (1 + (step + place) / STEPS))
+    first, middle, last = at.flatten(0, 1).unbind(1)
+    rows = [first, 4 * middle - 3 * first - last, 2 * (first + last) - 4 * middle]
+    table = -torch.stack(rows, 1).float()
+    return torch.cat([table, torch.zeros(1, 3)])
+
+
+def pick(draw: Tensor, count: Tensor | int) -> Tensor:
+    """⌊draw · count⌋ (...) long of draws (...), one of 0 … count - 1; 0 where the count is 0.
+
+    In float32 a draw close to 1 can round up to the count itself, which is taken as the last.
+    """
+    last = torch.as_tensor(count) - 1
+    return (draw * count).long().minimum(last).clamp_min(0)
+
+
+def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
+    """(P, *shape) long, for each draw (P, *shape) an index of a True of its row of `mask` (P, N).
+
+    All are equally likely; 0 where there is none.
+    """
+    order = torch.argsort((~mask).long(), dim=1, stable=True)
+    at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
+    return order.gather(1, at).view(draw.shape)
+
+
+def _mixed(x: Tensor) -> Tensor:
+    """SplitMix64's finalizer."""
+    x = (x ^ (x >> 30 & 2**34 - 1)) * FIRST
+    x = (x ^ (x >> 27 & 2**37 - 1)) * SECOND
+    return x ^ (x >> 31 & 2**33 - 1)

@@ -36,7 +36,7 @@ def row_means(x: Tensor) -> Tensor:
     """(P,) means of rows (P, B), each the same however many rows there are.
 
     Four sums of every eighth number are made side by side, as torch does for rows of less than 512,
-    and `native/rollout.c` for all.
+    and `native/engine/rollout.c` for all.
     """
     count = x.shape[1]
     lanes = 1 if count < _LANES else _LANES

@@ -1,7 +1,13 @@
 """What the hot paths run on CPUs where there is a C compiler; without one torch does the same."""
 
+from cgtorch.native.library import NO_PARENT as NO_PARENT
+from cgtorch.native.library import VECTOR as VECTOR
+from cgtorch.native.library import WRONG_GRAPHS as WRONG_GRAPHS
 from cgtorch.native.library import available as available
+from cgtorch.native.library import constants as constants
 from cgtorch.native.library import function as function
+from cgtorch.native.library import structure as structure
+from cgtorch.native.library import suits as suits
 from cgtorch.native.library import threads as threads
 from cgtorch.native.library import to_be_compiled as to_be_compiled
 from cgtorch.native.library import use_threads as use_threads

@@ -1,4 +1,4 @@
-"""C sources beside this file, compiled once for this very CPU and kept in the user's cache.
+"""C sources below this folder, compiled once for this very CPU and kept in the user's cache.
 
 A computational graph runs one short step after another, and a tensor operation costs more than
 most of them: a thousand operations per step were half of all time. Compiled for the CPU they run
@@ -14,6 +14,7 @@ import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+from torch import Tensor
+
+from cgtorch.native.interface import Interface, agree, interface_of
 
 SOURCES = Path(__file__).parent
 FLAGS = (
@@ -31,15 +35,18 @@ LINK = ("-shared", "-pthread")
 LONGEST = ("rollout", "rbf", "models")
 SECONDS = 120
 """A compiler that has not ended by then is taken for none."""
-REALS = {torch.float32: "float", torch.float64: "double"}
-
-Function = Any
-"""A function of a compiled library, with its `argtypes` set."""
+REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
+"""What `REAL` is in C for numbers of these types."""
+VECTOR = 64
+"""Bytes of a vector of numbers, as in real.h."""
+WRONG_GRAPHS, NO_PARENT = 2, 3
+FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS, "NO_PARENT": NO_PARENT}
+"""What functions return, as in exported.h."""
 
 
 def available() -> bool:
     """Whether hot paths run compiled; compiles them the first time, which takes seconds."""
-    return _library("float") is not None
+    return library(torch.float32) is not None
 
 
 def to_be_compiled() -> bool:
@@ -51,23 +58,33 @@ def to_be_compiled() -> bool:
         return False
 
 
-@cache
-def function(name: str, dtype: torch.dtype, *types: Any) -> Function | None:
+def function(name: str, dtype: torch.dtype) -> Any:
     """A function of the sources for numbers of a type, or None where nothing can be compiled.
 
-    Args:
-        name: of the function.
-        dtype: float32 or float64, which is `REAL` in C.
-        types: ctypes of its arguments; it returns an int.
+    Contiguous tensors and structures are given to it for pointers.
     """
-    if dtype not in REALS:
-        return None
-    library = _library(REALS[dtype])
-    if library is None:
-        return None
-    found = getattr(library, name)
-    found.argtypes, found.restype = types, ctypes.c_int
-    return found
+    found = library(dtype)
+    return found and found.functions[name]
+
+
+def structure(name: str, dtype: torch.dtype) -> Any:
+    """A class of structures, for numbers of a type, or None where nothing can be compiled."""
+    found = library(dtype)
+    return found and found.structures[name]
+
+
+def constants(group: str, dtype: torch.dtype = torch.float32) -> Mapping[str, int]:
+    """Constants of the sources by name; none where nothing can be compiled."""
+    found = library(dtype)
+    return found.constants[group] if found else {}
+
+
+def suits(*tensors: Tensor) -> bool:
+    """Whether C may be asked about tensors (...): on the CPU, of one type, without gradient."""
+    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+        return False
+    dtype = tensors[0].dtype
+    return dtype in REALS and all(t.dtype == dtype and t.device.type == "cpu" for t in tensors)
 
 
 def threads() -> int:
@@ -89,18 +106,27 @@ _threads = 0
 
 
 @cache
-def _library(real: str) -> ctypes.CDLL | None:
-    """The compiled sources, from the cache or made now."""
+def library(dtype: torch.dtype) -> Interface | None:
+    """The compiled sources for numbers of a type, from the cache or made now.
+
+    Raises:
+        ImportError: they are not what Python takes them for.
+    """
     compiler = _compiler()
-    if compiler is None:
+    if compiler is None or dtype not in REALS:
         return None
+    real = REALS[dtype].__name__.removeprefix("c_")
     try:
         path = _kept(real, compiler)
         if not path.exists():
             _compile(real, compiler, path)
-        return ctypes.CDLL(str(path))
+        loaded = ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError):
         return None
+    found = interface_of(loaded, _sources().decode(), REALS[dtype])
+    agree(found.constants["failures"], FAILURES)
+    agree(found.constants["vector"], {"BYTES": VECTOR})
+    return found
 
 
 def _compiler() -> str | None:
@@ -111,10 +137,15 @@ def _compiler() -> str | None:
 
 def _kept(real: str, compiler: str) -> Path:
     """Where the compiled sources lie, named by all that they depend on."""
-    text = b"".join(path.read_bytes() for path in sorted(SOURCES.glob("*.[ch]")))
     about = "\0".join([platform.machine(), *_command(real, compiler), _target(compiler)])
-    name = hashlib.sha256(about.encode() + text).hexdigest()[:32]
+    name = hashlib.sha256(about.encode() + _sources()).hexdigest()[:32]
     return _folder() / f"{real}-{name}.so"
+
+
+@cache
+def _sources() -> bytes:
+    """All C sources, one after the other."""
+    return b"".join(path.read_bytes() for path in sorted(SOURCES.rglob("*.[ch]")))
 
 
 def _compile(real: str, compiler: str, path: Path) -> None:
@@ -123,11 +154,11 @@ def _compile(real: str, compiler: str, path: Path) -> None:
 
         def compiled(source: Path) -> str:
             made = str(Path(folder) / f"{source.stem}.o")
-            _run([*_command(real, compiler), "-c", str(source), "-o", made])
+            _run([*_command(real, compiler), f"-I{SOURCES}", "-c", str(source), "-o", made])
             return made
 
         # Those that take longest go first.
-        sources = sorted(SOURCES.glob("*.c"), key=lambda source: source.stem not in LONGEST)
+        sources = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in LONGEST)
         whole = Path(folder) / path.name
         _run([compiler, *LINK, *pool.map(compiled, sources), "-o", str(whole), "-lm"])
         whole.replace(path)

@@ -10,11 +10,12 @@ from cgtorch.actions import Action, ActionSet
 from cgtorch.actions.memory import memory_parts
 from cgtorch.graphs import Skill, SubSkill
 
-SUCCESS, FAILURE = -1, -2
+SUCCESS, FAILURE, TIMEOUT = -1, -2, -3
+"""How graphs end, in place of a node."""
 
 
 @dataclass(frozen=True)
-class Vocabulary:
+class ActionTable:
     """What a program needs to know of an action set and of all sub-skills in it.
 
     Attributes:
@@ -53,23 +54,24 @@ def ends(actions: ActionSet) -> Tensor:
 
 
 @lru_cache(maxsize=16)  # in torch it is asked for in every generation
-def vocabulary(actions: ActionSet) -> Vocabulary:
-    """The vocabulary of an action set."""
-    skills = _skills(actions, {})
-    sets = [actions, *(s.actions for s in skills.values())]
-    own = {id(a): a for s in sets for a in s.actions if not isinstance(a, SubSkill)}
-    places = {id(s): len(own) + i for i, s in enumerate(skills.values())}
-    numbers = {key: i for i, key in enumerate(own)}
-    uses = [a for s in sets for a in s.actions if isinstance(a, SubSkill)]
-    memory, memory_size = memory_parts(list(own.values()))
-    return Vocabulary(
-        skills=tuple(skills.values()),
-        primitives=tuple(own.values()),
-        numbers=numbers | {id(a): places[id(a.skill)] for a in uses},
+def action_table(actions: ActionSet) -> ActionTable:
+    """The table of an action set."""
+    skills = tuple(_skills(actions, {}).values())
+    sets = [actions, *(s.actions for s in skills)]
+    every = {id(a): a for s in sets for a in s.actions}
+    primitives = [a for a in every.values() if not isinstance(a, SubSkill)]
+    place = {id(a): i for i, a in enumerate([*primitives, *skills])}
+    memory, memory_size = memory_parts(primitives)
+    return ActionTable(
+        skills=skills,
+        primitives=tuple(primitives),
+        numbers={
+            key: place[id(a.skill) if isinstance(a, SubSkill) else key] for key, a in every.items()
+        },
         outcomes=max(2, *(s.outcome_capacity for s in sets)),
         width=max(s.parameter_capacity for s in sets),
-        limits=tuple(s.max_transitions for s in skills.values()),
-        depth=1 + max((s.depth for s in skills.values()), default=0),
+        limits=tuple(s.max_transitions for s in skills),
+        depth=1 + max((s.depth for s in skills), default=0),
         message_size=max(s.message_size for s in sets),
         memory=memory,
         memory_size=memory_size,

@@ -6,10 +6,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import rows_where
-from cgtorch.simulation.action_table import SUCCESS
+from cgtorch.simulation.action_table import SUCCESS, TIMEOUT
 from cgtorch.simulation.program import Program
-
-TIMEOUT = -3
 
 
 @dataclass(frozen=True)
@@ -42,19 +40,19 @@ def first_frames(program: Program, b: int, max_transitions: int) -> Frames:
     """Each of P graphs at its start on B scenarios, (P·B,)."""
     node = program.start.repeat_interleave(b)
     nothing = torch.zeros_like(node)
-    deep = node.new_zeros(len(node), program.depth)
+    deep = node.new_zeros(len(node), program.actions.depth)
     left = torch.full_like(deep, max_transitions)
     return enter(program, Frames(node, nothing, deep, left, nothing - 1, nothing.clone()))
 
 
 def enter(program: Program, frames: Frames) -> Frames:
     """Lanes at sub-skill nodes go to the start of the sub-skill, as deep as it takes."""
-    if program.depth == 1:
+    depth, first = program.actions.depth, len(program.actions.primitives)
+    if depth == 1:
         return frames
     node, level = frames.node.clone(), frames.level.clone()
     caller, left = frames.caller.clone(), frames.left.clone()
-    first = len(program.primitives)
-    for _ in range(program.depth):
+    for _ in range(depth):
         inside = program.kind[node] >= first
         here = rows_where(inside)
         if not len(here):
@@ -69,7 +67,7 @@ def enter(program: Program, frames: Frames) -> Frames:
     return replace(frames, node=node, level=level, caller=caller, left=left)
 
 
-def follow(
+def advance(
     program: Program, frames: Frames, outcome: Tensor, changed: Tensor
 ) -> tuple[Frames, Tensor, Tensor]:
     """Follow each lane's edge, out of the sub-skills that end with it and into those it leads to.
@@ -84,7 +82,7 @@ def follow(
         The frames, (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on),
         and (n,) the transitions of an endless loop that need not be executed.
     """
-    depth, outcomes = program.depth, program.heads.shape[1]
+    depth, outcomes = program.actions.depth, program.heads.shape[1]
     level, left = frames.level, frames.left.view(-1)
     place = torch.arange(0, len(left), depth, device=left.device)  # of level 0 in `left`
     here = place + level
@@ -111,7 +109,7 @@ def follow(
     # Brent's cycle detection: anchors at growing distances meet a cycle of any length.
     same = ~changed & (level == frames.level)
     if depth > 1:
-        same &= program.kind[head.clamp_min(0)] < len(program.primitives)
+        same &= program.kind[head.clamp_min(0)] < len(program.actions.primitives)
     since = torch.where(same, frames.since + 1, 0)
     anchor = torch.where((since & (since - 1)) == 0, head, frames.anchor)
     frames = Frames(head.clamp_min(0), level, frames.caller, frames.left, anchor, since)

@@ -4,167 +4,182 @@ It says what the batched engine in torch says, which runs everything else: actio
 worlds of others, and other devices. `rollout` asks here first.
 """
 
-import ctypes
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from cgtorch.actions import Action, ActionSet
+from cgtorch.environment import Environment
 from cgtorch.graphs import Graphs
-from cgtorch.native import function, threads
-from cgtorch.native.structures import POINTER, WHOLE, structures
-from cgtorch.simulation.action_table import FAILURE, SUCCESS
-from cgtorch.simulation.engine_inputs import LARGEST, Interpreter
-from cgtorch.simulation.program import check_numbers
+from cgtorch.native import WRONG_GRAPHS, constants, function, structure, threads
+from cgtorch.native.interface import agree
+from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table, ends
+from cgtorch.simulation.model import ModelEnvironment
+from cgtorch.simulation.program import check_numbers, skill_tables
 from cgtorch.simulation.rollouts import Rollouts
 
-NO_MEMORY, WRONG_GRAPHS = 1, 2  # as in rollout.c
+EXACT = ("EDGE", "EDGE_BRANCHING")
+"""Read percepts of one length only."""
+LARGEST = 2**30
+"""Nodes, transitions and scenarios that it can count."""
 
 
-def compiled_rollout(
-    interpreter: Interpreter,
-    graphs: Graphs,
-    scenarios: Tensor,
-    max_transitions: int,
-    max_steps: int,
-) -> Rollouts | None:
-    """The rollouts of P graphs on B scenarios, or None where they have to be run in torch.
+@dataclass(frozen=True)
+class CompiledEngine:
+    """Actions and models as compiled code knows them, which run any graphs of these actions.
 
-    Args:
-        interpreter: of the graphs' actions in the models.
-        graphs: P of them.
-        scenarios: (B,) long.
-        max_transitions: see `cgtorch.simulation.rollout`.
-        max_steps: likewise.
+    It is good for as long as nothing about them changes.
 
-    Raises:
-        GraphError: a graph has an action, a head or a start that is none of its own.
-        MemoryError: there is none for the first percepts of so many scenarios.
+    Attributes:
+        actions: what a node can be.
+        dtype: of all numbers.
+        longest: the most transitions of any sub-skill.
+        program: fields of a `Program` of program.h without those of graphs.
+        models: Γ, C, errors and first percepts, a `Models` of lanes.h.
     """
-    p, b, like = len(graphs), len(scenarios), graphs.parameters
-    percept, state = like.new_empty(p, b, interpreter.size), like.new_empty(p, b, 3)
-    status, transitions = torch.empty(2, p, b, dtype=torch.long).unbind()
 
-    def run(task: Any) -> int:
-        made = (percept, state, status, transitions)
-        task.percept, task.state, task.status, task.transitions = (x.data_ptr() for x in made)
-        return _function("rollouts", like.dtype)(ctypes.addressof(task), threads())
+    actions: ActionSet
+    dtype: torch.dtype
+    longest: int
+    program: dict[str, Any]
+    models: Any
 
-    if not _done(run, interpreter, graphs, scenarios, max_transitions, max_steps):
+    def rollouts(
+        self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int
+    ) -> Rollouts | None:
+        """The rollouts of P graphs on scenarios (B,), or None where they have to be run in torch.
+
+        Raises:
+            GraphError: a graph has an action, a head or a start that is none of its own.
+            MemoryError: there is none for the first percepts of so many scenarios.
+        """
+        sizes, like = (len(graphs), len(scenarios)), graphs.parameters
+        percept, state = like.new_empty(*sizes, self.models.size), like.new_empty(*sizes, 3)
+        status, transitions = torch.empty(2, *sizes, dtype=torch.long).unbind()
+        task = self._task(
+            graphs, scenarios, max_transitions, max_steps,
+            percept=percept, state=state, status=status, transitions=transitions, again=None,
+        )  # fmt: skip
+        if task is None:
+            return None
+        self._run("rollouts", task, graphs, len(scenarios))
+        succeeded = status == SUCCESS
+        return Rollouts(succeeded, ~succeeded & (status != FAILURE), percept, state, transitions)
+
+    def evaluation(
+        self,
+        graphs: Graphs,
+        scenarios: Tensor,
+        kept: int,
+        max_transitions: int,
+        max_steps: int,
+        again: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
+        """What P graphs achieve by eq. 3 on all scenarios (B,), of which the first `kept` are of W.
+
+        How often more Γ, C, networks and the check of motions are done `again` (4,) changes no
+        result: how much longer it takes says how long each of them does.
+
+        Returns:
+            Fitness (P,), the means of scores (P, B), which are C(p_t) or half of it without
+            success, and 0 where W is lost; successes (P, B); actions executed by all; and of how
+            many graphs some number was not finite, whose scores and successes are 0. Or None, where
+            it has to be done in torch. Errors are those of `rollouts`.
+        """
+        sizes = len(graphs), len(scenarios)
+        fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)
+        succeeded = torch.empty(sizes, dtype=torch.bool)
+        task = self._task(
+            graphs, scenarios, max_transitions, max_steps,
+            percept=None, state=None, status=None, transitions=None, again=again,
+        )  # fmt: skip
+        if task is None:
+            return None
+        found = structure("Evaluation", self.dtype)(
+            task=task, keep=kept, fitness=fitness, score=score, succeeded=succeeded,
+            transitions=0, not_finite=0, chunks=None, count=0,
+        )  # fmt: skip
+        self._run("evaluations", found, graphs, len(scenarios))
+        return fitness, score.float(), succeeded, found.transitions, found.not_finite
+
+    def _task(
+        self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int, **rest: Any
+    ) -> Any:
+        """A `Task` of lanes.h, or None where compiled code does not know all of it."""
+        whole = graphs.action, graphs.edges, graphs.start, scenarios
+        nodes, longest = graphs.action.numel() + self.program["rows"], (max_transitions, max_steps)
+        if (
+            max(nodes, *longest, self.longest) > LARGEST
+            or graphs.edges.shape[2] > self.actions.outcome_capacity
+            or graphs.parameters.dtype != self.dtype
+            or not graphs.parameters.is_cpu
+            or not all(x.is_cpu and x.dtype == torch.long for x in whole)
+        ):
+            return None
+        program = structure("Program", self.dtype)(
+            **self.program, action=graphs.action, edges=graphs.edges, start=graphs.start,
+            parameters=graphs.parameters, nodes=graphs.capacity, seen=graphs.edges.shape[2],
+            each=graphs.parameters.shape[2],
+        )  # fmt: skip
+        return structure("Task", self.dtype)(
+            program=program, models=self.models, scenarios=scenarios, graphs=len(graphs),
+            count=len(scenarios), max_transitions=max_transitions, max_steps=max_steps, wrong=0,
+            **rest,
+        )  # fmt: skip
+
+    def _run(self, name: str, given: Any, graphs: Graphs, scenarios: int) -> None:
+        failure = function(name, self.dtype)(given, threads())
+        if failure == WRONG_GRAPHS:
+            check_numbers(graphs, len(self.actions))
+        elif failure:
+            raise MemoryError(
+                f"there is no memory for the first percepts of {scenarios} scenarios; give fewer"
+            )
+
+
+def compiled_engine(actions: ActionSet, environment: Environment) -> CompiledEngine | None:
+    """The engine of actions in models, or None where rollouts have to be run in torch."""
+    if type(environment) is not ModelEnvironment or environment.num_scenarios > LARGEST:
         return None
-    succeeded = status == SUCCESS
-    return Rollouts(
-        succeeded=succeeded,
-        timed_out=~succeeded & (status != FAILURE),
-        percept=percept,
-        state=state,
-        transitions=transitions,
-    )
-
-
-def compiled_evaluation(
-    interpreter: Interpreter,
-    graphs: Graphs,
-    scenarios: Tensor,
-    kept: int,
-    max_transitions: int,
-    max_steps: int,
-    again: Tensor | None = None,
-) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
-    """What P graphs achieve on all B scenarios, by eq. 3.
-
-    W comes first: a graph that has failed there is not run on the rest.
-
-    Args:
-        interpreter: of the graphs' actions in the models.
-        graphs: P of them.
-        scenarios: (B,) long, all of them, those of W first.
-        kept: how many are of W.
-        max_transitions: see `cgtorch.simulation.rollout`.
-        max_steps: likewise.
-        again: (4,) long, how often more Γ, C, networks and the check of motions are done, which
-            changes no result: how much longer it takes says how long each of them does.
-
-    Returns:
-        Fitness (P,), the means of scores (P, B), which are C(p_t) or half of it without success,
-        and 0 where W is lost; successes (P, B); actions executed by all; and of how many graphs
-        some number was not finite, whose scores and successes are 0. Or None, where it has to be
-        done in torch.
-
-    Raises:
-        GraphError: see `compiled_rollout`.
-        MemoryError: likewise.
-    """
-    p, b, like = len(graphs), len(scenarios), graphs.parameters
-    score, succeeded = like.new_empty(p, b), torch.empty(p, b, dtype=torch.bool)
-    fitness = torch.empty(p)
-    given = structures(like.dtype).Evaluation()
-
-    def run(task: Any) -> int:
-        task.again = None if again is None else again.data_ptr()
-        given.task, given.keep = task, kept
-        made = fitness, score, succeeded
-        given.fitness, given.score, given.succeeded = (x.data_ptr() for x in made)
-        return _function("evaluations", like.dtype)(ctypes.addressof(given), threads())
-
-    if not _done(run, interpreter, graphs, scenarios, max_transitions, max_steps):
+    dtype, size = environment.percepts.dtype, environment.percept_size
+    action, table = structure("Action", dtype), action_table(actions)
+    models = environment.compiled(environment) if action and environment.compiled else None
+    if models is None or table.depth > constants("engine_limits", dtype)["MOST_DEPTH"]:
         return None
-    return fitness, score.float(), succeeded, given.transitions, given.not_finite
+    agree(constants("ends", dtype), {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "TIMEOUT": TIMEOUT})
+    fields = [_fields(each, size, dtype) for each in table.primitives]
+    if not all(fields) or any(s.graph.parameters.dtype != dtype for s in table.skills):
+        return None
+    tables, entry = skill_tables(table, 0, torch.device("cpu"))
+    skills = [torch.cat(parts) for parts in zip(*tables, strict=True)] or [torch.empty(0)] * 3
+    primitives = [action(**each) for each in fields]
+    program = {
+        "primitives": (type(primitives[0]) * len(primitives))(*primitives),
+        "kinds": table.kinds(actions),
+        "ends": ends(actions),
+        **dict(zip(("kind", "heads", "learned"), skills, strict=True)),
+        "entry": torch.tensor(entry, dtype=torch.long),
+        "limit": torch.tensor(table.limits, dtype=torch.long),
+        "actions": len(actions),
+        "most": actions.outcome_capacity,
+        "count": len(primitives),
+        "outcomes": table.outcomes,
+        "width": table.width,
+        "rows": len(skills[0]),
+        "depth": table.depth,
+    }
+    return CompiledEngine(actions, dtype, max([0, *table.limits]), program, models)
 
 
-def _done(
-    run: Callable[[Any], int],
-    interpreter: Interpreter,
-    graphs: Graphs,
-    scenarios: Tensor,
-    max_transitions: int,
-    max_steps: int,
-) -> bool:
-    """Whether compiled code knows all of it, and `run` has run the `Task` (lanes.h) that it is.
-
-    Where to write is for `run` to say.
-    """
-    if not _takes(interpreter, graphs, scenarios, max(max_transitions, max_steps)):
-        return False
-    tensors = graphs.action, graphs.edges, graphs.start, graphs.parameters, scenarios
-    kept = [x.contiguous() for x in tensors]
-    made, pointers = structures(interpreter.dtype), [x.data_ptr() for x in kept]
-    program = made.Program.from_buffer_copy(interpreter.program)
-    program.action, program.edges, program.start, program.parameters, first = pointers
-    (_, program.nodes, program.seen), program.each = graphs.edges.shape, kept[3].shape[2]
-    why = run(
-        made.Task(
-            program=ctypes.addressof(program),
-            models=interpreter.models.address,
-            scenarios=first,
-            graphs=len(graphs),
-            count=len(scenarios),
-            max_transitions=max_transitions,
-            max_steps=max_steps,
-        )
-    )
-    if why == WRONG_GRAPHS:
-        check_numbers(graphs, interpreter.actions)
-    if why == NO_MEMORY:
-        raise MemoryError(
-            f"there is no memory for the first percepts of {len(scenarios)} scenarios; give fewer"
-        )
-    return True
-
-
-def _takes(interpreter: Interpreter, graphs: Graphs, scenarios: Tensor, longest: int) -> bool:
-    """Whether these graphs are of sizes and types that compiled code knows."""
-    nodes = graphs.action.numel() + interpreter.program.rows
-    whole = graphs.action, graphs.edges, graphs.start, scenarios
-    return (
-        max(nodes, longest, interpreter.longest) <= LARGEST
-        and graphs.edges.shape[2] <= interpreter.outcomes
-        and graphs.parameters.dtype == interpreter.dtype
-        and graphs.parameters.is_cpu
-        and all(x.is_cpu and x.dtype == torch.long for x in whole)
-    )
-
-
-def _function(name: str, dtype: torch.dtype) -> Any:
-    return function(name, dtype, POINTER, WHOLE)
+def _fields(action: Action, percept_size: int, dtype: torch.dtype) -> dict[str, int]:
+    """An `Action` of program.h, empty if compiled code has no counterpart or no room for it."""
+    kinds, most = constants("action_kinds", dtype), constants("engine_limits", dtype)
+    kind, inputs = vars(type(action)).get("native_kind", ""), getattr(action, "percept_size", 0)
+    sizes = {name: getattr(action, name, 0) for name in ("inputs", "hidden", "outputs")}
+    fits = inputs == percept_size if kind in EXACT else inputs <= percept_size
+    fits &= sizes["hidden"] <= most["MOST_HIDDEN"] and sizes["outputs"] <= most["MOST_MESSAGE"]
+    if kind not in kinds or "forward" in vars(action) or not fits:
+        return {}
+    return {"kind": kinds[kind], **sizes}

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.actions import Action, ActionSet
+from cgtorch.actions import ActionSet
 from cgtorch.graphs import NO_NODE, Graphs
 from cgtorch.ground.errors import GraphError
-from cgtorch.simulation.action_table import FAILURE, Vocabulary, ends, vocabulary
+from cgtorch.simulation.action_table import FAILURE, ActionTable, action_table, ends
 
 Table: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """Kinds (T,), heads (T, O) and parameters (T, K) of nodes; see `Program`."""
@@ -24,30 +24,22 @@ class Program:
     in. A sub-skill is stored once however many nodes use it.
 
     Attributes:
-        primitives: the actions that run as one step, without duplicates.
-        kind: (T,) long, index into `primitives`, or len(primitives) + sub-skill index.
+        actions: of the graphs and of all sub-skills.
+        kind: (T,) long, index into `actions.primitives`, or their number + sub-skill index.
         heads: (T, O) long.
         parameters: (T, K) float.
         start: (P,) long, first node of each graph.
         entry: (number of sub-skills,) long, first node of each sub-skill.
         limit: (number of sub-skills,) long, the most transitions of each.
-        depth: levels of skills within skills, 1 if there are none.
-        message_size: length of the longest message.
-        memory: where each primitive's part of the common memory lies.
-        memory_size: length of all of it.
     """
 
-    primitives: tuple[Action, ...]
+    actions: ActionTable
     kind: Tensor
     heads: Tensor
     parameters: Tensor
     start: Tensor
     entry: Tensor
     limit: Tensor
-    depth: int
-    message_size: int
-    memory: tuple[slice, ...]
-    memory_size: int
 
 
 def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
@@ -56,29 +48,25 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
     Raises:
         GraphError: a graph has an action, a head or a start that is none of its own.
     """
-    known, device = vocabulary(actions), graphs.start.device
+    known, device = action_table(actions), graphs.start.device
     start, *mine = _table(graphs, actions, 0, known)
     tables, entry = skill_tables(known, graphs.action.numel(), device)
     kind, heads, parameters = (
         torch.cat(parts) if entry else parts[0] for parts in zip(mine, *tables, strict=True)
     )
     return Program(
-        primitives=known.primitives,
+        actions=known,
         kind=kind,
         heads=heads,
         parameters=parameters,
         start=start,
         entry=torch.tensor(entry, dtype=torch.long, device=device),
         limit=torch.tensor(known.limits, dtype=torch.long, device=device),
-        depth=known.depth,
-        message_size=known.message_size,
-        memory=known.memory,
-        memory_size=known.memory_size,
     )
 
 
 def skill_tables(
-    known: Vocabulary, offset: int, device: torch.device
+    known: ActionTable, offset: int, device: torch.device
 ) -> tuple[list[Table], list[int]]:
     """Of all sub-skills, one after the other from row `offset` on, their tables and first nodes."""
     tables, entry = [], []
@@ -91,7 +79,7 @@ def skill_tables(
 
 
 def _table(
-    graphs: Graphs, actions: ActionSet, offset: int, known: Vocabulary
+    graphs: Graphs, actions: ActionSet, offset: int, known: ActionTable
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Starts (P,), and kinds (P·N,), heads (P·N, outcomes) and parameters (P·N, width) of nodes."""
     check_numbers(graphs, len(actions))

@@ -11,10 +11,9 @@ from torch import Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes, Rewarded, rows_where, start_lanes
 from cgtorch.graphs import Graphs
-from cgtorch.simulation.action_table import FAILURE, SUCCESS, vocabulary
-from cgtorch.simulation.call_stack import TIMEOUT, first_frames, follow
-from cgtorch.simulation.compiled import compiled_rollout
-from cgtorch.simulation.engine_inputs import LARGEST, interpreter
+from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table
+from cgtorch.simulation.call_stack import advance, first_frames
+from cgtorch.simulation.compiled import LARGEST, compiled_engine
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollouts import Rollouts
 
@@ -65,8 +64,8 @@ def rollout(
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
     max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
-    if trace is None and (known := interpreter(actions, environment)):
-        found = compiled_rollout(known, graphs, scenarios, max_transitions, max_steps)
+    if trace is None and (engine := compiled_engine(actions, environment)):
+        found = engine.rollouts(graphs, scenarios, max_transitions, max_steps)
         if found is not None:
             return found
     program = compile_graphs(graphs, actions)
@@ -78,7 +77,7 @@ def most_steps(actions: ActionSet, max_transitions: int) -> int:
 
     The limits are those of the graph and of the longest sub-skill.
     """
-    longest = max([max_transitions, *vocabulary(actions).limits])
+    longest = max([max_transitions, *action_table(actions).limits])
     return max(MAX_STEPS, min(longest * max_transitions, LARGEST))
 
 
@@ -97,7 +96,8 @@ def rollout_in_torch(
     is told of a step, and all that it waits for on a GPU.
     """
     p, b = len(program.start), len(scenarios)
-    lanes = start_lanes(environment, scenarios.repeat(p), program.message_size, program.memory_size)
+    sizes = program.actions.message_size, program.actions.memory_size
+    lanes = start_lanes(environment, scenarios.repeat(p), *sizes)
     frames = first_frames(program, b, max_transitions)
     status, transitions = torch.zeros_like(frames.node), lanes.step.clone()
     rewards = environment if isinstance(environment, Rewarded) else None
@@ -116,7 +116,7 @@ def rollout_in_torch(
         if trace:
             trace(active, node, outcome, lanes)
             changed = torch.ones_like(changed)
-        frames, end, skipped = follow(program, frames, outcome, changed)
+        frames, end, skipped = advance(program, frames, outcome, changed)
         lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
         end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
@@ -163,7 +163,7 @@ def _grouped(
 
     Those of an action are in the order of their numbers `active`, whatever they did before.
     """
-    count = len(program.primitives)
+    count = len(program.actions.primitives)
     kind = torch.where(over, count, program.kind.index_select(0, node))
     order = torch.argsort(active + kind * LARGEST_BATCH)
     bounds = torch.arange(count + 1, device=kind.device)
@@ -182,10 +182,11 @@ def _act(
     """
     outcome = torch.empty_like(node)
     changed = torch.ones_like(node, dtype=torch.bool)
-    for action, part, here in zip(program.primitives, program.memory, groups, strict=True):
+    table = program.actions
+    for action, part, here in zip(table.primitives, table.memory, groups, strict=True):
         if here.start == here.stop:
             continue
-        seen = lanes.with_memory(part) if program.memory_size else lanes
+        seen = lanes.with_memory(part) if table.memory_size else lanes
         before = seen.part(here)
         parameters = program.parameters.index_select(0, node[here])[:, : action.num_parameters]
         after, outcome[here] = action(before, parameters, environment)

@@ -3,59 +3,34 @@
 The same numbers as torch's but for the last digits; a row's do not depend on the rows beside it.
 """
 
-import ctypes
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch.native import function, threads
-from cgtorch.native.structures import (
-    MOST_FEATURES,
-    MOST_OUTPUTS,
-    POINTER,
-    WHOLE,
-    WIDTH,
-    structures,
-)
+from cgtorch.native import VECTOR, constants, function, structure, threads
 
 LOG2E = math.log2(math.e)
 
 
-@dataclass(frozen=True)
-class Compiled:
-    """A structure and the tensors that it points into."""
-
-    structure: Any
-    kept: tuple[Tensor, ...]
-
-    @property
-    def address(self) -> int:
-        """Where the structure lies."""
-        return ctypes.addressof(self.structure)
-
-
-def machine_structure(
-    centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
-) -> Compiled | None:
+def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor) -> Any:
     """An RBF machine of centres (m, d), weights (m, k), bias (k,) and gamma (), or None.
 
-    None where compiled code has no room for it.
+    None where nothing is compiled or there is no room for it.
     """
     (m, d), k = centres.shape, len(bias)
-    if not 0 < d <= MOST_FEATURES or not 0 < k <= MOST_OUTPUTS or m == 0:
+    machine, most = structure("Machine", centres.dtype), constants("machine_limits", centres.dtype)
+    if machine is None or not 0 < d <= most["MOST_FEATURES"]:
         return None
-    scale, more = math.sqrt(float(gamma) * LOG2E), -m % WIDTH[centres.dtype]
+    if not 0 < k <= most["MOST_OUTPUTS"] or m == 0:
+        return None
+    scale, more = math.sqrt(float(gamma) * LOG2E), -m % (VECTOR // centres.element_size())
     scaled = (centres * scale).T
     # Filled up with a centre that is there already, so that no other is nearest; its weight is 0.
-    columns = torch.cat([scaled, scaled[:, :1].expand(d, more)], 1).contiguous()
-    rows = torch.cat([weights.T, weights.new_zeros(k, more)], 1).contiguous()
-    bias = bias.contiguous()
-    pointers = columns.data_ptr(), rows.data_ptr(), bias.data_ptr()
-    made = structures(centres.dtype).Machine(*pointers, scale, m + more, d, k)
-    return Compiled(made, (columns, rows, bias))
+    columns = torch.cat([scaled, scaled[:, :1].expand(d, more)], 1)
+    rows = torch.cat([weights.T, weights.new_zeros(k, more)], 1)
+    return machine(centres=columns, weights=rows, bias=bias, scale=scale, m=m + more, d=d, k=k)
 
 
 def machine_values(
@@ -65,18 +40,13 @@ def machine_values(
 
     None where nothing is compiled or there is no room for the machine.
     """
-    call = function(
-        "rbf_values", x.dtype, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE
-    )  # fmt: skip
-    machine = machine_structure(centres, weights, bias, gamma) if call else None
-    if call is None or machine is None:
+    machine = machine_structure(centres, weights, bias, gamma)
+    if machine is None:
         return None
     x = x.contiguous()
     values, nearest = x.new_empty(len(x), len(bias)), x.new_empty(len(x))
-    call(
-        machine.address, x.data_ptr(), len(x), values.data_ptr(), nearest.data_ptr(),
-        threads_for(len(x), len(centres)),
-    )  # fmt: skip
+    share = threads_for(len(x), len(centres))
+    function("rbf_values", x.dtype)(machine, x, len(x), values, nearest, share)
     return values, nearest
 
 

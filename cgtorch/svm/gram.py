@@ -6,8 +6,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from cgtorch.native import function
-from cgtorch.native.structures import POINTER, WHOLE, WIDTH
+from cgtorch.native import VECTOR, function
 from cgtorch.svm.kernels import Kernel, kernel_matrix, make_kernel
 
 _LARGEST = 1e18  # scaled features up to which distances are finite
@@ -51,19 +50,17 @@ class Gram:
     @cached_property
     def single(self) -> Tensor:
         """The kernel matrix (n, n and more), float32, on the CPU, compiled for "rbf"."""
-        call = function("rbf_gram", torch.float32, POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE)
+        call = function("rbf_gram", torch.float32)
         x = self.rows.cpu()
         scaled = (x - x.mean(0)) * (self.gamma * math.log2(math.e)) ** 0.5
         if call is None or self.kernel != "rbf" or not bool((scaled.abs() < _LARGEST).all()):
             return self._filled(self.matrix.float())
         columns = self._filled(scaled.T.contiguous(), torch.float32)
         found = torch.empty(len(x), columns.shape[1])
-        call(
-            columns.data_ptr(), *x.shape, found.shape[1], found.data_ptr(), self.threads
-        )  # fmt: skip
+        call(columns, *x.shape, found.shape[1], found, self.threads)
         return found
 
     def _filled(self, matrix: Tensor, kind: torch.dtype | None = None) -> Tensor:
         """A matrix (m, n) with columns of zeros up to whole vectors of numbers of a type."""
-        more = -matrix.shape[1] % WIDTH[kind or matrix.dtype]
+        more = -matrix.shape[1] % (VECTOR // (kind or matrix.dtype).itemsize)
         return torch.nn.functional.pad(matrix, (0, more))

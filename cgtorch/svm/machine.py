@@ -13,8 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.ground.errors import DataError, ModelError, SettingsError
-from cgtorch.native import threads
-from cgtorch.native.structures import suits
+from cgtorch.native import suits, threads
 from cgtorch.svm import inputs
 from cgtorch.svm.compiled import LOG2E, machine_values
 from cgtorch.svm.gram import Gram

@@ -13,12 +13,11 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.evolution import EvolutionSettings, Population, compiled, initial_state, tell
-from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.lexicase import deviation, lexicase
-from cgtorch.evolution.mutation import mutate
-from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import STRATEGY, random_population, slim
 from cgtorch.graphs import NO_NODE, trimmed, valid
+from cgtorch.native import constants
 
 SETS = [paper_actions(), custom_actions(), nested_actions()]
 seeds, action_sets = st.integers(0, 2**31), st.sampled_from(SETS)
@@ -95,7 +94,7 @@ def test_offspring(seed: int, actions: ActionSet, capacity: int) -> None:
         trimmed(children.graphs[: len(elite)]), trimmed(whole.graphs[elite])
     )
     assert torch.equal(children.strategy[: len(elite)], whole.strategy[elite])
-    if int(whole.graphs.num_nodes.max()) < capacity < compiled.MOST_NODES:
+    if int(whole.graphs.num_nodes.max()) < capacity < constants("graph_limits")["MOST_NODES"]:
         assert equal(children, made(room=64 - capacity))  # room that nobody needs changes nothing
 
 

@@ -11,10 +11,11 @@ from torch import Generator, Tensor
 from cgtorch.actions import paper_actions
 from cgtorch.evolution import Population, compiled
 from cgtorch.evolution import crossover as module
-from cgtorch.evolution.crossover import crossover, graft, group, undirected_distance
+from cgtorch.evolution.crossover import graft, group, undirected_distance
+from cgtorch.evolution.offspring import crossover
 from cgtorch.evolution.population import random_population
-from cgtorch.evolution.sampling import key, keys, words
 from cgtorch.graphs import NO_NODE, Graphs, compacted, to_networkx
+from cgtorch.ground.counter_rng import keys, random_key, words
 
 ACTIONS = nested_actions()
 seeds = st.integers(0, 2**31)
@@ -25,7 +26,7 @@ def undirected(graphs: Graphs, index: int) -> "nx.MultiGraph[int | str]":
 
 
 def group_of(graphs: Graphs, generator: Generator) -> Tensor:
-    own = keys(key(generator), len(graphs))[:, None]
+    own = keys(random_key(generator), len(graphs))[:, None]
     places = torch.arange(1 + graphs.capacity)
     return group(graphs, words(own, places[:1]), words(own, places[1:]))
 

@@ -20,8 +20,8 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.population import INITIAL_STRATEGY, random_population, seeded_population
-from cgtorch.evolution.sampling import BITS, nth_true, pick
 from cgtorch.graphs import compacted
+from cgtorch.ground.counter_rng import BITS, nth_true, pick
 from cgtorch.ground.errors import DataError, GraphError, SettingsError
 from cgtorch.simulation import rollout
 

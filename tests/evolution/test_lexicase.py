@@ -69,9 +69,9 @@ def test_who_alone_solves_a_hard_scenario_has_children() -> None:
     assert not (tournament(5)(order, scores, 4000, seeded(0)) == 3).any()
 
 
-def test_pools_give_as_many_parents_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In pools of 50, whoever is best in its own has all of its pool's children."""
-    monkeypatch.setattr(sys.modules["cgtorch.evolution.lexicase"], "POOL", 50)
+def test_groups_give_as_many_parents_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In groups of 50, whoever is best in its own has all of its group's children."""
+    monkeypatch.setattr(sys.modules["cgtorch.evolution.lexicase"], "MOST_CANDIDATES", 50)
     scores = torch.rand(150, 1, generator=seeded(0))
     scores[:3, 0] = torch.tensor([9.0, 8.0, 7.0])
     shares = torch.zeros(150)
@@ -79,7 +79,7 @@ def test_pools_give_as_many_parents_each(monkeypatch: pytest.MonkeyPatch) -> Non
         chosen = lexicase(torch.arange(150), scores, 31, seeded(seed))
         assert chosen.shape == (31,)
         shares += torch.bincount(chosen, minlength=150) / 31 / 60
-    # The best is in one of three pools always; the others meet a better one at times.
+    # The best is in one of three groups always; the others meet a better one at times.
     alone = 1 / 3
     second = alone * (1 - 49 / 149)
     assert shares[0].item() == pytest.approx(alone, abs=0.1)

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
 from cgtorch.evolution.drift import TAU
-from cgtorch.evolution.mutation import mutate
-from cgtorch.evolution.parameters import changed, mark_new, marked
+from cgtorch.evolution.offspring import mutate
+from cgtorch.evolution.parameters import changed, with_new_origins, with_origins
 from cgtorch.evolution.structure import (
     add_node,
     change_edges,
@@ -99,10 +99,10 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     assert torch.equal(new.used, old.used)
     assert torch.equal(new.start, old.start)
     assert (new.parameters == 0).all()
-    unmarked = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
-    marks, first = mark_new(unmarked, len(ACTIONS))
+    without = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
+    numbered, first = with_new_origins(without, len(ACTIONS))
     rates = initial_strategy(P)
-    made = changed(marks, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
+    made = changed(numbered, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
     assert torch.equal(made.strategy, rates)
     made = made.graphs
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
@@ -149,7 +149,8 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
     strategy[:, STRATEGY.index("mutate_parameter")] = rate
     strategy[:, STRATEGY.index("sigma")] = sigma
     none = [0] * (len(ACTIONS) + 1)
-    new = changed(marked(many), none, many.parameters, ACTIONS, strategy, 0, seeded(0), TAU).graphs
+    whole, old = with_origins(many), many.parameters
+    new = changed(whole, none, old, ACTIONS, strategy, 0, seeded(0), TAU).graphs
     change = new.parameters - many.parameters
     count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
     real = torch.arange(change.shape[2]) < count[:, None]

@@ -21,7 +21,7 @@ from cgtorch.evolution import (
     mutate,
     tell,
 )
-from cgtorch.evolution.crossover import crossover
+from cgtorch.evolution.offspring import crossover
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, pruned, widened
 from cgtorch.ground.errors import SettingsError

@@ -18,10 +18,9 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.evolution import structure as m
-from cgtorch.evolution.crossover import crossover
 from cgtorch.evolution.drift import TAU
-from cgtorch.evolution.mutation import mutate
-from cgtorch.evolution.parameters import changed, marked
+from cgtorch.evolution.offspring import crossover, mutate
+from cgtorch.evolution.parameters import changed, with_origins
 from cgtorch.evolution.population import random_population, seeded_population
 from cgtorch.graphs import pruned, valid
 
@@ -106,7 +105,7 @@ def test_each_mutation(
 
     none, strategy = [0] * (len(actions) + 1), rate_of[:, None].repeat(1, len(STRATEGY))
     old = graphs.parameters
-    steps = changed(marked(graphs), none, old, actions, strategy, 0, generator, TAU)
+    steps = changed(with_origins(graphs), none, old, actions, strategy, 0, generator, TAU)
     for mutated in (
         m.add_node(graphs, actions, rate_of, draws(3 + graphs.edges.shape[2])),
         m.delete_node(graphs, rate_of, draws(3), heads),

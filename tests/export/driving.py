@@ -66,7 +66,7 @@ def by_the_library(
         for row, (i, kind, out) in enumerate(
             zip(lane.tolist(), kinds, outcome.tolist(), strict=True)
         ):
-            action, run = program.primitives[kind], found[i]
+            action, run = program.actions.primitives[kind], found[i]
             actions[i].append((action, out))
             motion = lanes.message[row, : environment.control_size]
             idle = not lanes.has_message[row] or not motion.isfinite().all()

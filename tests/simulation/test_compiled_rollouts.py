@@ -25,8 +25,7 @@ from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.graphs import Graphs, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
-from cgtorch.simulation.compiled import compiled_evaluation, compiled_rollout
-from cgtorch.simulation.engine_inputs import interpreter
+from cgtorch.simulation.compiled import compiled_engine
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.tabletop.edge_networks import edge_actions
@@ -57,8 +56,8 @@ def run_compiled(
     limit: int = 20,
     steps: int = 400,
 ) -> Rollouts | None:
-    known = interpreter(actions, environment)
-    return known and compiled_rollout(known, graphs, scenarios, limit, steps)
+    engine = compiled_engine(actions, environment)
+    return engine and engine.rollouts(graphs, scenarios, limit, steps)
 
 
 def run_in_torch(
@@ -316,12 +315,12 @@ def test_models_that_change_between_two_rollouts_are_looked_at_again() -> None:
 def test_parts_that_are_done_again_change_nothing() -> None:
     environment = random_models(7, 20)
     actions = sets_for(environment.percept_size)[0]
-    known, graphs, some = interpreter(actions, environment), graphs_of(3, actions, 60), range(20)
-    assert known is not None
+    engine, graphs = compiled_engine(actions, environment), graphs_of(3, actions, 60)
+    assert engine is not None
 
     def evaluation(again: list[int]) -> tuple[Tensor, Tensor, Tensor, int, int]:
-        scenarios, more = torch.tensor(some), torch.tensor(again)
-        found = compiled_evaluation(known, graphs, scenarios, 4, 20, 400, more)
+        scenarios, more = torch.arange(20), torch.tensor(again)
+        found = engine.evaluation(graphs, scenarios, 4, 20, 400, more)
         assert found is not None
         return found
 

@@ -13,7 +13,7 @@ from cgtorch.evolution import evaluate
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
-from cgtorch.simulation import engine_inputs as interpreter
+from cgtorch.simulation import compiled as engine
 from cgtorch.simulation import rollout
 
 ACTIONS = as_double_actions(paper_actions())
@@ -51,7 +51,7 @@ def test_it_says_which_number_of_which_graph(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if not compiled:
-        monkeypatch.setattr(interpreter, "function", lambda *_: None)
+        monkeypatch.setattr(engine, "structure", lambda *_: None)
     whole, environment = as_double(graphs()), random_models(0, 3)
     keep = torch.tensor([True, False, False])
     rollout(whole, ACTIONS, environment)

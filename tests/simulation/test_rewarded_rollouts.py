@@ -28,7 +28,7 @@ from cgtorch.simulation import (
     recording_of,
     rollout,
 )
-from cgtorch.simulation.engine_inputs import LARGEST
+from cgtorch.simulation.compiled import LARGEST
 from cgtorch.simulation.rollout import MOST_IDLE
 
 SETS = [walking(), nested_actions(0, walking(), limits=(4, 9))]

@@ -9,8 +9,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.evolution import EvolutionSettings, Population, evolve
-from cgtorch.evolution.crossover import crossover
-from cgtorch.evolution.mutation import mutate
+from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.population import random_population, slim
 from cgtorch.graphs import widened
 from cgtorch.improvement.trial import first_percepts

@@ -1,19 +1,9 @@
 """Whether postures of an arm touch the table or the robot's own body."""
 
-import ctypes
-
 import torch
 from torch import Tensor
 
-from cgtorch.native import function, threads
-from cgtorch.native.structures import (
-    MOST_CAPSULES,
-    MOST_FRAMES,
-    POINTER,
-    WHOLE,
-    structures,
-    suits,
-)
+from cgtorch.native import constants, function, structure, suits, threads
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import BISECTIONS, ROUNDING, Boxes, collide
 
@@ -49,29 +39,24 @@ def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tens
 
 def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor | None:
     """The same, posture after posture with all frames of one in the cache, where it is compiled."""
-    call = function("arms_touch", torch.float32, POINTER, WHOLE)
+    call, most = function("arms_touch", torch.float32), constants("arm_limits")
     boxes = [*vars(slab).values(), *vars(body).values()]
     if call is None or q.dtype != torch.float32 or not suits(q, *boxes):
         return None
     capsules, chain = arm.capsules.to(q), arm.chain_table(q)
     count, frames = len(capsules.radius), len(chain.kind)
-    shapes = len(slab.half), q.shape[1]
-    if frames > MOST_FRAMES or count > MOST_CAPSULES or shapes != (len(q), len(arm.joint_names)):
+    if frames > most["MOST_FRAMES"] or count > most["MOST_CAPSULES"]:
         return None
-    given = [x.contiguous() for x in (q, *boxes, capsules.start, capsules.end, capsules.radius)]
-    q, *boxes, start, end, radius = given
-    frame, loose = capsules.frame.contiguous(), capsules.joints > SHOULDER_JOINTS
-    hit, made = torch.empty(len(q), dtype=torch.bool), structures(torch.float32)
-    table, own = (
-        made.Collision(
-            None, None, radius.data_ptr(), *(x.data_ptr() for x in each),
-            len(q), count, each[2].shape[-2], same, BISECTIONS, ROUNDING, None,
-        )
-        for each, same in ((boxes[:3], False), (boxes[3:], True))
+    if (len(slab.half), q.shape[1]) != (len(q), len(arm.joint_names)):
+        return None
+    hit, several = torch.empty(len(q), dtype=torch.bool), structure("Boxes", torch.float32)
+    task = structure("Arms", torch.float32)(
+        chain=structure("Chain", torch.float32)(**vars(chain), frames=frames, joints=q.shape[1]),
+        table=several(**vars(slab), count=slab.half.shape[-2], same=False),
+        body=several(**vars(body), count=body.half.shape[-2], same=True),
+        q=q, start=capsules.start, end=capsules.end, radius=capsules.radius, frame=capsules.frame,
+        loose=capsules.joints > SHOULDER_JOINTS, hit=hit, postures=len(q), capsules=count,
+        bisections=BISECTIONS, rounding=ROUNDING,
     )  # fmt: skip
-    task = made.Arms(
-        made.Chain(*(x.data_ptr() for x in vars(chain).values()), frames, q.shape[1]),
-        table, own, *(x.data_ptr() for x in (q, start, end, frame, loose, hit)),
-    )  # fmt: skip
-    call(ctypes.addressof(task), max(1, min(threads(), len(q) // WORTH_SHARING)))
+    call(task, max(1, min(threads(), len(q) // WORTH_SHARING)))
     return hit

@@ -1,13 +1,14 @@
 """C of the tabletop: whether a grasp succeeds, from where the object stands and the table ends."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.ground.errors import DataError
-from cgtorch.native import function
-from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
-from cgtorch.svm.compiled import Compiled, machine_structure, threads_for
+from cgtorch.native import constants, function, structure, suits
+from cgtorch.svm.compiled import machine_structure, threads_for
 from cgtorch.tabletop.models.grasp_features import FLAT, grasp_features, used_features
 from cgtorch.tabletop.world.percepts import parts_of
 
@@ -21,23 +22,20 @@ class GraspClassifier(SuccessClassifier):
     def forward(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.forward`."""
         compiled = self.compiled(percept)
-        if compiled is None or percept.shape[-1] > MOST_PERCEPT:
-            return self.predict_in_torch(percept)
-        call = function("successes", percept.dtype, POINTER, WHOLE, POINTER, WHOLE, POINTER, WHOLE)
-        if call is None:
+        if compiled is None:
             return self.predict_in_torch(percept)
         rows = percept.reshape(-1, percept.shape[-1]).contiguous()
         chance, (n, size) = rows.new_empty(len(rows)), rows.shape
-        threads = threads_for(n, compiled.structure.machine.m)
-        call(compiled.address, size, rows.data_ptr(), n, chance.data_ptr(), threads)
+        call, threads = function("successes", rows.dtype), threads_for(n, compiled.machine.m)
+        call(compiled, size, rows, n, chance, threads)
         return chance.view(percept.shape[:-1])
 
-    def compiled(self, percept: Tensor) -> Compiled | None:
+    def compiled(self, percept: Tensor) -> Any:
         """C as compiled code knows it, where that can be asked about percepts (n, D).
 
         The same numbers as torch's but for the last digits; a row's do not depend on the others.
         """
-        machine, mean, scale = self.machine, self.mean.contiguous(), self.scale.contiguous()
+        machine, mean, scale = self.machine, self.mean, self.scale
         if not suits(percept, *machine._machine, mean, scale, machine.platt):
             return None
         if machine.kernel != "rbf" or not machine.fitted:
@@ -46,12 +44,13 @@ class GraspClassifier(SuccessClassifier):
         if len(mean) not in known:
             return None
         made = machine_structure(*machine._machine)
-        if made is None or made.structure.k != 1 or not bool(machine.platt.isfinite().all()):
+        if made is None or made.k != 1 or not bool(machine.platt.isfinite().all()):
             return None
-        classifier = structures(mean.dtype).Classifier(
-            made.structure, mean.data_ptr(), scale.data_ptr(), *machine.platt.tolist()
-        )
-        return Compiled(classifier, (*made.kept, mean, scale))
+        if percept.shape[-1] > constants("engine_limits", percept.dtype)["MOST_PERCEPT"]:
+            return None
+        slope, offset = machine.platt.tolist()
+        classifier = structure("Classifier", mean.dtype)
+        return classifier(machine=made, mean=mean, scale=scale, slope=slope, offset=offset)
 
     def raw_features(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.raw_features`: those that were worth learning from."""

@@ -8,13 +8,14 @@ sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is f
 `cgtorch.tabletop.models.transition_fit`.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.native import function
-from cgtorch.native.structures import MOST_PERCEPT, POINTER, WHOLE, structures, suits
-from cgtorch.svm.compiled import LOG2E, Compiled, machine_structure, threads_for
+from cgtorch.native import constants, function, structure, suits
+from cgtorch.svm.compiled import LOG2E, machine_structure, threads_for
 from cgtorch.tabletop.models import geometry
 
 DECISIVE = 0.03
@@ -44,22 +45,15 @@ class TableTransitionModel(TransitionModel):
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.predict_with_novelty`."""
         compiled, size = self.compiled(percept, control), percept.shape[-1]
-        alike = percept.shape[:-1] == control.shape[:-1]
-        if compiled is None or not alike or size > MOST_PERCEPT:
-            return self.predict_in_torch(percept, control)
-        call = function(
-            "transitions", percept.dtype,
-            POINTER, WHOLE, POINTER, POINTER, WHOLE, POINTER, POINTER, WHOLE,
-        )  # fmt: skip
-        if call is None:
+        if compiled is None or percept.shape[:-1] != control.shape[:-1]:
             return self.predict_in_torch(percept, control)
         rows, motion = percept.reshape(-1, size).contiguous(), control.reshape(-1, 3).contiguous()
         after, novelty = torch.empty_like(rows), rows.new_empty(len(rows))
-        call(
-            compiled.address, size, rows.data_ptr(), motion.data_ptr(), len(rows),
-            after.data_ptr(), novelty.data_ptr(),
-            threads_for(len(rows), compiled.structure.machine.m),
-        )  # fmt: skip
+        call, threads = (
+            function("transitions", rows.dtype),
+            threads_for(len(rows), compiled.machine.m),
+        )
+        call(compiled, size, rows, motion, len(rows), after, novelty, threads)
         return after.view_as(percept), novelty.view(percept.shape[:-1])
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,7 +64,7 @@ class TableTransitionModel(TransitionModel):
         novelty = self.novelty_of(geometry.extremes(scene, control), distance)
         return after, novelty.to(percept.dtype)
 
-    def compiled(self, percept: Tensor, motion: Tensor) -> Compiled | None:
+    def compiled(self, percept: Tensor, motion: Tensor) -> Any:
         """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
 
         The same numbers as torch's but for the last digits; a row's do not depend on the others.
@@ -82,15 +76,15 @@ class TableTransitionModel(TransitionModel):
         if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
             return None
         made = machine_structure(*machine)
-        if made is None or made.structure.d != 4 or made.structure.k != 1:
+        if made is None or made.d != 4 or made.k != 1:
             return None
-        gamma = structures(percept.dtype).Gamma(
-            machine=made.structure, per_distance=1 / (float(machine[3]) * LOG2E)
-        )
-        for name in ("mean", "scale", "sides", "most"):
-            getattr(gamma, name)[:] = getattr(self, name).tolist()
-        gamma.trust, gamma.reach = float(self.trust), float(self.reach)
-        return Compiled(gamma, made.kept)
+        if percept.shape[-1] > constants("engine_limits", percept.dtype)["MOST_PERCEPT"]:
+            return None
+        return structure("Gamma", percept.dtype)(
+            machine=made, mean=self.mean, scale=self.scale, sides=self.sides, most=self.most,
+            trust=float(self.trust), reach=float(self.reach),
+            per_distance=1 / (float(machine[3]) * LOG2E),
+        )  # fmt: skip
 
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `TransitionModel.features`; no motion changes them."""

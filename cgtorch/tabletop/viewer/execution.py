@@ -10,7 +10,7 @@ from cgtorch.actions import Action
 from cgtorch.environment import Lanes, start_lanes
 from cgtorch.graphs import Skill
 from cgtorch.simulation import most_steps
-from cgtorch.simulation.call_stack import Frames, first_frames, follow
+from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.tabletop.world import Scenarios, TabletopWorld
@@ -63,7 +63,8 @@ def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
     """Run a skill on one scenario of a world, whose percepts must be those that the skill reads."""
     program, which = compile_graphs(skill.graph, skill.actions), torch.tensor([scenario])
     frames = first_frames(program, 1, skill.max_transitions)
-    seen = [start_lanes(world, which, program.message_size, program.memory_size)]
+    sizes = program.actions.message_size, program.actions.memory_size
+    seen = [start_lanes(world, which, *sizes)]
     steps: list[Step] = []
 
     def trace(active: Tensor, node: Tensor, outcome: Tensor, lanes: Lanes) -> None:
@@ -71,7 +72,7 @@ def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
         steps.append(_step(skill, program, frames, int(outcome)))
         seen.append(lanes.rows(torch.zeros_like(active)))
         # That something has changed keeps loops from being skipped, which only saves time.
-        frames, _, _ = follow(program, frames, outcome, torch.ones(1, dtype=torch.bool))
+        frames, _, _ = advance(program, frames, outcome, torch.ones(1, dtype=torch.bool))
 
     most = most_steps(skill.actions, skill.max_transitions)
     run = rollout_in_torch(program, world, which, skill.max_transitions, most, trace)
@@ -93,10 +94,10 @@ def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
     for row in callers:
         places.append((within, row - offset))
         within = within.sub_skills[_name(*places[-1])]
-        first = program.entry[int(program.kind[row]) - len(program.primitives)]
+        first = program.entry[int(program.kind[row]) - len(program.actions.primitives)]
         offset = int(first) - int(within.graph.start)
     places.append((within, int(frames.node) - offset))
-    action = program.primitives[int(program.kind[frames.node])]
+    action = program.actions.primitives[int(program.kind[frames.node])]
     return Step(tuple(places), _name(*places[-1]), action, action.outcomes[outcome])
 
 

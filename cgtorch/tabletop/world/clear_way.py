@@ -1,14 +1,12 @@
 """Which motions MoveBase can make: those whose way is clear of the table and of obstacles."""
 
-import ctypes
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch.native import function, threads
-from cgtorch.native.structures import POINTER, WHOLE, structures, suits
+from cgtorch.native import function, structure, suits, threads
 from cgtorch.tabletop.world.percepts import parts_of, present
 from cgtorch.tabletop.world.sweep import sweep_blocked
 
@@ -60,7 +58,7 @@ class ClearWay:
 def body_structure(footprint: Tensor) -> Any:
     """The base as compiled code knows it."""
     x0, x1, y0, y1 = footprint.tolist()
-    return structures(footprint.dtype).Body(
+    return structure("Body", footprint.dtype)(
         bx=(x0 + x1) / 2,
         by=(y0 + y1) / 2,
         hx=(x1 - x0) / 2 + CLEARANCE,
@@ -70,17 +68,11 @@ def body_structure(footprint: Tensor) -> Any:
 
 
 def _possible_compiled(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor | None:
-    call = function(
-        "motions_possible", motion.dtype,
-        POINTER, POINTER, POINTER, WHOLE, WHOLE, POINTER, WHOLE,
-    )  # fmt: skip
+    call = function("motions_possible", motion.dtype)
     if call is None:
         return None
     n, body = len(motion), body_structure(footprint)
     motion, things = motion.contiguous(), things.expand(n, -1, -1).contiguous()
-    free = torch.empty(n, dtype=torch.bool)
-    call(
-        motion.data_ptr(), things.data_ptr(), ctypes.addressof(body), n, things.shape[1],
-        free.data_ptr(), max(1, min(threads(), n // WORTH_SHARING)),
-    )  # fmt: skip
+    free, share = torch.empty(n, dtype=torch.bool), max(1, min(threads(), n // WORTH_SHARING))
+    call(motion, things, body, n, things.shape[1], free, share)
     return free

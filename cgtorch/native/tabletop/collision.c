@@ -1,19 +1,42 @@
-/* Whether capsules touch boxes, and arms their table and body (cgtorch.tabletop.kinematics), posture after
-   posture. */
+/* Whether arms touch their table and body (cgtorch.tabletop.kinematics), posture after posture. */
+#include "exported.h"
 #include "parallel.h"
 #include <math.h>
 #include <stddef.h>
 
 typedef REAL real;
 
+#define MOST_FRAMES 64
+#define MOST_CAPSULES 256
+
+enum { FIXED, TURNS, SLIDES };
+
+/* A chain of frames, each in the one before and moved by a joint. Poses are rows of (3, 4). */
 typedef struct {
-  const real *start, *end, *radius;        /* (B, C, 3), (B, C, 3), (C,) */
-  const real *centre, *rotation, *half;    /* (B or 1, N, 3), (B or 1, N, 3, 3), (B or 1, N, 3) */
-  int64_t postures, capsules, boxes, same; /* `same`: the boxes of one row are those of all */
-  int64_t bisections;
+  const real *offset, *axis;   /* (F, 3, 4), the first in the robot's base; (F, 3) of joints */
+  const int64_t *kind, *joint; /* (F,) kind and column of each frame's joint */
+  int64_t frames, joints;
+} Chain;
+
+typedef struct {
+  const real *centre, *rotation, *half; /* (B or 1, N, 3), (B or 1, N, 3, 3), (B or 1, N, 3) */
+  int64_t count, same;                  /* N; `same`: the boxes of one row are those of all */
+} Boxes;
+
+typedef struct {
+  Chain chain;
+  Boxes table, body;
+  const real *q, *start, *end, *radius; /* (B, joints); (C, 3) and (C, 3) in frames; (C,) */
+  const int64_t *frame;                 /* (C,) that capsules move with */
+  const unsigned char *loose;           /* (C,) capsules that can touch the body */
+  unsigned char *hit;                   /* (B,) */
+  int64_t postures, capsules, bisections;
   double rounding;
-  unsigned char *hit; /* (B,) */
-} Collision;
+} Arms;
+EXPORT_STRUCT(Chain)
+EXPORT_STRUCT(Boxes)
+EXPORT_STRUCT(Arms)
+EXPORT_CONSTANTS(arm_limits, MOST_FRAMES, MOST_CAPSULES)
 
 static inline real dot(const real *a, const real *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -45,8 +68,10 @@ static real squared_distance(const real *a, const real *along, const real *half,
   return least;
 }
 
-static int touches(const Collision *c, const real *start, const real *end, real radius, int64_t box) {
-  const real *half = c->half + box * 3, *turn = c->rotation + box * 9, *centre = c->centre + box * 3;
+static int touches(const Arms *arms, const Boxes *boxes, int64_t box, const real *start,
+                   const real *end, real radius) {
+  const real *half = boxes->half + box * 3, *turn = boxes->rotation + box * 9;
+  const real *centre = boxes->centre + box * 3;
   real a[3], along[3], away = 0, length = 0;
   for (int i = 0; i < 3; i++) {
     a[i] = along[i] = 0;
@@ -59,42 +84,22 @@ static int touches(const Collision *c, const real *start, const real *end, real 
     away += beyond * beyond;
   }
   /* The sphere around a capsule reaches few boxes. */
-  real reach = ((real)sqrt((double)length) / 2 + radius) * (real)(1 + c->rounding);
-  return away <= reach * reach && squared_distance(a, along, half, c->bisections) < radius * radius;
+  real reach = ((real)sqrt((double)length) / 2 + radius) * (real)(1 + arms->rounding);
+  return away <= reach * reach &&
+         squared_distance(a, along, half, arms->bisections) < radius * radius;
 }
 
 /* Whether any of a row's capsules that `which` has (all without it) touches any of its boxes. */
-static int any_touches(const Collision *c, int64_t row, const real *start, const real *end,
-                       const unsigned char *which) {
-  int64_t first = (c->same ? 0 : row) * c->boxes;
-  for (int64_t box = first; box < first + c->boxes; box++)
-    for (int64_t i = 0; i < c->capsules; i++)
-      if ((!which || which[i]) && touches(c, start + i * 3, end + i * 3, c->radius[i], box)) return 1;
+static int any_touches(const Arms *arms, const Boxes *boxes, int64_t row, const real *start,
+                       const real *end, const unsigned char *which) {
+  int64_t first = (boxes->same ? 0 : row) * boxes->count;
+  for (int64_t box = first; box < first + boxes->count; box++)
+    for (int64_t i = 0; i < arms->capsules; i++)
+      if ((!which || which[i]) &&
+          touches(arms, boxes, box, start + i * 3, end + i * 3, arms->radius[i]))
+        return 1;
   return 0;
 }
-
-/* ---- Arms ---- */
-
-#define MOST_FRAMES 64
-#define MOST_CAPSULES 256
-
-enum { FIXED, TURNS, SLIDES };
-
-/* A chain of frames, each in the one before and moved by a joint. Poses are rows of (3, 4). */
-typedef struct {
-  const real *offset, *axis;   /* (F, 3, 4), the first in the robot's base; (F, 3) of joints */
-  const int64_t *kind, *joint; /* (F,) kind and column of each frame's joint */
-  int64_t frames, joints;
-} Chain;
-
-typedef struct {
-  Chain chain;
-  Collision table, body;       /* without starts, ends and hits */
-  const real *q, *start, *end; /* (B, joints); (C, 3) and (C, 3) in frames */
-  const int64_t *frame;        /* (C,) that capsules move with */
-  const unsigned char *loose;  /* (C,) capsules that can touch the body */
-  unsigned char *hit;          /* (B,) */
-} Arms;
 
 /* a b, where what is below their rows is 0 0 0 1. */
 static inline void product(const real *a, const real *b, real *out) {
@@ -141,17 +146,17 @@ static void some_arms(void *what, int64_t begin, int64_t end) {
   real poses[MOST_FRAMES][12], starts[MOST_CAPSULES * 3], ends[MOST_CAPSULES * 3];
   for (int64_t row = begin; row < end; row++) {
     poses_of(&a->chain, a->q + row * a->chain.joints, poses);
-    for (int64_t i = 0; i < a->table.capsules; i++) {
+    for (int64_t i = 0; i < a->capsules; i++) {
       const real *pose = poses[a->frame[i]];
       placed(pose, a->start + i * 3, starts + i * 3);
       placed(pose, a->end + i * 3, ends + i * 3);
     }
-    a->hit[row] = (unsigned char)(any_touches(&a->table, row, starts, ends, NULL) ||
-                                  any_touches(&a->body, row, starts, ends, a->loose));
+    a->hit[row] = (unsigned char)(any_touches(a, &a->table, row, starts, ends, NULL) ||
+                                  any_touches(a, &a->body, row, starts, ends, a->loose));
   }
 }
 
 int arms_touch(Arms *arms, int64_t threads) {
-  in_parallel(some_arms, arms, arms->table.postures, 256, threads);
-  return 0;
+  in_parallel(some_arms, arms, arms->postures, 256, threads);
+  return DONE;
 }

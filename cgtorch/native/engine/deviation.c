@@ -1,5 +1,6 @@
 /* How far scores are from their median (cgtorch.evolution.lexicase.deviation). */
 #include "order.h"
+#include "exported.h"
 #include "parallel.h"
 #include <stdlib.h>
 
@@ -24,14 +25,14 @@ static real ranked(const real *numbers, whole *x, int64_t count, int64_t k) {
 
 typedef struct {
   const real *scores;
-  int64_t people, scenarios;
+  int64_t individuals, scenarios;
   real *out;
   _Atomic int failed; /* for want of memory */
 } Deviation;
 
 static void some_scenarios(void *what, int64_t begin, int64_t end) {
   Deviation *d = what;
-  int64_t n = d->people, half = (n - 1) / 2;
+  int64_t n = d->individuals, half = (n - 1) / 2;
   real *column = malloc((size_t)n * 2 * sizeof *column);
   whole *x = (whole *)(column + n);
   if (!column) {
@@ -48,10 +49,9 @@ static void some_scenarios(void *what, int64_t begin, int64_t end) {
   free(column);
 }
 
-/* Median absolute deviation of each scenario's scores, the lower one of two medians; 1 for want of
-   memory. */
-int deviation(const real *scores, int64_t people, int64_t scenarios, real *out, int64_t threads) {
-  Deviation d = {scores, people, scenarios, out, 0};
+/* Median absolute deviation of each scenario's scores, the lower one of two medians. */
+int deviation(const real *scores, int64_t individuals, int64_t scenarios, real *out, int64_t threads) {
+  Deviation d = {scores, individuals, scenarios, out, 0};
   in_parallel(some_scenarios, &d, scenarios, 2, threads);
-  return d.failed;
+  return d.failed ? NO_MEMORY : DONE;
 }

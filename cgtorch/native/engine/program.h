@@ -30,28 +30,28 @@ typedef struct {
 typedef struct {
   const int64_t *action, *edges;
   const real *parameters;
-} Graph;
+} GraphRows;
 
-INLINE Graph graph_of(const Program *p, int64_t graph) {
+INLINE GraphRows graph_of(const Program *p, int64_t graph) {
   int64_t row = graph * p->nodes;
-  return (Graph){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
+  return (GraphRows){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
 }
 
 /* What unused slots hold is taken for action 0; nothing that is valid leads there. */
-INLINE int64_t action_at(Graph g, int64_t place) { return g.action[place] < 0 ? 0 : g.action[place]; }
+INLINE int64_t action_at(GraphRows g, int64_t place) { return g.action[place] < 0 ? 0 : g.action[place]; }
 
 /* A primitive, or `count` + a sub-skill. */
-INLINE int64_t kind_of(const Program *p, Graph g, int64_t node) {
+INLINE int64_t kind_of(const Program *p, GraphRows g, int64_t node) {
   return node < p->rows ? p->kind[node] : p->kinds[action_at(g, node - p->rows)];
 }
-INLINE int64_t head_of(const Program *p, Graph g, int64_t node, int64_t outcome) {
+INLINE int64_t head_of(const Program *p, GraphRows g, int64_t node, int64_t outcome) {
   int64_t place = node - p->rows;
   if (place < 0) return p->heads[node * p->outcomes + outcome];
   if (outcome >= p->seen) return FAILURE;
   int64_t head = g.edges[place * p->seen + outcome];
   return head == NO_NODE ? p->ends[action_at(g, place) * p->most + outcome] : p->rows + head;
 }
-INLINE const real *parameters_of_node(const Program *p, Graph g, int64_t node) {
+INLINE const real *parameters_of_node(const Program *p, GraphRows g, int64_t node) {
   int64_t place = node - p->rows;
   return place < 0 ? p->learned + node * p->width : g.parameters + place * p->each;
 }
@@ -59,7 +59,7 @@ INLINE const real *parameters_of_node(const Program *p, Graph g, int64_t node) {
 /* Whether a graph has numbers that are none of its nodes or actions. */
 INLINE int outside(int64_t number, int64_t count) { return number < NO_NODE || number >= count; }
 INLINE int wrong_graph(const Program *p, int64_t graph) {
-  Graph g = graph_of(p, graph);
+  GraphRows g = graph_of(p, graph);
   int wrong = p->start[graph] < 0 || p->start[graph] >= p->nodes;
   for (int64_t i = 0; i < p->nodes; i++) wrong |= outside(g.action[i], p->actions);
   for (int64_t i = 0; i < p->nodes * p->seen; i++) wrong |= outside(g.edges[i], p->nodes);

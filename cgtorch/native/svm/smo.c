@@ -5,6 +5,7 @@
    they are solved (Joachims 1999), gradients of all rows are brought up to date in double
    precision, and others take their turn. */
 #include <stdlib.h>
+#include "exported.h"
 #include "pairs.h"
 #include "parallel.h"
 
@@ -28,6 +29,7 @@ typedef struct {
   double *beta, *gradient;         /* (count, n); the gradient is K beta - z */
   double *bias, *violation;        /* (count,) */
 } Problems;
+EXPORT_STRUCT(Problems)
 
 typedef struct {
   const real *kernel;
@@ -148,7 +150,7 @@ static void fill(const Problem *p, Memory *m, int64_t count, double middle) {
 }
 
 /* Takes the set's coefficients over, and brings the gradients up to date; how many changed. */
-static int64_t follow(const Problem *p, Memory *m, int64_t count) {
+static int64_t take_over(const Problem *p, Memory *m, int64_t count) {
   int64_t changed = 0, n = p->n, k = 0;
   for (int64_t e = 0; e < count; e++) {
     double change = m->set.beta[e] - m->before[e];
@@ -213,7 +215,7 @@ static double solve(const Problem *p, double tolerance, double gap, double worth
     double aim = ROUND * wrong > 0.5 * tolerance ? ROUND * wrong : 0.5 * tolerance;
     int64_t steps = pairs(&m->set, (real)aim, most);
     if (steps == 0) return wrong; /* single precision sees nothing to do */
-    work += (double)(steps * count + follow(p, m, count) * p->n);
+    work += (double)(steps * count + take_over(p, m, count) * p->n);
   }
 }
 

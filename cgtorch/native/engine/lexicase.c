@@ -1,6 +1,7 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
 #include "draws.h"
 #include "order.h"
+#include "exported.h"
 #include "parallel.h"
 #include <stdlib.h>
 
@@ -25,11 +26,11 @@ static int alike(const real *a, const real *b, int64_t count) {
 }
 
 /* Numbers individuals of equal scores alike, in the order in which each first appears. */
-static int64_t number_rows(const real *scores, int64_t people, int64_t scenarios, int64_t *row_of,
+static int64_t number_rows(const real *scores, int64_t individuals, int64_t scenarios, int64_t *row_of,
                            int64_t *table, int64_t size) {
   int64_t rows = 0;
   for (int64_t i = 0; i < size; i++) table[i] = -1;
-  for (int64_t i = 0; i < people; i++) {
+  for (int64_t i = 0; i < individuals; i++) {
     const real *mine = scores + i * scenarios;
     uint64_t hash = 0; /* multilinear: no step waits for the one before; there is one zero only */
     for (int64_t j = 0; j < scenarios; j++)
@@ -160,12 +161,12 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
 }
 
 /* Individuals sorted by their row, and where those of each row begin. */
-static void sort_members(const int64_t *row_of, int64_t people, int64_t rows, int64_t *members,
+static void sort_members(const int64_t *row_of, int64_t individuals, int64_t rows, int64_t *members,
                          int64_t *first) {
   memset(first, 0, (size_t)(rows + 1) * sizeof *first);
-  for (int64_t i = 0; i < people; i++) first[row_of[i] + 1]++;
+  for (int64_t i = 0; i < individuals; i++) first[row_of[i] + 1]++;
   for (int64_t r = 0; r < rows; r++) first[r + 1] += first[r];
-  for (int64_t i = 0; i < people; i++) members[first[row_of[i]]++] = i;
+  for (int64_t i = 0; i < individuals; i++) members[first[row_of[i]]++] = i;
   for (int64_t r = rows; r > 0; r--) first[r] = first[r - 1]; /* they moved on while filling */
   first[0] = 0;
 }
@@ -188,38 +189,33 @@ static void stand_after_one(Lexicase *l) {
   }
 }
 
-/* Parents (count,) by scores (people, scenarios); 1 for want of memory. */
-int lexicase(const real *scores, int64_t people, int64_t scenarios, const real *epsilon,
+/* Parents (count,) by scores (individuals, scenarios). */
+int lexicase(const real *scores, int64_t individuals, int64_t scenarios, const real *epsilon,
              int64_t key, int64_t count, int64_t *chosen, int64_t threads) {
   int64_t size = 64;
-  while (size < 2 * people) size *= 2;
-  int64_t numbers = 3 * people + 1 + (people + 2) * scenarios + 1 + size;
-  int64_t most = (people + WIDTH - 1) / WIDTH * WIDTH * scenarios; /* of rows and what fills them up */
-  int64_t *memory = malloc((size_t)numbers * sizeof *memory);
+  while (size < 2 * individuals) size *= 2;
+  int64_t numbers = 3 * individuals + 1 + (individuals + 2) * scenarios + 1 + size;
+  int64_t most = (individuals + WIDTH - 1) / WIDTH * WIDTH * scenarios; /* with what fills rows up */
+  int64_t *row_of = malloc((size_t)numbers * sizeof *row_of);
   real *cases = malloc((size_t)(most + 1) * sizeof *cases);
   vwhole *stands = malloc((size_t)(most + 1) * sizeof(whole));
-  if (!memory || !cases || !stands) {
-    free(memory);
-    free(cases);
-    free(stands);
-    return 1;
+  Lexicase l = {.failed = !row_of || !cases || !stands};
+  if (!l.failed) {
+    int64_t *members = row_of + individuals, *first = members + individuals;
+    int64_t *good_first = first + individuals + 1, *top = good_first + scenarios + 1;
+    int64_t *good = top + scenarios, *table = good + individuals * scenarios;
+    int64_t rows = number_rows(scores, individuals, scenarios, row_of, table, size);
+    int64_t vectors = (rows + WIDTH - 1) / WIDTH;
+    sort_members(row_of, individuals, rows, members, first);
+    for (int64_t r = 0; r < vectors * WIDTH; r++)
+      for (int64_t j = 0; j < scenarios; j++)
+        cases[j * vectors * WIDTH + r] =
+            r < rows ? scores[members[first[r]] * scenarios + j] : -INFINITY;
+    l = (Lexicase){scenarios, rows, vectors, cases, epsilon, members, first,
+                   good, good_first, stands, top, key, chosen, 0};
+    stand_after_one(&l);
+    in_parallel(some_parents, &l, count, 64, threads);
   }
-  int64_t *row_of = memory, *members = row_of + people, *first = members + people;
-  int64_t *good_first = first + people + 1, *top = good_first + scenarios + 1;
-  int64_t *good = top + scenarios, *table = good + people * scenarios;
-  int64_t rows = number_rows(scores, people, scenarios, row_of, table, size);
-  int64_t vectors = (rows + WIDTH - 1) / WIDTH;
-  sort_members(row_of, people, rows, members, first);
-  for (int64_t r = 0; r < vectors * WIDTH; r++)
-    for (int64_t j = 0; j < scenarios; j++)
-      cases[j * vectors * WIDTH + r] =
-          r < rows ? scores[members[first[r]] * scenarios + j] : -INFINITY;
-  Lexicase l = {scenarios, rows, vectors, cases, epsilon, members, first,
-                good, good_first, stands, top, key, chosen, 0};
-  stand_after_one(&l);
-  in_parallel(some_parents, &l, count, 64, threads);
-  free(memory);
-  free(cases);
-  free(stands);
-  return l.failed;
+  free(row_of), free(cases), free(stands);
+  return l.failed ? NO_MEMORY : DONE;
 }

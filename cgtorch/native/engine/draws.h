@@ -1,12 +1,17 @@
-/* Random numbers that are functions of a key (cgtorch.evolution.sampling). */
+/* Random numbers that are functions of a key (cgtorch.ground.counter_rng). */
 #ifndef CGTORCH_DRAWS_H
 #define CGTORCH_DRAWS_H
 #include <math.h>
 #include <stdint.h>
 
 #define BITS 24 /* of a word, the upper ones, for uniform numbers; the others are for normal ones */
-#define STRATEGY 8 /* columns of strategies */
 #define GOLDEN 0x9E3779B97F4A7C15u
+
+/* Columns of strategies, and how many there are (cgtorch.evolution.STRATEGY). */
+enum {
+  CROSSOVER, ADD_NODE, DELETE_NODE, NEW_START, REPLACE_NODE, CHANGE_EDGE, MUTATE_PARAMETER, SIGMA,
+  STRATEGY
+};
 
 /* SplitMix64's finalizer. */
 static inline uint64_t mixed(uint64_t x) {

@@ -8,20 +8,18 @@ import torch
 from torch import Tensor
 
 from cgtorch.native import available, function
-from cgtorch.native.structures import POINTER, WHOLE
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
 ROWS = 1600
 COLUMNS = torch.randn(5, ROWS, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-TYPES = POINTER, WHOLE, WHOLE, WHOLE, POINTER, WHOLE
 
 
 def kernel_matrix(_: object = None) -> Tensor:
     found = torch.empty(ROWS, ROWS)
-    call = function("rbf_gram", torch.float32, *TYPES)
+    call = function("rbf_gram", torch.float32)
     assert call is not None
-    call(COLUMNS.data_ptr(), ROWS, len(COLUMNS), ROWS, found.data_ptr(), 3)
+    call(COLUMNS, ROWS, len(COLUMNS), ROWS, found, 3)
     return found
 
 

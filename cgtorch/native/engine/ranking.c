@@ -1,6 +1,7 @@
 /* Individuals from best to worst (cgtorch.evolution.selection.ranking). */
 #include "graph.h"
 #include "order.h"
+#include "exported.h"
 #include <stdlib.h>
 
 #define DIGIT 11 /* bits that are sorted by at once */
@@ -28,10 +29,10 @@ static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64
 }
 
 /* Indices (count,) by fitness, of equal ones by how many nodes actions (count, nodes) have, of equal
-   ones as they are; 1 for want of memory. */
+   ones as they are. */
 int ranking(const real *fitness, const int64_t *action, int64_t nodes, int64_t count, int64_t *out) {
   uint64_t *key = malloc((size_t)(3 * count + 1) * sizeof *key);
-  if (!key) return 1;
+  if (!key) return NO_MEMORY;
   int64_t *order = (int64_t *)key + count, *other = order + count;
   for (int64_t i = 0; i < count; i++) {
     order[i] = i, key[i] = 0;

@@ -8,11 +8,11 @@
 #define MOST_NODES 64 /* sets of nodes are the bits of one word */
 #define MOST_OUTCOMES 16
 
-/* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. What a node carries stands
-   for its parameters: a mark of where they come from, 0 for none. Without marks it is 1 + its place
-   among all slots. */
+/* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. In place of parameters a
+   node carries their origin (parameter_origin.h), which without any is 1 + its place among all
+   slots. */
 typedef struct {
-  int64_t *action, *edges, *marks, *start;
+  int64_t *action, *edges, *origins, *start;
 } Graphs;
 
 typedef struct {
@@ -22,7 +22,7 @@ typedef struct {
 typedef struct {
   int count, start; /* nodes; those that are gone leave a hole */
   uint64_t used;    /* which of them are there */
-  int64_t mark[MOST_NODES + 1];
+  int64_t origin[MOST_NODES + 1];
   int32_t action[MOST_NODES + 1];
   int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
 } Graph;
@@ -45,7 +45,7 @@ static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int
   }
   for (int i = 0; i < count; i++) {
     int64_t at = row * n + slot[i];
-    graph->mark[i] = from->marks ? from->marks[at] : at + 1;
+    graph->origin[i] = from->origins ? from->origins[at] : at + 1;
   }
   for (int i = 0; i < count; i++) {
     const int64_t *heads = edges + slot[i] * o;
@@ -83,7 +83,7 @@ static inline void prune(Graph *graph, int outcomes) {
   for (uint64_t rest = kept; rest; rest &= rest - 1) place[__builtin_ctzll(rest)] = (int8_t)count++;
   for (uint64_t rest = kept; rest; rest &= rest - 1) {
     int old = __builtin_ctzll(rest), new = place[old];
-    graph->mark[new] = graph->mark[old];
+    graph->origin[new] = graph->origin[old];
     graph->action[new] = graph->action[old];
     for (int j = 0; j < outcomes; j++) {
       int head = graph->edges[old][j];
@@ -101,7 +101,7 @@ static inline void copy_graph(Graph *to, const Graph *from) {
   to->count = from->count;
   to->start = from->start;
   to->used = from->used;
-  memcpy(to->mark, from->mark, count * sizeof *to->mark);
+  memcpy(to->origin, from->origin, count * sizeof *to->origin);
   memcpy(to->action, from->action, count * sizeof *to->action);
   memcpy(to->edges, from->edges, count * sizeof *to->edges);
 }
@@ -110,15 +110,15 @@ static inline void copy_graph(Graph *to, const Graph *from) {
 static inline void write_reached(Graph *graph, const Graphs *to, Shape shape, int64_t row) {
   int64_t n = shape.nodes, o = shape.outcomes, count;
   int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
-  int64_t *marks = to->marks + row * n;
+  int64_t *origins = to->origins + row * n;
   prune(graph, (int)o);
   count = graph->count;
   for (int64_t i = 0; i < count; i++) {
     action[i] = graph->action[i];
-    marks[i] = graph->mark[i];
+    origins[i] = graph->origin[i];
     for (int64_t j = 0; j < o; j++) edges[i * o + j] = graph->edges[i][j];
   }
-  for (int64_t i = count; i < n; i++) action[i] = NO_NODE, marks[i] = 0;
+  for (int64_t i = count; i < n; i++) action[i] = NO_NODE, origins[i] = 0;
   for (int64_t i = count * o; i < n * o; i++) edges[i] = NO_NODE;
   to->start[row] = graph->start;
 }

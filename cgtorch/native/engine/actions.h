@@ -1,7 +1,7 @@
 /* The actions of section VI for those of a vector of lanes that are at one node. */
 #ifndef CGTORCH_ACTIONS_H
 #define CGTORCH_ACTIONS_H
-#include "edge.h"
+#include "tabletop/edge.h"
 #include "lanes.h"
 #include "networks.h"
 
@@ -28,7 +28,7 @@ INLINE void add_errors(const Models *m, const vec *errors, Lanes *lanes, int siz
 INLINE Done move_base(const Task *task, Layout layout, const vec *errors, Lanes *lanes, vwhole here) {
   const Models *m = task->models;
   vec u[3], after[MOST_PERCEPT], novelty;
-  vwhole ready = here & lanes->spoken & ~(lanes->lost > 0), moves = ready;
+  vwhole ready = here & lanes->has_message & ~(lanes->lost > 0), moves = ready;
   for (int i = 0; i < 3; i++) u[i] = select_vec(ready, lanes->message[i], all(0));
   if (bits_of(ready))
     PART(task->again, IN_POSSIBLE,
@@ -61,12 +61,12 @@ INLINE vwhole ask_chance(const Task *task, Layout layout, Lanes *lanes, vwhole h
 }
 
 INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {
-  vwhole other = ~lanes->spoken;
+  vwhole other = ~lanes->has_message;
   for (int64_t i = 0; i < count; i++) {
     other |= lanes->message[i] != said[i];
     lanes->message[i] = select_vec(here, said[i], lanes->message[i]);
   }
-  lanes->spoken |= here;
+  lanes->has_message |= here;
   return (Done){every(0), here & other};
 }
 
@@ -90,7 +90,7 @@ APART void answer(const Action *a, const real *weights, Layout layout, const vec
 }
 
 /* The action of the node that lanes `here` are at. */
-INLINE Done act(const Task *task, Graph graph, Layout layout, const vec *errors, Lanes *lanes,
+INLINE Done act(const Task *task, GraphRows graph, Layout layout, const vec *errors, Lanes *lanes,
                 int64_t node, vwhole here) {
   const Program *program = task->program;
   const Action *action = program->primitives + kind_of(program, graph, node);

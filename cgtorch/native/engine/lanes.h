@@ -3,7 +3,7 @@
 #define CGTORCH_LANES_H
 #include <stdlib.h>
 
-#include "models.h"
+#include "tabletop/models.h"
 #include "program.h"
 
 #define MOST_DEPTH 16
@@ -39,9 +39,9 @@ typedef struct {
 typedef struct {
   whole caller[MOST_DEPTH][WIDTH], outer[MOST_DEPTH][WIDTH]; /* what is left on the levels without */
   vec message[MOST_MESSAGE], moves, lost, chance;            /* the state of `ModelEnvironment` */
-  vwhole spoken;                                             /* whether there is a message */
+  vwhole has_message;                                             /* whether there is a message */
   vwhole scenario, step, node, level, left; /* `left`: transitions on this level */
-  vwhole been; /* a bit for each node it was at since anything has changed, on this level */
+  vwhole visited; /* a bit for each node it was at since anything has changed, on this level */
   vwhole status;
   vec percept[MOST_PERCEPT];
 } Lanes;

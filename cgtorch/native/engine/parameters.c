@@ -1,10 +1,9 @@
-/* Parameters of children (cgtorch.evolution.parameters): copied from where the marks of nodes say,
-   with Gaussian steps where they are hit; and the drift of their strategies (eq. 2). */
+/* Parameters of children (cgtorch.evolution.parameters): copied from where the origins of nodes
+   say, with Gaussian steps where they are hit; and the drift of their strategies (eq. 2). */
 #define _DEFAULT_SOURCE /* of madvise */
 #include "draws.h"
-#include "marks.h"
+#include "exported.h"
 #include "parallel.h"
-#include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 
@@ -19,21 +18,6 @@
 
 typedef REAL real;
 
-int mark_new(const int64_t *action, int64_t *marks, int64_t total, int64_t actions, int64_t *first) {
-  int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
-  if (!where) return 1;
-  memset(first, 0, (size_t)(actions + 1) * sizeof *first);
-  for (int64_t i = 0; i < total; i++)
-    if (!marks[i] && action[i] >= 0 && action[i] < actions) {
-      where[count++] = i;
-      marks[i] = -++first[action[i] + 1];
-    }
-  for (int64_t a = 0; a < actions; a++) first[a + 1] += first[a];
-  for (int64_t i = 0; i < count; i++) marks[where[i]] -= first[action[where[i]]];
-  free(where);
-  return 0;
-}
-
 /* Asks for pages of 2 MB: to be given 34 MB in pages of 4 kB takes longer than all operators. */
 static void large_pages(void *memory, size_t bytes) {
 #ifdef MADV_HUGEPAGE
@@ -46,21 +30,20 @@ static void large_pages(void *memory, size_t bytes) {
 #endif
 }
 
-enum { RATE = STRATEGY - 2, SIGMA };
-
 /* `same` individuals come first, of whom all stays as it is. */
 typedef struct {
   const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */
-  const int64_t *marks; /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
+  const int64_t *origins; /* (P, N) r + 1 for row r of `old`, -r - 1 of `fresh`, 0 for none */
   const real *old, *fresh;
   const float *strategy; /* (P, STRATEGY) of parents */
   const float *factors;  /* (P - same, STRATEGY) that eq. 2 multiplies it by */
   const float *bounds;   /* (2, STRATEGY) the least and the most */
-  const float *quantiles; /* (1281, 3), cgtorch.evolution.sampling.quantiles */
+  const float *quantiles; /* (1281, 3), cgtorch.ground.counter_rng.quantiles */
   real *parameters;       /* (P, N, K) */
   float *drifted;         /* (P, STRATEGY) */
   int64_t rows, nodes, most, actions, same, key; /* P, N, K, A */
 } Children;
+EXPORT_STRUCT(Children)
 
 static inline int64_t parameters_at(const Children *c, int64_t slot) {
   int64_t action = c->action[slot];
@@ -82,7 +65,7 @@ static inline void drift(const Children *c, int64_t row) {
   }
 }
 
-/* A standard normal number (cgtorch.evolution.sampling.normal). */
+/* A standard normal number (cgtorch.ground.counter_rng.normal_from). */
 static inline float normal(const float *quantiles, uint64_t word) {
   float chance = (float)(int64_t)((word & (((uint64_t)1 << 39) - 1)) * 2 + 1);
   int32_t bits;
@@ -116,11 +99,11 @@ static void some_children(void *what, int64_t begin, int64_t end) {
   int64_t n = c->nodes, k = c->most;
   for (int64_t row = begin; row < end; row++) {
     const float *strategy = c->strategy + row * STRATEGY;
-    uint64_t key = key_of(c->key, row), limit = row < c->same ? 0 : below(strategy[RATE]);
+    uint64_t key = key_of(c->key, row), limit = row < c->same ? 0 : below(strategy[MUTATE_PARAMETER]);
     for (int64_t i = row * n, first = 0; i < (row + 1) * n; i++) {
-      int64_t mark = c->marks[i], count = mark ? parameters_at(c, i) : 0;
+      int64_t origin = c->origins[i], count = origin ? parameters_at(c, i) : 0;
       real *parameters = c->parameters + i * k;
-      const real *from = mark > 0 ? c->old + (mark - 1) * k : c->fresh + (-mark - 1) * k;
+      const real *from = origin > 0 ? c->old + (origin - 1) * k : c->fresh + (-origin - 1) * k;
       if (count) memcpy(parameters, from, (size_t)count * sizeof(real));
       memset(parameters + count, 0, (size_t)(k - count) * sizeof(real));
       some_steps(c, key, limit, strategy[SIGMA], first, count, parameters);

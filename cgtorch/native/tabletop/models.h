@@ -1,7 +1,7 @@
 /* Γ and C, a vector of rows at once: cgtorch.svm.{transition,geometry,success,grasp_features}. */
 #ifndef CGTORCH_MODELS_H
 #define CGTORCH_MODELS_H
-#include "rbf.h"
+#include "svm/rbf.h"
 #include "tabletop.h"
 
 typedef struct {

@@ -1,6 +1,11 @@
 /* Values of RBF machines for many rows (cgtorch.svm.rbf_predict). */
+#include "exported.h"
 #include "parallel.h"
 #include "rbf.h"
+
+EXPORT_STRUCT(Machine)
+EXPORT_CONSTANTS(machine_limits, MOST_FEATURES, MOST_OUTPUTS)
+EXPORT_CONSTANTS(vector, BYTES)
 
 typedef struct {
   Machine f;

@@ -1,0 +1,152 @@
+"""How Python calls the C sources: functions, structures and constants, none of them written twice.
+
+Functions and structures are read from the sources; constants, and the sizes of structures, are what
+a compiled library says of itself (exported.h). Where sizes differ, the library is refused.
+"""
+
+import ctypes
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_STRUCTURE = re.compile(r"typedef struct \{([^{}]*)\} (\w+);")
+_FUNCTION = re.compile(r"^int (\w+)\(([^()]*)\) \{", re.MULTILINE)
+_DECLARATION = re.compile(r"(const )?(?:unsigned )?(\w+) (.*)", re.DOTALL)
+_EXPORT = re.compile(r"^EXPORT_(STRUCT|CONSTANTS)\((\w+)", re.MULTILINE)
+
+
+class Pointer(ctypes.c_void_p):
+    """A pointer for which a contiguous tensor, a structure or an array may be given, or None."""
+
+    @classmethod
+    def from_param(cls, value: Any) -> "Pointer":
+        """What a function is called with."""
+        return cls(_address(value))
+
+
+class ReadPointer(Pointer):
+    """One to what C does not write to."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """What a compiled library has.
+
+    Attributes:
+        functions: by name; tensors and structures may be given for pointers.
+        structures: what makes them, by name, of all fields: numbers, structures, and tensors for
+            pointers and arrays. They keep tensors; those that C writes to must be contiguous.
+        constants: groups by name, of values by name.
+    """
+
+    functions: Mapping[str, Any]
+    structures: Mapping[str, Callable[..., Any]]
+    constants: Mapping[str, Mapping[str, int]]
+
+
+def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
+    """The interface of a library.
+
+    Args:
+        library: compiled from the sources.
+        sources: all of them.
+        real: ctype of `real`.
+
+    Raises:
+        ImportError: the size of a structure is not what these sources say.
+    """
+    text = _COMMENT.sub("", sources)
+    types = {"real": real, "float": ctypes.c_float, "double": ctypes.c_double}
+    types["int64_t"] = ctypes.c_int64
+    bodies = {name: body for body, name in _STRUCTURE.findall(text)}
+    exported = _EXPORT.findall(text)
+    structures = {}
+    for name in (name for what, name in exported if what == "STRUCT"):
+        structures[name] = _maker(structure := _structure(name, bodies, types))
+        size = ctypes.c_int64.in_dll(library, f"size_of_{name}").value
+        if size != ctypes.sizeof(structure):
+            raise ImportError(
+                f"structure {name} of the compiled library has {size} bytes and that of the "
+                f"sources {ctypes.sizeof(structure)}; delete the library from the cache"
+            )
+    functions = {}
+    for name, arguments in _FUNCTION.findall(text):
+        functions[name] = getattr(library, name)
+        functions[name].restype = ctypes.c_int
+        functions[name].argtypes = [
+            Pointer if "*" in each else types[each.split()[0]] for each in arguments.split(",")
+        ]
+    groups = [name for what, name in exported if what == "CONSTANTS"]
+    return Interface(functions, structures, {name: _constants(library, name) for name in groups})
+
+
+def agree(found: Mapping[str, int], wanted: Mapping[str, int]) -> None:
+    """ImportError unless constants have the values that Python gives them."""
+    if wrong := {name: value for name, value in wanted.items() if found.get(name) != value}:
+        raise ImportError(f"Python has {wrong} and the compiled library {dict(found)}; mend either")
+
+
+def _structure(name: str, bodies: Mapping[str, str], types: dict[str, Any]) -> Any:
+    """The class of a structure, made with those within it, all of which enter `types`."""
+    if name not in types:
+        fields = []
+        for declaration in bodies[name].split(";")[:-1]:
+            constant, base, names = _DECLARATION.findall(declaration.strip())[0]
+            for each in names.split(","):
+                field, _, count = each.strip(" *]").partition("[")
+                kind: Any = ReadPointer if constant else Pointer
+                if "*" not in each:
+                    kind = types.get(base) or _structure(base, bodies, types)
+                fields.append((field, kind * int(count) if count else kind))
+        types[name] = type(name, (ctypes.Structure,), {"_fields_": fields})
+    return types[name]
+
+
+def _maker(structure: Any) -> Callable[..., Any]:
+    """What makes a structure of all its fields; it is called often, so it does what it must."""
+    kinds = dict(structure._fields_)
+    read = [name for name, kind in kinds.items() if kind is ReadPointer]
+    written = [name for name, kind in kinds.items() if kind is Pointer]
+    arrays = [name for name, kind in kinds.items() if issubclass(kind, ctypes.Array)]
+
+    def made(**fields: Any) -> Any:
+        if fields.keys() != kinds.keys():
+            wrong = ", ".join(sorted(fields.keys() ^ kinds.keys()))
+            raise TypeError(f"{structure.__name__} differs in fields {wrong}")
+        kept = list(fields.values())
+        for name in read:
+            if isinstance(value := fields[name], Tensor):
+                kept.append(value := value.contiguous())
+                fields[name] = value.data_ptr()
+            else:
+                fields[name] = _address(value)
+        for name in written:
+            fields[name] = _address(fields[name])
+        for name in arrays:
+            fields[name] = tuple(fields[name].tolist())
+        filled = structure(**fields)
+        filled.kept = kept
+        return filled
+
+    return made
+
+
+def _constants(library: ctypes.CDLL, group: str) -> dict[str, int]:
+    text = ctypes.c_char.in_dll(library, f"names_of_{group}")
+    names = ctypes.string_at(ctypes.addressof(text)).decode().split(", ")
+    values = (ctypes.c_int64 * len(names)).in_dll(library, f"values_of_{group}")
+    return dict(zip(names, values, strict=True))
+
+
+def _address(value: Any) -> int | None:
+    if value is None:
+        return None
+    if not isinstance(value, Tensor):
+        return ctypes.addressof(value)
+    if not value.is_contiguous():
+        raise ValueError(f"a tensor {tuple(value.shape)} is not contiguous; call contiguous()")
+    return value.data_ptr()
