@@ -18,7 +18,7 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.setup import Setup
-from cgtorch.simulation import Recording, recording_of, rollout
+from cgtorch.simulation import Recording, rollout
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Trial:
 
 def try_skill(skill: Skill, world: Environment) -> Trial:
     """Run a skill once on every scenario, and keep what it experiences."""
-    recording = recording_of(world)
+    recording = Recording(world)
     trial = run_skill(skill, recording)
     return replace(trial, experience=Dataset(*recording.experience()))
 

@@ -2,7 +2,6 @@
 
 from cgtorch.simulation.model import ModelEnvironment as ModelEnvironment
 from cgtorch.simulation.recording import Recording as Recording
-from cgtorch.simulation.recording import recording_of as recording_of
 from cgtorch.simulation.rollout import MAX_STEPS as MAX_STEPS
 from cgtorch.simulation.rollout import MAX_TRANSITIONS as MAX_TRANSITIONS
 from cgtorch.simulation.rollout import most_steps as most_steps

@@ -72,15 +72,10 @@ def advance(
 ) -> tuple[Frames, Tensor, Tensor]:
     """Follow each lane's edge, out of the sub-skills that end with it and into those it leads to.
 
-    Args:
-        program: the node table.
-        frames: where the lanes stand; overwritten.
-        outcome: (n,) of the action they have just executed.
-        changed: (n,) bool, whether it changed anything on which a later action could depend.
-
-    Returns:
-        The frames, (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on),
-        and (n,) the transitions of an endless loop that need not be executed.
+    Given are the outcomes (n,) of the actions just executed, and (n,) whether these `changed`
+    anything on which a later action could depend. Returned are the frames, which are overwritten;
+    (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on); and (n,) the
+    transitions of an endless loop that need not be executed.
     """
     depth, outcomes = program.actions.depth, program.heads.shape[1]
     level, left = frames.level, frames.left.view(-1)

@@ -21,7 +21,7 @@ Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
 
 Compile: TypeAlias = Callable[["ModelEnvironment"], Any]
-"""From models to what compiled code makes of them (`cgtorch.svm.compiled.Compiled`), or None."""
+"""From models to a `Models` of native/engine/lanes.h, or None where compiled code has none."""
 
 UNKNOWN = -1.0
 

@@ -68,7 +68,7 @@ def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
 def skill_tables(
     known: ActionTable, offset: int, device: torch.device
 ) -> tuple[list[Table], list[int]]:
-    """Of all sub-skills, one after the other from row `offset` on, their tables and first nodes."""
+    """Tables and first nodes of all sub-skills, one after the other from row `offset` on."""
     tables, entry = [], []
     for skill in known.skills:
         start, *table = _table(skill.graph.to(device), skill.actions, offset, known)

@@ -73,10 +73,7 @@ def rollout(
 
 
 def most_steps(actions: ActionSet, max_transitions: int) -> int:
-    """Actions that a graph can execute if each of its transitions is a sub-skill of these actions.
-
-    The limits are those of the graph and of the longest sub-skill.
-    """
+    """Actions that a graph can execute if each of its transitions is the longest sub-skill."""
     longest = max([max_transitions, *action_table(actions).limits])
     return max(MAX_STEPS, min(longest * max_transitions, LARGEST))
 
@@ -174,11 +171,9 @@ def _grouped(
 def _act(
     program: Program, lanes: Lanes, node: Tensor, groups: list[slice], environment: Environment
 ) -> tuple[Tensor, Tensor]:
-    """Run each lane's action, one batch per kind of action; `lanes` is overwritten.
+    """Run each lane's action, one batch per kind; outcomes (n,), and whether lanes changed (n,).
 
-    Returns:
-        The outcomes (n,), and (n,) bool whether anything about a lane has changed on which a later
-        action could depend.
+    The lanes are overwritten.
     """
     outcome = torch.empty_like(node)
     changed = torch.ones_like(node, dtype=torch.bool)

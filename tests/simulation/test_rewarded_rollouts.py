@@ -25,7 +25,6 @@ from cgtorch.simulation import (
     Recording,
     Rollouts,
     most_steps,
-    recording_of,
     rollout,
 )
 from cgtorch.simulation.compiled import LARGEST
@@ -183,7 +182,7 @@ def test_who_only_thinks_is_given_up() -> None:
 def test_recordings_pass_rewards_on_and_keep_the_experience() -> None:
     place, actions = path(2, 20), walking()
     graph = chain(actions, "Aim", "Step", speed=0.2)
-    recording = recording_of(place)
+    recording = Recording(place)
     assert isinstance(recording, Rewarded)
     found, plain = (rollout(graph, actions, e, max_transitions=24) for e in (recording, place))
     assert not found.timed_out.any()
@@ -200,7 +199,7 @@ def test_recordings_pass_rewards_on_and_keep_the_experience() -> None:
 
 
 def test_a_recording_of_a_world_without_rewards_gives_none() -> None:
-    plain = recording_of(Path(path(0, 3).scenarios))
+    plain = Recording(Path(path(0, 3).scenarios))
     assert type(plain) is Recording
     assert not isinstance(plain, Rewarded)
     assert isinstance(plain, Environment)
