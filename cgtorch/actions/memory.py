@@ -7,11 +7,7 @@ from cgtorch.actions.action import Action
 
 
 def memory_parts(actions: Sequence[Action]) -> tuple[tuple[slice, ...], int]:
-    """Where the part of each action in the common memory lies, and how long that memory is.
-
-    Args:
-        actions: those that use it, each once.
-    """
+    """Where the part of each action, given once, in the common memory lies, and how long it is."""
     owner = [action.memory_part or id(action) for action in actions]
     sizes: dict[str | int, int] = {}
     for who, action in zip(owner, actions, strict=True):

@@ -16,17 +16,10 @@ def network_parameters(inputs: int, hidden: int, outputs: int) -> int:
 
 
 def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> Tensor:
-    """A small network per row: sigmoid hidden layer, linear output.
+    """A small network per row of x (n, inputs): sigmoid hidden layer, linear output (n, outputs).
 
-    Args:
-        x: (n, inputs).
-        weights: (n, network_parameters(inputs, hidden, outputs)), each row W1 (hidden, inputs),
-            b1, W2 (outputs, hidden), b2, flattened in this order.
-        hidden: units of the hidden layer.
-        outputs: units of the output layer.
-
-    Returns:
-        (n, outputs), before any output activation.
+    Weights are (n, network_parameters(inputs, hidden, outputs)), each row W1 (hidden, inputs), b1,
+    W2 (outputs, hidden), b2, flattened in this order.
     """
     inputs = x.shape[-1]
     w1, b1, w2, b2 = weights.split([hidden * inputs, hidden, outputs * hidden, outputs], dim=-1)

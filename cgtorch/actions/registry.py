@@ -77,12 +77,6 @@ def check_action(
 ) -> None:
     """Try an action on two fresh lanes, to find early what it does against the interface.
 
-    Args:
-        name: how the messages call it.
-        action: what to check.
-        environment: where it runs; it needs at least one scenario.
-        device: where that is.
-
     Raises:
         ActionError: naming the method and what is wrong with what it returned.
     """

@@ -53,21 +53,20 @@ def bred(
 ) -> tuple[Graphs, Tensor, list[int]]:
     """See `cgtorch.evolution.offspring.bred_in_torch`."""
     count, (_, n, o) = len(elite) + len(parents), population.graphs.edges.shape
-    size = count, min(n + 1, capacity)
+    size, kinds = (count, min(n + 1, capacity)), 0 if actions is None else len(actions)
     sizes = size, (*size, o), (*size, 1), size[:1]
     room = Graphs(*(torch.empty(each, dtype=torch.long) for each in sizes))
-    strategy, first = torch.empty(count, len(STRATEGY)), [0] * (len(actions or ()) + 1)
-    begins = torch.tensor(first)
+    strategy, first = torch.empty(count, len(STRATEGY)), torch.zeros(kinds + 1, dtype=torch.long)
     breeding = structure("Breeding", torch.float32)(
         given=_graphs(population.graphs, None), made=_graphs(room, room.parameters),
         elite=elite, parents=parents, strategy=population.strategy.float(),
-        parent_strategy=strategy, has_edge=actions and actions.has_edge, first=begins,
+        parent_strategy=strategy, has_edge=actions and actions.has_edge, first=first,
         individuals=len(population), nodes=n, outcomes=o, elites=len(elite),
-        pairs=len(parents) // 2, actions=len(first) - 1, pair_key=keys[0], key=keys[1],
+        pairs=len(parents) // 2, actions=kinds, pair_key=keys[0], key=keys[1],
         slots=capacity,
     )  # fmt: skip
     _call("bred", torch.float32, breeding, threads())
-    return _in_slots(room, breeding.slots), strategy, begins.tolist()
+    return _in_slots(room, breeding.slots), strategy, first.tolist()
 
 
 def changed(

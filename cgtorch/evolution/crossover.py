@@ -11,16 +11,9 @@ from cgtorch.ground.counter_rng import BITS, fields, individual_words, nth_true,
 def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int) -> Graphs:
     """Children (2 Q) of pairs, in torch; `native/engine/crossover.h` makes one after the other.
 
-    Args:
-        graphs: of all.
-        parents: (2 Q,) long, the first of all pairs and then the second.
-        rates: (2 Q, S) float32 strategies of the parents.
-        key: of all pairs' numbers.
-        width: nodes of the largest parent.
-
-    Returns:
-        Graphs with their nodes in the first slots, and origins in place of parameters
-        (`cgtorch.evolution.parameters`), which point to the parameters of `graphs`.
+    Parents (2 Q,) are the first of all pairs and then the second, their rates (2 Q, S), and the
+    largest of them has `width` nodes. Children have their nodes in the first slots, and origins in
+    place of parameters (`cgtorch.evolution.parameters`).
     """
     q, (_, n, o) = len(parents) // 2, graphs.edges.shape
     both = compacted(with_origins(graphs)[parents])

@@ -30,14 +30,9 @@ def check_offspring(
     actions: ActionSet,
     who: str = "crossover, mutation",
 ) -> None:
-    """A SettingsError unless these are so many valid individuals.
+    """A SettingsError, which says `who`, unless these are so many valid individuals.
 
-    Args:
-        offspring: what was returned.
-        count: P, how many there should be.
-        capacity: the most slots of a graph.
-        actions: what nodes can do.
-        who: has returned it.
+    The capacity is the most slots of a graph.
     """
     if not isinstance(offspring, Population):
         raise SettingsError(f"{who} returned {kind(offspring)}; return a Population")

@@ -172,16 +172,9 @@ def next_state(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """`tell` without validation: fitness and scores must be free of NaN.
+    """`tell` without validation: fitness (P,) and scores (P, B) must be free of NaN.
 
-    Args:
-        state: see `tell`, like all that is not told of here.
-        order: (P,) long, individuals from best to worst.
-        fitness: (P,).
-        scores: (P, B).
-        settings: of the evolution.
-        actions: what nodes can do.
-        generator: of all random choices.
+    `order` (P,) are the individuals from best to worst.
     """
     population, size = state.population, settings.population
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2

@@ -35,14 +35,7 @@ def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
 
 
 def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
-    """The return of each episode, where the environment gives rewards.
-
-    Args:
-        runs: how P graphs did on B scenarios.
-        probability: (P, B) C(p_t), which does not count here.
-
-    Returns:
-        (P, B) returns, -inf where an episode was not finished.
+    """(P, B) returns of episodes where the environment gives rewards, -inf where not finished.
 
     Raises:
         SettingsError: the environment gives no rewards.
@@ -98,17 +91,9 @@ def evaluate(
     group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluation:
-    """What an `evaluator` says of P individuals; who asks more than once is faster with one.
+    """What an `evaluator`, whose arguments follow, says of P graphs; one is faster if asked twice.
 
-    Args:
-        graphs: P individuals.
-        actions: what their action indices mean.
-        environment: the models, on B scenarios.
-        keep: (B,) bool, the scenarios of W.
-        max_transitions: see `evaluator`, like all that follows.
-        most_lanes: runs at once.
-        group: the ranks.
-        fitness: what a run is worth.
+    `keep` (B,) bool are the scenarios of W.
     """
     return evaluator(actions, environment, keep, max_transitions, most_lanes, group, fitness)(
         graphs
@@ -143,13 +128,18 @@ def evaluator(
             given. Individuals are shared out among them, and each of them gets all results.
         fitness: what a run is worth.
     """
-    at_once = _all_at_once(actions, environment, keep, max_transitions, fitness)
-    size = max(1, most_lanes // max(1, len(keep)))
+    engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
+    steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))
+    order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
+
+    def parts(graphs: Graphs) -> Parts:
+        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps)
+        return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
 
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
-        parts = [at_once(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
-        *tensors, transitions, not_finite = zip(*parts, strict=True)
+        found = [parts(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
+        *tensors, transitions, not_finite = zip(*found, strict=True)
         means, scores, succeeded = (
             ranks.all_gather(torch.cat(column) if column[1:] else column[0], p, group)
             for column in tensors
@@ -160,25 +150,6 @@ def evaluator(
     return evaluation
 
 
-def _all_at_once(
-    actions: ActionSet,
-    environment: Environment,
-    keep: Tensor,
-    max_transitions: int,
-    fitness: Fitness,
-) -> Callable[[Graphs], Parts]:
-    """An evaluation of some individuals, compiled where that is possible."""
-    engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
-    steps = most_steps(actions, max_transitions)
-    order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
-
-    def parts(graphs: Graphs) -> Parts:
-        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps)
-        return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
-
-    return parts
-
-
 def _by_rollouts(
     graphs: Graphs,
     actions: ActionSet,
@@ -187,25 +158,20 @@ def _by_rollouts(
     max_transitions: int,
     fitness: Fitness,
 ) -> Parts:
-    """The same from what `rollout` says, for any fitness, actions, environment and device."""
+    """Results of any fitness, actions, environment and device, from what `rollout` says."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     least = WORST if isinstance(environment, Rewarded) else 0.0
     graphs = graphs.to(device)
-    succeeded = torch.zeros(p, b, dtype=torch.bool, device=device)
     score = torch.zeros(p, b, device=device)
+    succeeded = torch.zeros_like(score, dtype=torch.bool)
     alive = torch.arange(p, device=device)
     finite = graphs.parameters.isfinite().flatten(1).all(1)
-    transitions = torch.zeros(p, dtype=torch.long, device=device)
+    transitions = torch.zeros_like(alive)
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
             continue
-        runs = rollout(
-            graphs[alive],
-            actions,
-            environment,
-            scenarios=part,
-            max_transitions=max_transitions,
-        )
+        some, limit = graphs[alive], max_transitions
+        runs = rollout(some, actions, environment, scenarios=part, max_transitions=limit)
         transitions[alive] += runs.transitions.sum(1)
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
@@ -213,24 +179,16 @@ def _by_rollouts(
         score[alive[:, None], part] = torch.nan_to_num(worth, neginf=least).clamp_min(least)
         finite[alive] &= (real & (worth.isfinite() | (worth == -torch.inf))).all(1)
         alive = alive[succeeded[alive][:, keep].all(1)]
-    stands = torch.zeros(p, dtype=torch.bool, device=device)
-    stands[alive] = True
-    score = torch.where((stands & finite)[:, None], score, least)
-    succeeded = succeeded & finite[:, None]
-    lost = p - int(finite.sum())
-    results = (row_means(score).to(home), score.to(home), succeeded.to(home))
-    return *results, int(transitions.sum()), lost
+    counts = torch.zeros_like(finite).index_fill_(0, alive, True) & finite
+    score = torch.where(counts[:, None], score, least)
+    results = row_means(score).to(home), score.to(home), (succeeded & finite[:, None]).to(home)
+    return *results, int(transitions.sum()), p - int(finite.sum())
 
 
 def last_success(
     runs: Rollouts, environment: Environment, scenarios: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """C(p_t) where each lane ended, and whether that is a number.
-
-    Returns:
-        (P, B) C(p_t) in [0, 1], 0 where it is not finite, and (P, B) bool whether it and the
-        percept are finite.
-    """
+    """(P, B) C(p_t) where each lane ended, 0 where not finite; (P, B) whether all is finite."""
     p, b = runs.succeeded.shape
     percept, state = runs.percept.flatten(0, 1), runs.state.flatten(0, 1)
     nothing, steps = percept[:, :0], runs.transitions.flatten()

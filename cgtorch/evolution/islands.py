@@ -107,15 +107,7 @@ def first_islands(
     generator: Generator,
     seeds: Population | None = None,
 ) -> list[Island]:
-    """Those of the islands, counted from 0, whose numbers are given, with first populations.
-
-    Args:
-        numbers: of islands.
-        settings: of the evolution.
-        actions: what nodes can do.
-        generator: that all their random numbers come from.
-        seeds: earlier individuals, which make up half of each first population.
-    """
+    """Those of the islands, counted from 0, whose numbers are given; see `initial_state`."""
     own = [generator_of(generator, number) for number in numbers]
     return [Island(initial_state(settings, actions, each, seeds), each) for each in own]
 

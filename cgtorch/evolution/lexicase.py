@@ -24,11 +24,8 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     Args:
         order: (P,) long, individuals from best to worst; it does not matter here.
         scores: (P, B) of each on every scenario.
-        count: how many parents to choose.
+        count: how many parents (count,) to choose.
         generator: of all random choices.
-
-    Returns:
-        (count,) long, the parents.
     """
     groups = -(-len(order) // MOST_CANDIDATES)
     if groups == 1:
@@ -57,36 +54,25 @@ def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
 def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     """(count,) parents, in torch; `native/engine/lexicase.c` chooses one after the other.
 
-    Individuals of equal scores stand or fall together, so they are one row here. Who still stands
-    for which parent is a list of pairs, sorted by parent: after the first scenarios few are left.
-
-    Args:
-        scores: (P, B).
-        epsilon: (B,) how much worse than the best is good enough.
-        count: how many parents to choose.
-        key: of all random choices.
+    Individuals of equal scores (P, B) stand or fall together, so they are one row here; `epsilon`
+    (B,) says how much worse than the best is good enough.
     """
     rows, row_of, size = _distinct(scores)
     cases, own = rows.T.contiguous(), keys(key, count)
-    turns = _turns(own, scores.shape[1])
-    last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
-    parent, row = _good_at_first(cases, epsilon, turns[0])
-    for case in turns[1:]:
-        if len(row) == count:  # one for each parent
+    stands = torch.ones(count, len(rows), dtype=torch.bool)
+    for case in _turns(own, scores.shape[1]):
+        score = cases[case].masked_fill_(~stands, float("-inf"))
+        stands &= score >= (score.amax(1) - epsilon[case])[:, None]
+        if stands.sum() == count:  # one for each parent
             break
-        score = cases.view(-1).index_select(0, (case * len(rows)).index_select(0, parent) + row)
-        best = score.new_full((count,), float("-inf")).scatter_reduce_(0, parent, score, "amax")
-        enough = (best - epsilon[case]).index_select(0, parent)
-        stays = (score >= enough).nonzero()[:, 0]
-        parent, row = parent.index_select(0, stays), row.index_select(0, stays)
     # A random individual: of a parent's rows each counts as often as there are of its kind.
-    number = size[row]
-    ends = number.cumsum(0)
-    total = torch.zeros(count, dtype=torch.long).scatter_add_(0, parent, number)
-    place = (last * total).long() + total.cumsum(0) - total
-    pair = torch.searchsorted(ends, place, right=True)
+    last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
+    ends = (stands * size).cumsum(1)
+    place = (last * ends[:, -1]).long()
+    row = (ends <= place[:, None]).sum(1)
+    within = place - ends.gather(1, row[:, None])[:, 0] + size[row]
     first = size.cumsum(0) - size
-    return row_of.argsort(stable=True)[first[row[pair]] + place - (ends - number)[pair]]
+    return row_of.argsort(stable=True)[first[row] + within]
 
 
 def _turns(own: Tensor, scenarios: int) -> Tensor:
@@ -107,13 +93,3 @@ def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     where.scatter_reduce_(0, row_of, torch.arange(len(scores)), "amin")
     order = where.argsort()
     return rows[order], order.argsort()[row_of], size[order]
-
-
-def _good_at_first(cases: Tensor, epsilon: Tensor, case: Tensor) -> tuple[Tensor, Tensor]:
-    """Pairs of parent (n,) and row (n,) that stand after each parent's first case (count,)."""
-    good = cases >= (cases.amax(1) - epsilon)[:, None]
-    number, rows = good.sum(1), good.nonzero()[:, 1]
-    mine = number[case]
-    parent = torch.repeat_interleave(mine)
-    within = torch.arange(len(parent)) - (mine.cumsum(0) - mine)[parent]
-    return parent, rows[(number.cumsum(0) - number)[case][parent] + within]

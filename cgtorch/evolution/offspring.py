@@ -76,22 +76,18 @@ def offspring(
 ) -> Population:
     """The elite, and children of parents by `crossover` and `mutate`.
 
-    Nothing is copied twice, parameters of nodes that do not remain not even once.
+    Nothing is copied twice, parameters of nodes that do not remain not even once. All have their
+    nodes in the first slots, of which there are as many as the largest may need.
 
     Args:
         population: who all are of.
-        elite: (E,) long, those that go on unchanged.
+        elite: (E,) long, those that go on unchanged and come first.
         parents: (2 Q,) long, the first of each of Q pairs and then the second of each.
         actions: what nodes can do.
         generator: of all random choices.
         capacity: the most nodes that a child can have.
         tau: variance of the drift in eq. 2.
-        size: how many are made, all if not given; each is what it would be among all.
-
-    Returns:
-        E + 2 Q individuals or `size`, the elite first, the children in the order of `crossover`,
-        all of them with their nodes in the first slots. There are as many slots as the largest may
-        need, however many there could be.
+        size: how many are made, E + 2 Q if not given; each is what it would be among all.
 
     Raises:
         IndexError: one of the elite or of the parents is none of the population.
@@ -110,8 +106,7 @@ def _bred(
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
     """See `bred_in_torch`."""
-    graphs = population.graphs
-    slots = min(graphs.capacity + 1, capacity)
+    graphs, slots = population.graphs, min(population.graphs.capacity + 1, capacity)
     way = compiled.bred if compiled.takes(graphs, graphs.parameters, slots) else bred_in_torch
     return way(population, elite, parents, keys, actions, capacity)
 
@@ -124,19 +119,10 @@ def bred_in_torch(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """The elite and children of pairs, as graphs with origins in place of parameters.
+    """The elite (E,) and children of parents (2 Q,), which without actions are not mutated.
 
-    Args:
-        population: who all are of.
-        elite: (E,) long; see `offspring`, like all but the keys.
-        parents: (2 Q,) long.
-        keys: of all numbers of pairs, and of children.
-        actions: what nodes can do; without any, nothing is mutated.
-        capacity: the most nodes that a child can have.
-
-    Returns:
-        E + 2 Q graphs, the strategies (E + 2 Q, S) of the elite and of parents, and after how many
-        the new nodes of each action begin, and how many there are, as `with_new_origins` says.
+    Their graphs, with origins in place of parameters; the strategies (E + 2 Q, S) of the elite and
+    of parents; and the numbers of `with_new_origins`. The keys are those of pairs and of children.
     """
     graphs, rows = population.graphs, torch.cat([elite, parents])
     strategy = population.strategy.index_select(0, rows)

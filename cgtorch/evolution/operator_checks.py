@@ -20,15 +20,9 @@ def check_parts(
     environment: Environment,
     device: torch.device | str = "cpu",
 ) -> None:
-    """Try the four parts on two random individuals, which run on two scenarios.
+    """Try selection, fitness, crossover and mutation on two random individuals and scenarios.
 
     The numbers they draw are not those of the evolution.
-
-    Args:
-        settings: whose selection, fitness, crossover and mutation are tried.
-        actions: what nodes can do.
-        environment: where individuals run.
-        device: where that is.
 
     Raises:
         SettingsError: naming the part and what is wrong with what it returned.

@@ -34,10 +34,9 @@ def copied(graphs: Graphs, old: Tensor) -> Graphs:
 
 
 def with_new_origins(graphs: Graphs, actions: int) -> tuple[Graphs, list[int]]:
-    """The graphs with origins -1, -2, … of new nodes, which have none: first all of action 0.
+    """The graphs with origins -1, -2, … of new nodes: first all of action 0, and so on.
 
-    Returns:
-        The graphs, and after how many the new nodes of each action begin, and how many there are.
+    And after how many those of each action begin, and how many there are.
     """
     action, origins = graphs.action.flatten(), graphs.parameters.flatten()
     new = ((action >= 0) & (origins == 0)).nonzero()[:, 0]
@@ -62,12 +61,10 @@ def changed(
 
     Args:
         graphs: P of them, with origins.
-        first: after how many the new nodes of each action begin, and how many there are; they get
-            initial parameters.
+        first: numbers of new nodes, which get initial parameters; see `with_new_origins`.
         old: (P', N, K) parameters of parents.
         actions: what the nodes are.
-        strategy: (P at least, S), with the probability that a parameter changes and the standard
-            deviation of the steps. It drifts after that.
+        strategy: (P at least, S), which drifts after the steps.
         same: individuals that come first and stay as they are.
         generator: of new parameters, of the choices, of the steps and of the drift.
         tau: variance of the drift.
@@ -94,16 +91,9 @@ def changed_in_torch(
 ) -> tuple[Tensor, Tensor]:
     """Parameters (P, N, K) and strategies (P, S) of graphs; see `native/engine/parameters.c`.
 
-    Args:
-        graphs: P of them; see `changed`, as of all that is not told of here.
-        old: (P', N', K).
-        fresh: (F, K) parameters of new nodes.
-        actions: what the nodes are.
-        strategy: (P at least, S).
-        factors: (P - `same` at least, S) of eq. 2.
-        same: individuals that stay.
-        key: of all choices and steps. Each parameter has one word, which says both whether it
-            changes and by how much.
+    New nodes have the parameters `fresh` (F, K), and strategies are multiplied by factors
+    (P - `same` at least, S) of eq. 2. Each parameter has one word of the key's, which says both
+    whether it changes and by how much.
     """
     strategy, factors = strategy[: len(graphs)], factors[: len(graphs) - same]
     out = _at_origins(graphs.parameters, old, fresh)

@@ -1,6 +1,6 @@
 """Algorithm 2 as a stream of generations."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -111,7 +111,8 @@ def evolve(
         generation = _generation(islands, tried, results, settings)
         yield generation
         if count > 1 and (generation.number + 1) % settings.migration == 0:
-            arrivals = _ring_shifted([emigrants(each, settings.capacity) for each in tried], count)
+            leaving = [emigrants(each, settings.capacity) for each in tried]
+            arrivals = _shared(ranks.ring_shift, leaving, count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
         islands = next_islands(islands, tried, settings, actions)
 
@@ -123,8 +124,16 @@ def _generation(
     settings: EvolutionSettings,
 ) -> Generation:
     """The generation of all islands, given those that this rank holds."""
-    count = settings.islands
-    best = _best(_all_gathered([each.best(1) for each in tried], settings))
+    count, leaders = settings.islands, [each.best(1) for each in tried]
+    if len(leaders) < count:
+        leaders = _shared(
+            ranks.all_gather_parts, [x.widened(settings.capacity) for x in leaders], count
+        )
+    best = min(leaders, key=lambda x: (-float(x.fitness), int(x.population.graphs.num_nodes)))
+    transitions, not_finite = (
+        int(ranks.all_gather_parts(torch.tensor(numbers), count).sum())
+        for numbers in zip(*((r.transitions, r.not_finite) for r in results), strict=True)
+    )
     return Generation(
         number=islands[0].state.generation,
         islands=islands,
@@ -132,39 +141,15 @@ def _generation(
         champion=best.population,
         best=float(best.fitness),
         succeeded=best.succeeded[0],
-        transitions=_total([each.transitions for each in results], count),
-        not_finite=_total([each.not_finite for each in results], count),
+        transitions=transitions,
+        not_finite=not_finite,
     )
 
 
-def _best(leaders: Sequence[Tried]) -> Tried:
-    """The first of the smallest of the best of individuals."""
-    if len(leaders) == 1:
-        return leaders[0]
-    return min(
-        leaders, key=lambda each: (-float(each.fitness), int(each.population.graphs.num_nodes))
-    )
-
-
-def _total(numbers: Sequence[int], count: int) -> int:
-    """The sum over all islands, given a number for each that this rank holds."""
-    if len(numbers) == count:
-        return sum(numbers)
-    return int(ranks.all_gather_parts(torch.tensor(numbers), count).sum())
-
-
-def _all_gathered(mine: Sequence[Tried], settings: EvolutionSettings) -> list[Tried]:
-    """Individuals of all islands, given equally many of each that this rank holds."""
-    count = settings.islands
-    if len(mine) == count:
-        return list(mine)
-    columns = zip(*(each.widened(settings.capacity).tensors() for each in mine), strict=True)
-    every = [ranks.all_gather_parts(torch.stack(column), count) for column in columns]
-    return [Tried.of([values[i] for values in every]) for i in range(count)]
-
-
-def _ring_shifted(mine: Sequence[Tried], count: int) -> list[Tried]:
-    """For each island that this rank holds, what the one before sends, given what these send."""
+def _shared(
+    share: Callable[[Tensor, int], Tensor], mine: Sequence[Tried], count: int
+) -> list[Tried]:
+    """Individuals of other islands, given equally many of each that this rank holds."""
     columns = zip(*(each.tensors() for each in mine), strict=True)
-    found = [ranks.ring_shift(torch.stack(column), count) for column in columns]
-    return [Tried.of([values[i] for values in found]) for i in range(len(mine))]
+    found = [share(torch.stack(column), count) for column in columns]
+    return [Tried.of(values) for values in zip(*found, strict=True)]

@@ -16,12 +16,7 @@ the generator of the choices, to the parents (count,)."""
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
-    """(P,) long, individuals from best to worst; of equal fitness the smaller graph first.
-
-    Args:
-        fitness: (P,), no NaN.
-        graphs: P of them.
-    """
+    """(P,) long, from best to worst by fitness (P,), no NaN; of equal ones the smaller first."""
     if compiled.takes_scores(fitness) and compiled.is_whole(graphs.action):
         return compiled.ranking(fitness, graphs)
     return ranked(fitness, graphs)

@@ -18,16 +18,9 @@ from cgtorch.ground.counter_rng import individual_words, nth_true, pick, uniform
 def restructured(graphs: Graphs, rates: Tensor, key: int, actions: ActionSet, slots: int) -> Graphs:
     """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
 
-    Args:
-        graphs: P of them, nodes first, with origins in place of parameters
-            (`cgtorch.evolution.parameters`).
-        rates: (P, S) float32 strategies.
-        key: of all graphs' numbers.
-        actions: what nodes can be.
-        slots: of each in the end: one more than nodes of the largest, or as many as there may be.
-
-    Returns:
-        The graphs, their nodes in the first slots; nodes that are new have the origin 0.
+    Graphs have their nodes in the first of their slots, before and after it, and origins in place
+    of parameters (`cgtorch.evolution.parameters`), 0 for new nodes. Rates are the strategies (P, S)
+    in float32; all numbers follow from the key.
     """
     o, rate = graphs.edges.shape[2], dict(zip(STRATEGY, rates.unbind(1), strict=True))
     # To add, to delete, to move the start; to replace, to change, and heads of all edges.
@@ -46,13 +39,7 @@ def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) ->
     """A random node takes over one incoming edge of a node that has at least two.
 
     Its own edges go to random nodes; it has no parameters, or origin, yet. Graphs that are full, or
-    without such an edge, stay.
-
-    Args:
-        graphs: P of them.
-        actions: what the node can be.
-        rate: (P,) probability.
-        draws: (P, 3 + O) whether, which edge, which action, and heads.
+    without such an edge, stay. Draws (P, 3 + O) say whether, which edge, which action, and heads.
     """
     p, n, o = graphs.edges.shape
     flat = graphs.edges.flatten(1)
@@ -77,11 +64,7 @@ def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) ->
 def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:
     """A random node goes and edges into it turn to random others; two nodes always remain.
 
-    Args:
-        graphs: P of them.
-        rate: (P,) probability.
-        draws: (P, 3) whether, which node, and a new start.
-        heads: (P, N, O) draws of new heads.
+    Draws (P, 3) say whether, which node, and a new start, those of heads (P, N, O) where edges go.
     """
     gone = nth_true(graphs.used, draws[:, 1])
     deletes = (draws[:, 0] < rate) & (graphs.num_nodes > 2)
@@ -103,12 +86,7 @@ def replace_nodes(
 ) -> Graphs:
     """Each node may turn into a new one: action and edges; its parameters are zero.
 
-    Args:
-        graphs: P of them.
-        actions: what the nodes can be.
-        rate: (P,) probability.
-        draws: (P, N) whether, and which action.
-        heads: (P, N, O) draws of heads.
+    Draws (P, N) say whether, and which action, those of heads (P, N, O) where edges go.
     """
     at = (draws < rate[:, None]) & graphs.used
     action = pick(draws / rate[:, None], len(actions))
@@ -124,11 +102,7 @@ def replace_nodes(
 def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:
     """Each node may get a random new head on one of its edges.
 
-    Args:
-        graphs: P of them.
-        rate: (P,) probability.
-        draws: (P, N) whether, and which edge.
-        heads: (P, N, O) draws of heads.
+    Draws (P, N) say whether, and which edge, those of heads (P, N, O) where it goes.
     """
     o = graphs.edges.shape[2]
     leads = graphs.edges != NO_NODE
@@ -138,13 +112,7 @@ def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> 
 
 
 def new_start(graphs: Graphs, rate: Tensor, draws: Tensor) -> Graphs:
-    """The start moves to a random node that has an edge to another node.
-
-    Args:
-        graphs: P of them.
-        rate: (P,) probability.
-        draws: (P, 2) whether, and which node.
-    """
+    """The start moves to a random node with an edge to another: draws (P, 2), whether and which."""
     slot = torch.arange(graphs.capacity)[:, None]
     leads = ((graphs.edges != NO_NODE) & (graphs.edges != slot)).any(2) & graphs.used
     moves = (draws[:, 0] < rate) & leads.any(1)

@@ -47,11 +47,9 @@ def save_skill(path: Path | str, skill: Skill) -> None:
 
 
 def load_skill(path: Path | str, actions: ActionSet) -> Skill:
-    """Read a skill file; the skill is exactly the one that was saved.
+    """Read a skill file; its nodes may use these actions and the sub-skills that it holds.
 
-    Args:
-        path: the file.
-        actions: the actions its nodes may use, without sub-skills.
+    The skill is exactly the one that was saved.
 
     Raises:
         GraphError: the file cannot be read or does not describe a skill.

@@ -2,18 +2,49 @@
 
 A sub-skill that has run out of its transitions hands back to the skill it is in. One graph has no
 counts to tell that by, so it has a copy of a node for every count that matters: each of its nodes
-is a stack of frames (`cgtorch.graphs.levels`).
+is a stack of frames, one for each level that a run is in.
 """
+
+from dataclasses import dataclass
+from math import inf
+from typing import TypeAlias
 
 import torch
 
 from cgtorch.actions import Action, ActionSet, BranchingNN
 from cgtorch.graphs.files import MAX_NODES
 from cgtorch.graphs.graphs import NO_NODE, Graphs
-from cgtorch.graphs.levels import Level, Stack, entered, followed, levels_of, settled
 from cgtorch.graphs.merge import merged
 from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.ground.errors import GraphError
+
+Frame: TypeAlias = tuple[int, int, float]
+"""Which level, the slot of its node, its transitions left; infinite if it cannot run out."""
+
+Stack: TypeAlias = tuple[Frame, ...]
+"""Frames, outermost first, without those around one that cannot run out and so never hands back."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A skill as plain lists by slot.
+
+    Attributes:
+        skill: the skill.
+        limit: its transitions, or those of a whole run if these are fewer.
+        start: slot of its start node.
+        sub: the level that a node enters, `NO_NODE` if it is no sub-skill.
+        heads: slots that the outcomes lead to, `NO_NODE` for terminal ones; of a sub-skill only
+            that of its failure.
+        cheapest: [c][slot] the fewest actions with which a run makes c more transitions.
+    """
+
+    skill: Skill
+    limit: int
+    start: int
+    sub: list[int]
+    heads: list[list[int]]
+    cheapest: list[list[float]]
 
 
 def flattened(skill: Skill, max_transitions: int) -> Skill:
@@ -44,12 +75,11 @@ def flattened(skill: Skill, max_transitions: int) -> Skill:
             different levels; the graph would have more nodes than a file may; or it would have to
             idle without a `BranchingNN` among its actions.
     """
-    levels = levels_of(skill, max_transitions)
+    levels = _add(skill, max_transitions, [])
     for level in levels[:-1]:
         _check_ends(level.skill)
     actions = _primitives(levels)
-    nodes = _nodes(levels, max_transitions)
-    graph = _graph(nodes, levels, actions, skill)
+    graph = _graph(_nodes(levels, max_transitions), levels, actions, skill)
     return Skill(skill.name, merged(graph), actions, max_transitions)
 
 
@@ -59,7 +89,7 @@ def _nodes(levels: list[Level], most: int) -> dict[Stack | None, list[int]]:
     None stands for a run that has run out of the outermost level's transitions.
     """
     outermost = len(levels) - 1, levels[-1].start, levels[-1].limit
-    begin = settled(entered((outermost,), levels), 0, most, levels)
+    begin = _settled(_entered((outermost,), levels), 0, most, levels)
     row: dict[Stack | None, int] = {begin: 0}
     nodes: dict[Stack | None, list[int]] = {}
     wave: list[Stack | None] = [begin]
@@ -88,8 +118,8 @@ def _after(stack: Stack | None, done: int, most: int, levels: list[Level]) -> li
         if head != NO_NODE and done == most:
             after = stack  # no matter where, as nothing is executed any more
         elif head != NO_NODE:
-            after = followed(stack, head, levels)
-            after = after and settled(after, done, most, levels)
+            after = _followed(stack, head, levels)
+            after = after and _settled(after, done, most, levels)
         found.append(after)
     return found
 
@@ -111,6 +141,73 @@ def _graph(
         count = int(actions.num_parameters[kind])
         parameters[0, i, :count] = inner.graph.parameters[0, slot, :count]
     return Graphs(action, edges, parameters, torch.zeros(1, dtype=torch.long))
+
+
+def _add(skill: Skill, most: int, levels: list[Level]) -> list[Level]:
+    """The levels with a skill and all in it, each once and after those in it."""
+    for inner in skill.sub_skills.values():
+        if all(level.skill is not inner for level in levels):
+            _add(inner, most, levels)
+    place = {id(level.skill): i for i, level in enumerate(levels)}
+    actions, edges = skill.actions.actions, skill.graph.edges[0].tolist()
+    sub, heads, cost = [], [], []
+    for kind, to in zip(skill.graph.action[0].tolist(), edges, strict=True):
+        action = actions[kind] if kind != NO_NODE else None
+        if isinstance(action, SubSkill):
+            inside = levels[place[id(action.skill)]]
+            sub.append(place[id(action.skill)])
+            heads.append(to[1:2])
+            cost.append(inside.cheapest[inside.limit][inside.start])
+        else:
+            sub.append(NO_NODE)
+            heads.append(to[: len(action.outcomes)] if action else [])
+            cost.append(1.0)
+    limit = min(skill.max_transitions, most)
+    cheapest = [[0.0] * len(cost)]
+    for _ in range(limit):
+        then = [min((cheapest[-1][h] for h in to if h != NO_NODE), default=inf) for to in heads]
+        cheapest.append([own + rest for own, rest in zip(cost, then, strict=True)])
+    levels.append(Level(skill, limit, int(skill.graph.start[0]), sub, heads, cheapest))
+    return levels
+
+
+def _entered(stack: Stack, levels: list[Level]) -> Stack:
+    """The stack where a sub-skill node is gone into, as deep as it takes."""
+    while (sub := levels[stack[-1][0]].sub[stack[-1][1]]) != NO_NODE:
+        stack = (*stack, (sub, levels[sub].start, levels[sub].limit))
+    return stack
+
+
+def _followed(stack: Stack, head: int, levels: list[Level]) -> Stack | None:
+    """The stack after an outcome that leads to `head`; none if the outermost level has run out."""
+    while stack:
+        level, _, left = stack[-1]
+        if left > 1:
+            return _entered((*stack[:-1], (level, head, left - 1)), levels)
+        stack = stack[:-1]
+        if stack:
+            head = levels[stack[-1][0]].heads[stack[-1][1]][0]
+    return None
+
+
+def _settled(stack: Stack, done: int, most: int, levels: list[Level]) -> Stack:
+    """The stack without counts that are not needed after `done` actions of `most`.
+
+    A frame cannot run out if the fewest actions that this takes, with those of the frames within
+    it, are more than there will be.
+    """
+    least = float(done)
+    for i in reversed(range(len(stack))):
+        level, slot, left = stack[i]
+        if left == inf:
+            return stack
+        if i == len(stack) - 1:
+            least += levels[level].cheapest[int(left)][slot]
+        else:
+            least += levels[level].cheapest[int(left) - 1][levels[level].heads[slot][0]]
+        if least >= most:
+            return ((level, slot, inf), *stack[i + 1 :])
+    return stack
 
 
 def _idle(actions: ActionSet) -> int:

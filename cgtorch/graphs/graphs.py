@@ -1,7 +1,7 @@
 """Computational graphs as a struct of tensors (section IV-A)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -55,19 +55,19 @@ class Graphs:
         """The graphs at `index`; all of them as they are."""
         if isinstance(index, slice) and index.indices(len(self)) == (0, len(self), 1):
             return self
-        whole = self.action, self.edges, self.parameters, self.start
         if isinstance(index, Tensor) and index.dtype == torch.long:  # three times as fast
-            return Graphs(*(x.index_select(0, index) for x in whole))
-        return Graphs(*(x[index] for x in whole))
+            return Graphs(*(x.index_select(0, index) for x in vars(self).values()))
+        return Graphs(*(x[index] for x in vars(self).values()))
 
     def to(self, device: torch.device | str) -> "Graphs":
         """The same graphs on another device."""
-        return Graphs(*(getattr(self, f.name).to(device) for f in fields(self)))
+        return Graphs(*(x.to(device) for x in vars(self).values()))
 
 
 def concatenate(graphs: Sequence[Graphs]) -> Graphs:
     """One batch of all graphs, which must share N, O and K."""
-    return Graphs(*(torch.cat([getattr(g, f.name) for g in graphs]) for f in fields(Graphs)))
+    columns = zip(*(vars(g).values() for g in graphs), strict=True)
+    return Graphs(*map(torch.cat, columns))
 
 
 def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graphs:
@@ -110,10 +110,8 @@ def nodes_first(graphs: Graphs) -> Tensor:
 def rearranged(graphs: Graphs, order: Tensor, place: Tensor) -> Graphs:
     """The same graphs with their nodes elsewhere.
 
-    Args:
-        graphs: P of them.
-        order: (P, n) which slot's node is to lie at each of n slots.
-        place: (P, N) where each slot's node is to lie.
+    `order` (P, n) says which slot's node is to lie at each of n slots, `place` (P, N) where each
+    slot's node is to lie.
     """
 
     def taken(x: Tensor) -> Tensor:
@@ -133,19 +131,14 @@ def rearranged(graphs: Graphs, order: Tensor, place: Tensor) -> Graphs:
 
 def narrowed(graphs: Graphs, nodes: int) -> Graphs:
     """The same graphs with their first `nodes` slots alone, in which all nodes must lie."""
-    return Graphs(
-        graphs.action[:, :nodes],
-        graphs.edges[:, :nodes],
-        graphs.parameters[:, :nodes],
-        graphs.start,
-    )
+    g = graphs
+    return Graphs(g.action[:, :nodes], g.edges[:, :nodes], g.parameters[:, :nodes], g.start)
 
 
 def trimmed(graphs: Graphs) -> Graphs:
     """The same graphs, compacted, with no more slots than the largest needs."""
     nodes = int(graphs.num_nodes.max()) if len(graphs) else 1
-    narrow = narrowed(compacted(graphs), nodes)
-    return Graphs(*(getattr(narrow, f.name).contiguous() for f in fields(narrow)))
+    return Graphs(*(x.contiguous() for x in vars(narrowed(compacted(graphs), nodes)).values()))
 
 
 def widened(graphs: Graphs, nodes: int) -> Graphs:

@@ -62,12 +62,7 @@ def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
 
 
 def check_graph(graphs: Graphs, actions: ActionSet, names: Sequence[str] | None = None) -> None:
-    """Check the first graph.
-
-    Args:
-        graphs: whose first graph is checked.
-        actions: what its nodes can be.
-        names: of its N slots, for the messages; their numbers if not given.
+    """Check the first graph, of whose N slots the messages tell the names or else the numbers.
 
     Raises:
         GraphError: naming the node and what is wrong with it.
