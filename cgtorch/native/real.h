@@ -70,38 +70,14 @@ INLINE uint32_t bits_of(vwhole yes) {
 #endif
 }
 
-/* The sum and the least of a vector's parts, the first half with the second and so on. */
+/* The sum and the least of a vector's parts, the first half with the second and so on; and those of
+   four vectors at once, to the bit: their halves side by side, then quarters. */
 #ifdef REAL_IS_FLOAT
 #define HALF(v) __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7)
 #define QUARTER(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11)
 #define EIGHTH(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13)
+#define WITH_EIGHTH(v, both) both(v, EIGHTH(v))
 #define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14)
-#else
-#define HALF(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)
-#define QUARTER(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)
-#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6)
-#endif
-INLINE real sum(vec v) {
-  v += HALF(v);
-  v += QUARTER(v);
-#ifdef REAL_IS_FLOAT
-  v += EIGHTH(v);
-#endif
-  v += LAST(v);
-  return v[0];
-}
-INLINE real least(vec v) {
-  v = vec_min(v, HALF(v));
-  v = vec_min(v, QUARTER(v));
-#ifdef REAL_IS_FLOAT
-  v = vec_min(v, EIGHTH(v));
-#endif
-  v = vec_min(v, LAST(v));
-  return v[0];
-}
-
-/* sum() and least() of four vectors at once, to the bit: their halves side by side, then quarters. */
-#ifdef REAL_IS_FLOAT
 #define LEFT_HALVES(a, b) \
   __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23)
 #define RIGHT_HALVES(a, b) \
@@ -111,31 +87,34 @@ INLINE real least(vec v) {
 #define RIGHT_QUARTERS(a, b) \
   __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31)
 #else
+#define HALF(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)
+#define QUARTER(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)
+#define WITH_EIGHTH(v, both) (v)
+#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6)
 #define LEFT_HALVES(a, b) __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11)
 #define RIGHT_HALVES(a, b) __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15)
 #define LEFT_QUARTERS(a, b) __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13)
 #define RIGHT_QUARTERS(a, b) __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15)
 #endif
-INLINE void sums(const vec *v, real *out) {
-  vec ab = LEFT_HALVES(v[0], v[1]) + RIGHT_HALVES(v[0], v[1]);
-  vec cd = LEFT_HALVES(v[2], v[3]) + RIGHT_HALVES(v[2], v[3]);
-  vec all4 = LEFT_QUARTERS(ab, cd) + RIGHT_QUARTERS(ab, cd);
-#ifdef REAL_IS_FLOAT
-  all4 += EIGHTH(all4);
-#endif
-  all4 += LAST(all4);
-  for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];
-}
-INLINE void leasts(const vec *v, real *out) {
-  vec ab = vec_min(LEFT_HALVES(v[0], v[1]), RIGHT_HALVES(v[0], v[1]));
-  vec cd = vec_min(LEFT_HALVES(v[2], v[3]), RIGHT_HALVES(v[2], v[3]));
-  vec all4 = vec_min(LEFT_QUARTERS(ab, cd), RIGHT_QUARTERS(ab, cd));
-#ifdef REAL_IS_FLOAT
-  all4 = vec_min(all4, EIGHTH(all4));
-#endif
-  all4 = vec_min(all4, LAST(all4));
-  for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];
-}
+#define REDUCTIONS(of_one, of_four, both)                           \
+  INLINE real of_one(vec v) {                                       \
+    v = both(v, HALF(v));                                           \
+    v = both(v, QUARTER(v));                                        \
+    v = WITH_EIGHTH(v, both);                                       \
+    v = both(v, LAST(v));                                           \
+    return v[0];                                                    \
+  }                                                                 \
+  INLINE void of_four(const vec *v, real *out) {                    \
+    vec ab = both(LEFT_HALVES(v[0], v[1]), RIGHT_HALVES(v[0], v[1])); \
+    vec cd = both(LEFT_HALVES(v[2], v[3]), RIGHT_HALVES(v[2], v[3])); \
+    vec all4 = both(LEFT_QUARTERS(ab, cd), RIGHT_QUARTERS(ab, cd)); \
+    all4 = WITH_EIGHTH(all4, both);                                 \
+    all4 = both(all4, LAST(all4));                                  \
+    for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];       \
+  }
+INLINE vec vec_sum(vec a, vec b) { return a + b; }
+REDUCTIONS(sum, sums, vec_sum)
+REDUCTIONS(least, leasts, vec_min)
 
 /* 2^-x for x >= 0 to the last digit or two; what would be denormal is the smallest normal number,
    what is not a number stays so. Near the best polynomial of its degree, 2.5e-9 off at most, for

@@ -58,14 +58,6 @@ static int64_t next_case(int32_t *turns, int64_t scenarios, int64_t turn, uint64
   return found;
 }
 
-/* Undoes that, the last one first, so that every parent begins with the same order. */
-static void turns_back(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
-  int64_t at = turn + pick(uniform(key, turn), (int)(scenarios - turn));
-  int32_t found = turns[turn];
-  turns[turn] = turns[at];
-  turns[at] = found;
-}
-
 static int64_t standing(const real *score, real epsilon, const int64_t *rows, int64_t count,
                         int64_t *left) {
   real best = -INFINITY;
@@ -120,9 +112,9 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
   vwhole *stands = malloc((size_t)(l->vectors + 1) * sizeof *stands);
   int ready = left && turns && stands;
   if (!ready) l->failed = 1;
-  for (int64_t j = 0; ready && j < l->scenarios; j++) turns[j] = (int32_t)j;
   for (int64_t parent = begin; ready && parent < end; parent++) {
     uint64_t key = key_of(l->key, parent);
+    for (int64_t j = 0; j < l->scenarios; j++) turns[j] = (int32_t)j;
     int64_t turn = 0, total = 0, scenario = next_case(turns, l->scenarios, turn++, key);
     const int64_t *rows = l->good + l->good_first[scenario];
     int64_t count = l->good_first[scenario + 1] - l->good_first[scenario];
@@ -153,11 +145,8 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
       }
       place -= size;
     }
-    while (turn) turns_back(turns, l->scenarios, --turn, key);
   }
-  free(left);
-  free(turns);
-  free(stands);
+  free(left), free(turns), free(stands);
 }
 
 /* Individuals sorted by their row, and where those of each row begin. */
