@@ -78,8 +78,8 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
         candidates = {names[n]: c for n, c in more.candidates.items()} | candidates
     wish = Wish(offer.chosen, against, offer.kind, count, seed)
     page, address = open_page(candidates, wish, rest["host"], rest["port"])
-    click.echo(f"{offer.chosen} at work: {address} (Ctrl-C ends it)")
     with suppress(KeyboardInterrupt):
+        click.echo(f"{offer.chosen} at work: {address} (Ctrl-C ends it)")
         play_for_ever(page)
 
 
