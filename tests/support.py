@@ -18,6 +18,7 @@ from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
+from cgtorch.tabletop.kinematics import ArmModel
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 
 FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
@@ -241,3 +242,9 @@ def search(
         budget=budget,
         journal=journal or Journal(),
     )
+
+
+def tool_pose(arm: ArmModel, q: Tensor) -> Tensor:
+    """Poses (..., 4, 4) of an arm's tool frame in the base frame, at joint positions (..., n)."""
+    tool = arm.frames(q.reshape(-1, q.shape[-1]))[-1]
+    return tool.reshape(*q.shape[:-1], 4, 4)

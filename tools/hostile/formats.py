@@ -221,7 +221,7 @@ def _moved(robot: Robot) -> None:
     """Use a robot a little; what cannot be computed must have been refused."""
     for arm in robot.arms:
         q = torch.zeros(1, len(arm.joint_names), dtype=torch.float64)
-        parts = robot.forward_kinematics(arm.name, q), arm.capsules.start, arm.capsules.end
+        parts = arm.frames(q), arm.capsules.start, arm.capsules.end
         if not all(bool(part.isfinite().all()) for part in (*parts, robot.body.centre)):
             raise ArithmeticError(f"arm {arm.name} of the robot is not of finite numbers")
 

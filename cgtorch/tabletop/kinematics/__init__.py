@@ -4,7 +4,6 @@ from cgtorch.tabletop.kinematics.arm import ArmModel as ArmModel
 from cgtorch.tabletop.kinematics.description import load_description as load_description
 from cgtorch.tabletop.kinematics.files import robot_files as robot_files
 from cgtorch.tabletop.kinematics.files import robots_folder as robots_folder
-from cgtorch.tabletop.kinematics.grasping import GraspSolution as GraspSolution
 from cgtorch.tabletop.kinematics.grasping import grasp_solution as grasp_solution
 from cgtorch.tabletop.kinematics.grasping import graspable as graspable
 from cgtorch.tabletop.kinematics.robot import Robot as Robot

@@ -17,7 +17,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
 )
 from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates, numerical_follow
 
-CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
+_CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class ArmModel:
 
     Attributes:
         joint_names: The n joints that move, from base to tool.
-        lower: (n,) lower limits, the soft ones where the URDF has them; rad or m.
-        upper: (n,) upper limits.
+        lower, upper: (n,) limits, the soft ones where the URDF has them; rad or m.
         continuous: (n,) whether a joint turns without end.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: How far from its base link's origin the tool frame's can be at most, m.
@@ -66,15 +65,11 @@ class ArmModel:
         default_factory=dict, repr=False
     )
 
-    def chain(self, like: Tensor) -> Any:
-        """The `pytorch_kinematics.SerialChain` on the device and in the dtype of a tensor (...)."""
-        return self._chain_and_table(like)[0]
+    def chain(self, like: Tensor) -> tuple[Any, ChainTable]:
+        """A `pytorch_kinematics.SerialChain` and its table, on a tensor's device and in its dtype.
 
-    def chain_table(self, like: Tensor) -> ChainTable:
-        """The chain as a table on the device and in the dtype of a tensor (...)."""
-        return self._chain_and_table(like)[1]
-
-    def _chain_and_table(self, like: Tensor) -> tuple[Any, ChainTable]:
+        They are made once for each device and dtype.
+        """
         key = (like.dtype, like.device)
         if key not in self._chains:
             base, tip = self._links
@@ -88,32 +83,32 @@ class ArmModel:
 
         The tool frame is the last. Joint positions q are (B, n), rad or m.
         """
-        chain = self.chain(q)
-        parts = [chain.forward_kinematics_tensor(part) for part in q.split(CHUNK)]
+        chain, _ = self.chain(q)
+        parts = [chain.forward_kinematics_tensor(part) for part in q.split(_CHUNK)]
         frames = parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
         return self.mount.to(q) @ frames
 
     def candidates(self, pose: Tensor, samples: int = PAN_SAMPLES) -> tuple[Tensor, Tensor]:
-        """Joint positions (M, n) within limits that bring the tool frame to poses (B, 4, 4).
+        """Rows (M,), ascending, and for each joint positions (M, n) within limits that solve it.
 
-        The poses are in the robot's base frame. The row that each solution belongs to, ascending,
-        (M,), comes first. The closed form tries so many `samples` of the pan angle.
+        They bring the tool frame to the row's pose (B, 4, 4) in the robot's base frame. The closed
+        form tries so many `samples` of the pan angle.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
             return closed_form_candidates(self.closed_form.to(pose), local, samples)
-        return numerical_candidates(self.chain(pose), *self._search_limits(pose), local)
+        return numerical_candidates(*self._search(pose), local)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
 
-        And whether each waypoint was reached (M, W). The waypoints (M, W, 4, 4) are poses of the
-        tool frame in the robot's base frame.
+        And whether each waypoint was reached (M, W); where not, its positions mean nothing. The
+        waypoints (M, W, 4, 4) are poses of the tool frame in the robot's base frame.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
             return closed_form_follow(self.closed_form.to(pose), q, local)
-        return numerical_follow(self.chain(pose), *self._search_limits(pose), q, local)
+        return numerical_follow(*self._search(pose), q, local)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """(..., n): how far each joint is from b to a, the short way round if it is continuous."""
@@ -121,22 +116,20 @@ class ArmModel:
         short = away - math.tau * (away / math.tau).round()
         return torch.where(self.continuous.to(away.device), short, away)
 
-    def _search_limits(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Limits (n,) with continuous joints cut to one turn about zero, to start searches from."""
+    def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
+        """The chain and limits (n,) to search in, of continuous joints one turn about zero."""
         lower = torch.where(self.continuous, -math.pi, self.lower)
         upper = torch.where(self.continuous, math.pi, self.upper)
-        return lower.to(like), upper.to(like)
+        return self.chain(like)[0], lower.to(like), upper.to(like)
 
 
 def _chain_table(chain: Any, mount: Tensor) -> ChainTable:
     """The table of a `pytorch_kinematics.SerialChain` whose base is mounted at a pose (4, 4)."""
-    unmoved = torch.eye(4).to(mount)
-    offset = torch.stack(
-        [
-            ((unmoved if link is None else link) @ (unmoved if joint is None else joint)).view(4, 4)
-            for link, joint in zip(chain.link_offsets, chain.joint_offsets, strict=True)
-        ]
+    link, joint = (
+        torch.stack([torch.eye(4).to(mount) if pose is None else pose.view(4, 4) for pose in poses])
+        for poses in (chain.link_offsets, chain.joint_offsets)
     )
+    offset = link @ joint
     offset[0] = mount @ offset[0]
     kind, joint = chain.joint_type_indices, chain.joint_indices
     axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]

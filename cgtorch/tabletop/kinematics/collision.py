@@ -2,28 +2,34 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics.tensors import Tensors
 
 BISECTIONS = 8
 ROUNDING = 1e-5
 MAX_FLATNESS = 500  # of a box: beyond it would be too many capsules
 
 
+class Tensors:
+    """A base for dataclasses some of whose fields are tensors, which go to a device together."""
+
+    def to(self, like: Tensor) -> Self:
+        """The same on the device of a tensor and, where it is of floating point, in its dtype."""
+        moved = {
+            name: x.to(like) if x.is_floating_point() else x.to(like.device)
+            for name, x in vars(self).items()
+            if isinstance(x, Tensor)
+        }
+        return type(self)(**{**vars(self), **moved})
+
+
 @dataclass(frozen=True)
 class Boxes(Tensors):
-    """Oriented boxes.
-
-    Attributes:
-        centre: (..., N, 3) centres, m.
-        rotation: (..., N, 3, 3) the axes of each box as columns.
-        half: (..., N, 3) half sizes, m.
-    """
+    """Oriented boxes: centres (..., N, 3), axes as columns (..., N, 3, 3), half sizes, m."""
 
     centre: Tensor
     rotation: Tensor
@@ -41,9 +47,8 @@ class Capsules(Tensors):
     Attributes:
         frame: (C,) which of the chain's frames each moves with.
         joints: (C,) how many of the arm's joints move it.
-        start: (C, 3) one end of its axis in that frame, m.
-        end: (C, 3) the other end, m.
-        radius: (C,) its radius, m.
+        start, end: (C, 3) the ends of its axis in that frame, m.
+        radius: (C,) in m.
     """
 
     frame: Tensor
@@ -56,24 +61,22 @@ class Capsules(Tensors):
         """Starts and ends (B, C, 3) of the axes where the frames have poses (F, B, 4, 4), m."""
         pose = frames[self.frame].transpose(0, 1)
         rotation, shift = pose[..., :3, :3], pose[..., :3, 3]
-        start = (rotation @ self.start[:, :, None]).squeeze(-1) + shift
-        end = (rotation @ self.end[:, :, None]).squeeze(-1) + shift
-        return start, end
+        start, end = (rotation @ point[:, :, None] for point in (self.start, self.end))
+        return start.squeeze(-1) + shift, end.squeeze(-1) + shift
 
 
 def collide(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
     """Whether any capsule of a row touches any box of that row (B,).
 
-    Capsules have two ends (B, C, 3) and a radius (C,), in m; boxes are those of each row
-    (B, N, ...), or the same for all (1, N, ...).
+    Capsules have two ends (B, C, 3) and a radius (C,), m; boxes are (B, N, ...), or (1, N, ...).
     """
     hit = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     row, capsule, box = _close(start, end, radius, boxes).nonzero(as_tuple=True)
     which = row if len(boxes.half) > 1 else torch.zeros_like(row)
-    to_box = boxes.rotation[which, box].transpose(-1, -2)
-    centre = boxes.centre[which, box]
-    a = (to_box @ (start[row, capsule] - centre)[..., None]).squeeze(-1)
-    b = (to_box @ (end[row, capsule] - centre)[..., None]).squeeze(-1)
+    to_box, centre = boxes.rotation[which, box].transpose(-1, -2), boxes.centre[which, box]
+    a, b = (
+        (to_box @ (point[row, capsule] - centre)[..., None]).squeeze(-1) for point in (start, end)
+    )
     touching = segment_box_distance(a, b, boxes.half[which, box]) < radius[capsule]
     hit[row[touching]] = True
     return hit
@@ -97,9 +100,9 @@ def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
 def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
     """Distance (...) from segments to boxes that are centred and aligned with the axes, m.
 
-    Segments have two ends (..., 3), boxes half sizes (..., 3), in m. The distance is convex along
-    a segment, so its least value is found by bisection on the slope, to 1/512 of the segment's
-    length; it is 0 where the segment meets the box.
+    Both have (..., 3). The distance is convex along a segment, so its least value is found by
+    bisection on the slope, to 1/512 of the segment's length; it is 0 where the segment meets the
+    box.
     """
     along = b - a
     low = torch.zeros_like((along + half)[..., 0])
@@ -123,13 +126,9 @@ def _outside(point: Tensor, half: Tensor) -> Tensor:
 def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]]:
     """A URDF collision element as capsules (start (3,), end (3,), radius), m, in its link's frame.
 
-    A sphere is a capsule of no length. A cylinder becomes the capsule of the same radius and
-    overall length. A box that is a bar becomes one capsule along its longest side; a flatter one
-    becomes parallel capsules as thick as its shortest side, laid side by side across the middle
-    one. Sharp edges are thereby rounded.
-
-    Raises:
-        RobotError: The element, called `where`, is a mesh or of an impossible size.
+    A cylinder becomes the capsule of the same radius and overall length, a box that is a bar one
+    capsule along its longest side, a flatter one parallel capsules as thick as its shortest side,
+    side by side. RobotError if the element, called `where`, is a mesh or of an impossible size.
     """
     kind, sizes = _shape(collision, where)
     ends, radius = [([0.0] * 3, [0.0] * 3)], sizes[0]
@@ -138,12 +137,9 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
         ends = [([0.0, 0.0, -along], [0.0, 0.0, along])]
     elif kind == "box":
         ends, radius = _box_capsules(sizes, where)
-    pose = _pose(collision)
-
-    def placed(point: list[float]) -> Tensor:
-        return pose[:3, :3] @ torch.tensor(point, dtype=torch.float64) + pose[:3, 3]
-
-    return [(placed(start), placed(end), radius) for start, end in ends]
+    pose, both = _pose(collision), torch.tensor(ends, dtype=torch.float64)
+    placed = (pose[:3, :3] @ both[..., None]).squeeze(-1) + pose[:3, 3]
+    return [(start, end, radius) for start, end in placed]
 
 
 def _box_capsules(sizes: list[float], where: str) -> tuple[list[Any], float]:
@@ -158,12 +154,12 @@ def _box_capsules(sizes: list[float], where: str) -> tuple[list[Any], float]:
             "thickness"
         )
     room = half[middle] - radius
-    count = 1 if bar else math.ceil(room / radius) + 1
+    gaps = 0 if bar else math.ceil(room / radius)
     ends = []
-    for i in range(count):
+    for aside in (room * (2 * i / gaps - 1) if gaps else 0.0 for i in range(gaps + 1)):
         start, end = [0.0] * 3, [0.0] * 3
         start[long], end[long] = radius - half[long], half[long] - radius
-        start[middle] = end[middle] = 0.0 if count == 1 else room * (2 * i / (count - 1) - 1)
+        start[middle] = end[middle] = aside
         ends.append((start, end))
     return ends, radius
 

@@ -5,32 +5,28 @@ robots/pr2/robot.json; `body`, `gripper_joints` and `capsules` may be left out.
 """
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar
+from types import MappingProxyType, UnionType
+from typing import Any, TypeAlias, get_args, get_origin
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_json
 from cgtorch.tabletop.kinematics.urdf import MOST
 
-T = TypeVar("T")
-Capsule = tuple[float, float, float, float, float, float, float]
+Capsule: TypeAlias = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""
 
-_WORDS: dict[type, str] = {dict: "a JSON object", list: "a list", str: "a non-empty string"}
+_WORDS = {dict: "a JSON object", list: "a list", str: "a non-empty string"}
 _MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of the robot.
+    """One arm of the robot, by its links.
 
-    Attributes:
-        name: What the arm is called, such as `left`.
-        base_link: The link the arm is mounted on.
-        tool_frame: The link that is brought to the object; x points along the approach, y across
-            the fingers.
+    It is mounted on `base_link`; `tool_frame` is brought to the object, with x along the approach
+    and y across the fingers.
     """
 
     name: str
@@ -43,7 +39,6 @@ class RobotDescription:
     """What grasping and driving need to know about a robot beside its URDF.
 
     Attributes:
-        name: What the robot is called.
         base_frame: The link on the floor that positions are relative to (x forward, y left, z up).
         footprint: The rectangle on the floor that bounds the body, (x min, x max, y min, y max), m.
         arms: The arms, in the order in which they are tried.
@@ -66,6 +61,13 @@ class RobotDescription:
         default_factory=lambda: MappingProxyType({})
     )
 
+    @property
+    def held(self) -> dict[str, float]:
+        """Where the joints that stand still stay, the torso's too (rad or m)."""
+        if self.torso_joint is None or self.torso_position is None:
+            return dict(self.gripper_joints)
+        return {**self.gripper_joints, self.torso_joint: self.torso_position}
+
 
 def load_description(path: Path | str) -> RobotDescription:
     """Read and check a robot description, a JSON file.
@@ -87,14 +89,44 @@ class _Reader:
     def fail(self, what: str, value: object, wanted: str) -> RobotError:
         return RobotError(f"{self.where}: {what} is {value!r}: give {wanted}")
 
-    def of(self, kind: type[T], what: str, value: Any) -> T:
-        """A value that has to be of a type, and not an empty text."""
-        if not isinstance(value, kind) or value == "":
-            raise self.fail(what, value, _WORDS[kind])
-        return value
+    def description(self, content: Any) -> RobotDescription:
+        words: RobotDescription = self.read("the file", content, RobotDescription)
+        x_min, x_max, y_min, y_max = words.footprint
+        if x_min >= x_max or y_min >= y_max:
+            raise self.fail("footprint", content["footprint"], "[x min, x max, y min, y max] (m)")
+        if not words.arms or len({arm.name for arm in words.arms}) < len(words.arms):
+            raise self.fail("arms", content["arms"], "at least one arm, each with its own name")
+        if (words.torso_joint is None) != (words.torso_position is None):
+            wanted = "a number with a torso_joint, null without one"
+            raise self.fail("torso_position", words.torso_position, wanted)
+        for link, capsules in words.capsules.items():
+            if not all(radius > 0 for *_, radius in capsules):
+                wanted = "two end points and a radius above 0 (m) for each"
+                raise self.fail(f"capsules[{link!r}]", content["capsules"][link], wanted)
+        return words
 
-    def texts(self, what: str, value: Any) -> tuple[str, ...]:
-        return tuple(self.of(str, what, item) for item in self.of(list, what, value))
+    def read(self, what: str, value: Any, kind: Any) -> Any:
+        """A value of JSON as an annotation has it: number, text, tuple, mapping or dataclass."""
+        outer, inner = get_origin(kind), get_args(kind)
+        if outer is UnionType:
+            return None if value is None else self.read(what, value, inner[0])
+        if kind is float:
+            return self.number(what, value)
+        if outer is tuple and inner[-1] is not ...:
+            if not isinstance(value, list) or len(value) != len(inner):
+                raise self.fail(what, value, f"a list of {len(inner)} numbers")
+            return tuple(self.number(what, item) for item in value)
+        wanted: Any = str if kind is str else list if outer is tuple else dict
+        if not isinstance(value, wanted) or value == "":
+            raise self.fail(what, value, _WORDS[wanted])
+        if is_dataclass(kind):
+            return self.record(what, value, kind)
+        if outer is tuple:
+            return tuple(self.read(f"{what}[{i}]", x, inner[0]) for i, x in enumerate(value))
+        if outer is Mapping:
+            read = {key: self.read(f"{what}[{key!r}]", x, inner[1]) for key, x in value.items()}
+            return MappingProxyType(read)
+        return value
 
     def number(self, what: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -103,15 +135,10 @@ class _Reader:
             raise self.fail(what, value, f"a finite number, of {MOST:.0e} at most")
         return float(value)
 
-    def numbers(self, what: str, value: Any, count: int) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != count:
-            raise self.fail(what, value, f"a list of {count} numbers")
-        return tuple(self.number(what, item) for item in value)
-
-    def keys(self, what: str, value: Any, kind: type[Arm | RobotDescription]) -> None:
-        """Refuse a value without the keys that a class needs or with others than it has."""
+    def record(self, what: str, value: dict[str, Any], kind: Any) -> Any:
+        """A dataclass from a value with the keys that it needs and no others than it has."""
         known = {each.name: each for each in fields(kind)}
-        for key in self.of(dict, what, value):
+        for key in value:
             if key not in known:
                 raise RobotError(
                     f"{self.where}: {what} has the unknown key {key!r}: known are "
@@ -120,48 +147,6 @@ class _Reader:
         for key, each in known.items():
             if key not in value and each.default is each.default_factory is MISSING:
                 raise RobotError(f"{self.where}: {what} lacks the key {key!r}: add it")
-
-    def description(self, content: Any) -> RobotDescription:
-        self.keys("the file", content, RobotDescription)
-        x_min, x_max, y_min, y_max = self.numbers("footprint", content["footprint"], 4)
-        if x_min >= x_max or y_min >= y_max:
-            raise self.fail("footprint", content["footprint"], "[x min, x max, y min, y max] (m)")
-        every = self.of(list, "arms", content["arms"])
-        arms = tuple(self.arm(f"arms[{i}]", arm) for i, arm in enumerate(every))
-        if not arms or len({arm.name for arm in arms}) < len(arms):
-            raise self.fail("arms", every, "at least one arm, each with its own name")
-        torso, position = content["torso_joint"], content["torso_position"]
-        if (torso is None) != (position is None):
-            raise self.fail(
-                "torso_position", position, "a number with a torso_joint, null without one"
-            )
-        held = self.of(dict, "gripper_joints", content.get("gripper_joints", {}))
-        shapes = self.of(dict, "capsules", content.get("capsules", {}))
-        return RobotDescription(
-            name=self.of(str, "name", content["name"]),
-            base_frame=self.of(str, "base_frame", content["base_frame"]),
-            footprint=(x_min, x_max, y_min, y_max),
-            arms=arms,
-            torso_joint=None if torso is None else self.of(str, "torso_joint", torso),
-            torso_position=None if position is None else self.number("torso_position", position),
-            body=self.texts("body", content.get("body", [])),
-            gripper_joints=MappingProxyType(
-                {name: self.number(f"gripper_joints[{name!r}]", x) for name, x in held.items()}
-            ),
-            capsules=MappingProxyType(
-                {link: self.capsules(f"capsules[{link!r}]", x) for link, x in shapes.items()}
-            ),
-        )
-
-    def arm(self, what: str, value: Any) -> Arm:
-        self.keys(what, value, Arm)
-        return Arm(**{key: self.of(str, f"{what}.{key}", name) for key, name in value.items()})
-
-    def capsules(self, what: str, value: Any) -> tuple[Capsule, ...]:
-        return tuple(self.capsule(what, item) for item in self.of(list, what, value))
-
-    def capsule(self, what: str, value: Any) -> Capsule:
-        x0, y0, z0, x1, y1, z1, radius = self.numbers(what, value, 7)
-        if radius <= 0:
-            raise self.fail(what, value, "two end points and a radius above 0 (m)")
-        return x0, y0, z0, x1, y1, z1, radius
+        within = "" if kind is RobotDescription else f"{what}."
+        read = {key: self.read(within + key, x, known[key].type) for key, x in value.items()}
+        return kind(**read)

@@ -42,7 +42,12 @@ def robot_files(
     """
     if description is None and urdf is not None:
         return Path(urdf), Path(urdf).parent / DESCRIPTION
-    words = _description(DEFAULT if description is None else str(description))
+    robot = DEFAULT if description is None else str(description)
+    words = Path(robot)
+    if robot in built_in_robots():
+        words = robots_folder() / robot / DESCRIPTION
+    elif isdir(robot):
+        words /= DESCRIPTION
     if urdf is not None:
         return Path(urdf), words
     if not isfile(words):
@@ -57,9 +62,3 @@ def robot_files(
             "or give the one that is meant"
         )
     return beside[0], words
-
-
-def _description(robot: str) -> Path:
-    if robot in built_in_robots():
-        return robots_folder() / robot / DESCRIPTION
-    return Path(robot) / DESCRIPTION if isdir(robot) else Path(robot)

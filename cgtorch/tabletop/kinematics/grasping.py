@@ -16,7 +16,7 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes
 from cgtorch.tabletop.kinematics.robot import Robot
 from cgtorch.tabletop.kinematics.touching import touches
-from cgtorch.tabletop.world.geometry import rectangles_overlap
+from cgtorch.tabletop.world.geometry import box_rectangle, rectangles_overlap
 
 GRASP_HEIGHT = 0.05  # m above the table top: the middle of an object 0.10 m high
 PRE_GRASP = 0.10  # m behind the grasp, where the straight approach starts
@@ -173,17 +173,10 @@ def _first_of_each(row: Tensor) -> Tensor:
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
-    """The tool's way to objects (B, 3) in the base frame (m) and up: straight in, straight up.
+    """Poses (B, 5, 4, 4) at pre-grasp, half-way, grasp, half-way up and lifted of objects (B, 3).
 
-    Args:
-        position: The objects.
-        steepness: How steeply down the tool comes, from 0 (level) to pi / 2 (from above), rad; one
-            angle or (B,).
-        side: Turn of the approach from the line base to object, rad; one angle or (B,).
-
-    Returns:
-        (B, 5, 4, 4) poses at pre-grasp, half-way, grasp, half-way up and lifted: x along the
-        approach, y level.
+    The tool's x is along the approach, its y level. The approach is `steepness` down, from 0 to
+    pi / 2 (from above), and turned by `side` from the line base to object, rad; one angle or (B,).
     """
     heading = torch.atan2(position[:, 1], position[:, 0]) + side
     cos, sin = heading.cos(), heading.sin()
@@ -194,14 +187,8 @@ def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float)
     across = torch.stack([-sin, cos, zero], dim=1)
     upward = torch.linalg.cross(along, across)
     up = torch.stack([zero, zero, zero + 1], dim=1)
-    grasp = position + GRASP_HEIGHT * up
-    points = [
-        grasp - PRE_GRASP * along,
-        grasp - PRE_GRASP / 2 * along,
-        grasp,
-        grasp + LIFT / 2 * up,
-        grasp + LIFT * up,
-    ]
+    grasp, behind, above = position + GRASP_HEIGHT * up, PRE_GRASP * along, LIFT * up
+    points = [grasp - behind, grasp - behind / 2, grasp, grasp + above / 2, grasp + above]
     pose = torch.zeros(len(position), 5, 4, 4, dtype=position.dtype, device=position.device)
     pose[:, :, :3, :3] = torch.stack([along, across, upward], dim=2)[:, None]
     pose[:, :, :3, 3] = torch.stack(points, dim=1)
@@ -230,8 +217,6 @@ def _within_reach(robot: Robot, position: Tensor) -> Tensor:
 
 def _standing_in_table(robot: Robot, table: Tensor) -> Tensor:
     """(B,) whether the robot's footprint overlaps the table."""
-    x_min, x_max, y_min, y_max = robot.description.footprint
-    footprint = table.new_tensor(
-        [(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0, x_max - x_min, y_max - y_min]
-    )
+    footprint = torch.tensor(robot.description.footprint, dtype=torch.float64)
+    footprint = box_rectangle(footprint).to(table)
     return rectangles_overlap(footprint.expand(len(table), 5), table[:, :5])

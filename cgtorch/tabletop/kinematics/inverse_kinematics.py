@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics.tensors import Tensors
+from cgtorch.tabletop.kinematics.collision import Tensors
 
 PAN_SAMPLES = 36
 _AXES = (2, 1, 0, 1, 0, 1, 0)
@@ -35,8 +35,7 @@ class SphericalArm(Tensors):
         tool: (4, 4) pose of the tool frame in the wrist's last frame, its origin in the wrist's
             centre.
         signs: (7,) 1 or -1: which way each joint turns.
-        lower: (7,) lower limits, rad.
-        upper: (7,) upper limits, rad.
+        lower, upper: (7,) limits, rad.
         branches: (S, 3) signs of the sine of the elbow, the cosine of the shoulder roll and the
             sine of the wrist flex that the limits allow.
         elbow_cosines: The least and the greatest cosine of the elbow that the limits allow.
@@ -60,7 +59,8 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
     The `yourdfpy` joints lead from the arm's base link to its tool frame. Those that move have
     limits (n, 2), rad, a continuous one at least a full turn. None if it is another kind of chain.
     """
-    offsets = [torch.eye(4, dtype=torch.float64)]
+    unmoved = torch.eye(4, dtype=torch.float64)
+    offsets = [unmoved]
     signs: list[float] = []
     for joint in joints:
         if joint.origin is not None:
@@ -74,7 +74,7 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
         if abs(abs(sign) - 1) > _TOLERANCE:
             return None
         signs.append(math.copysign(1.0, sign))
-        offsets.append(torch.eye(4, dtype=torch.float64))
+        offsets.append(unmoved)
     if len(signs) != len(_AXES):
         return None
     base, shoulder, *middle, tool = offsets
@@ -87,7 +87,7 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
     upper_arm, forearm = (float(straight[i][0] + straight[i + 1][0]) for i in (0, 2))
     if upper_arm <= 0 or forearm <= 0:
         return None
-    to_wrist = torch.eye(4, dtype=torch.float64)
+    to_wrist = unmoved.clone()
     to_wrist[:3, 3] = straight[4]
     turns = torch.tensor(signs, dtype=torch.float64)
     ends = (limits.double() * turns[:, None]).sort(dim=1).values
@@ -127,7 +127,7 @@ def _branches(limits: list[tuple[float, float]]) -> Tensor:
     )
 
 
-def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
+def _pan_grid(arm: SphericalArm, samples: int) -> Tensor:
     """(samples,) pan angles over the joint's range, at most one turn of it, rad."""
     lower, upper = float(arm.lower[0]), float(arm.upper[0])
     if upper - lower > math.tau:
@@ -136,18 +136,11 @@ def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
     return torch.linspace(lower, upper, samples, dtype=arm.lower.dtype, device=arm.lower.device)
 
 
-def closed_form_candidates(
-    arm: SphericalArm, pose: Tensor, samples: int = PAN_SAMPLES
-) -> tuple[Tensor, Tensor]:
-    """All joint angles (M, 7), rad, within limits that reach poses, at so many pan angles.
-
-    The row that each solution belongs to, ascending, (M,), comes first. The poses (B, 4, 4) are
-    those of the tool frame in the arm's base link.
-    """
+def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tuple[Tensor, Tensor]:
+    """As `ArmModel.candidates`, of poses (B, 4, 4) of the tool frame in the arm's base link."""
     wrist, rotation = _wrist(arm, pose)
-    pan = pan_grid(arm, samples)
-    x, y, z = _from_shoulder(arm, wrist[:, None], pan)
-    elbow = _cos_elbow(arm, x, y, z)
+    pan = _pan_grid(arm, samples)
+    elbow = _cos_elbow(arm, *_from_shoulder(arm, wrist[:, None], pan))
     least, most = arm.elbow_cosines
     row, sample = ((elbow >= least) & (elbow <= most)).nonzero(as_tuple=True)
     q, sound = _solve(arm, wrist[row], rotation[row], pan[sample])
@@ -156,11 +149,7 @@ def closed_form_candidates(
 
 
 def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-    """Joint angles (M, W, 7), rad, along waypoints, in the branch and at the pan angle of q (M, 7).
-
-    And whether each waypoint, a pose (M, W, 4, 4) of the tool frame in the arm's base link, was
-    reached within limits (M, W); where it was not, the angles mean nothing.
-    """
+    """As `ArmModel.follow`, in the branch and at the pan angle of q, in the arm's base link."""
     angle = q * arm.signs
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
     branch = (signs[:, None] * arm.branches > 0).sum(-1).argmax(dim=1)

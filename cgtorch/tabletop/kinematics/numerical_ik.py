@@ -12,34 +12,31 @@ DAMPING = 1e-2
 POSITION_TOLERANCE = 1e-4
 ROTATION_TOLERANCE = 1e-3
 _STEP = 0.5
+_POSES = 1024  # solved at a time
 _ROTATION_WEIGHT = 0.3
 
 
 def numerical_candidates(
     chain: Any, lower: Tensor, upper: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions (M, n) that reach poses, from the nearest of many sampled postures.
+    """As `ArmModel.candidates`, refined from the nearest of many sampled postures.
 
-    The row that each solution belongs to, ascending, (M,), comes first. A
-    `pytorch_kinematics.SerialChain` has n joints with limits (n,), rad or m; the poses (B, 4, 4)
+    A `pytorch_kinematics.SerialChain` has n joints with limits (n,), rad or m; the poses (B, 4, 4)
     are those of the tool frame in the arm's base link.
     """
     generator = torch.Generator().manual_seed(0)
     spread = torch.rand(SEEDS, len(lower), generator=generator, dtype=torch.float64).to(lower)
     seeds = lower + (upper - lower) * spread
     reached = chain.forward_kinematics(seeds, end_only=True).get_matrix()
+    every = torch.arange(len(pose), device=pose.device)
     rows, solutions = [], []
-    for start in range(0, len(pose), 1024):
-        part = pose[start : start + 1024]
+    for part, row in zip(pose.split(_POSES), every.split(_POSES), strict=True):
         away = torch.cdist(_key(part), _key(reached))
         nearest = away.topk(STARTS, largest=False).indices
-        target = part[:, None].expand(-1, STARTS, 4, 4).reshape(-1, 4, 4)
-        q, converged = refine(chain, lower, upper, seeds[nearest.flatten()], target)
-        row = torch.arange(len(part), device=pose.device).repeat_interleave(STARTS) + start
-        rows.append(row[converged])
+        target = part.repeat_interleave(STARTS, dim=0)
+        q, converged = _refine(chain, lower, upper, seeds[nearest.flatten()], target)
+        rows.append(row.repeat_interleave(STARTS)[converged])
         solutions.append(q[converged])
-    if not rows:
-        return torch.zeros(0, dtype=torch.long, device=pose.device), lower.new_zeros(0, len(lower))
     return torch.cat(rows), torch.cat(solutions)
 
 
@@ -51,24 +48,17 @@ def _key(pose: Tensor) -> Tensor:
 def numerical_follow(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions (M, W, n) along waypoints, each refined from joint positions q (M, n).
-
-    Also whether each waypoint was reached within limits (M, W). The waypoints (M, W, 4, 4) are
-    poses of the tool frame in the arm's base link; the rest is as for `numerical_candidates`.
-    """
+    """As `ArmModel.follow`, each waypoint refined from q; see `numerical_candidates`."""
     count, steps = pose.shape[:2]
     start = q.repeat_interleave(steps, dim=0)
-    path, converged = refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
+    path, converged = _refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
     return path.reshape(count, steps, len(lower)), converged.reshape(count, steps)
 
 
-def refine(
+def _refine(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions (B, n) by damped least squares from q (B, n), kept within limits.
-
-    Also whether they reach the poses (B, 4, 4), (B,).
-    """
+    """Joint positions (B, n) within limits, from q (B, n); and whether they reach poses (B,)."""
     q = q.clone()
     converged = torch.zeros(len(q), dtype=torch.bool, device=q.device)
     active = torch.arange(len(q), device=q.device)

@@ -11,7 +11,7 @@ from lxml import etree
 from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics.arm import CHUNK, ArmModel
+from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
@@ -35,31 +35,6 @@ class Robot:
     arms: tuple[ArmModel, ...]
     body: Boxes
 
-    def arm(self, name: str) -> ArmModel:
-        """The arm of a name; RobotError if there is none."""
-        for arm in self.arms:
-            if arm.name == name:
-                return arm
-        known = ", ".join(arm.name for arm in self.arms)
-        raise RobotError(f"{self.description.name} has no arm {name!r}: its arms are {known}")
-
-    def forward_kinematics(self, arm: str, q: Tensor) -> Tensor:
-        """Poses (..., 4, 4) in the base frame of the tool frame of an arm, given by its name.
-
-        Joint positions q are (..., n), rad or m, of any floating dtype and on any device.
-
-        Raises:
-            RobotError: There is no such arm, or q has not n positions.
-        """
-        model = self.arm(arm)
-        count = len(model.joint_names)
-        if q.ndim == 0 or q.shape[-1] != count:
-            raise RobotError(
-                f"joint positions have the shape {tuple(q.shape)}: arm {arm!r} takes (..., {count})"
-            )
-        tool = [model.frames(part)[-1] for part in q.reshape(-1, count).split(CHUNK) if len(part)]
-        return torch.cat(tool or [q.new_zeros(0, 4, 4)]).reshape(*q.shape[:-1], 4, 4)
-
 
 def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
     """Load a robot, whose files are given as to `robot_files`, and check that they fit.
@@ -70,11 +45,12 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     """
     urdf, description = robot_files(urdf, description)
     model, words = load_urdf(urdf), load_description(description)
-    rest = _rest_positions(model, words)
-    model.model.update_cfg(rest)
+    for name, position in words.held.items():
+        _check_held(model.joint(name), position)
+    model.model.update_cfg(words.held)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
     in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
-    for name in rest:
+    for name in words.held:
         if name in in_arms:
             raise RobotError(
                 f"joint {name!r} is named in the robot description but moves an arm: name a joint "
@@ -90,24 +66,15 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     )
 
 
-def _rest_positions(urdf: Urdf, words: RobotDescription) -> dict[str, float]:
-    """Positions of the joints that the description holds still, checked against limits."""
-    rest = dict(words.gripper_joints)
-    if words.torso_joint is not None and words.torso_position is not None:
-        rest[words.torso_joint] = words.torso_position
-    for name, position in rest.items():
-        joint = urdf.joint(name)
-        if joint.type not in MOVING or joint.mimic is not None:
-            raise RobotError(
-                f"joint {name!r} cannot be held at {position}: it is fixed or follows another "
-                "joint; name a joint that moves"
-            )
-        if joint.type != "continuous" and not joint.limit.lower <= position <= joint.limit.upper:
-            raise RobotError(
-                f"joint {name!r} cannot be held at {position}: give a position within its limits "
-                f"{joint.limit.lower} to {joint.limit.upper}"
-            )
-    return rest
+def _check_held(joint: Any, position: float) -> None:
+    """Refuse to hold a joint that does not move, or beyond its limits."""
+    refused = f"joint {joint.name!r} cannot be held at {position}: "
+    if joint.type not in MOVING or joint.mimic is not None:
+        raise RobotError(f"{refused}it is fixed or follows another joint; name a joint that moves")
+    if joint.type != "continuous" and not joint.limit.lower <= position <= joint.limit.upper:
+        raise RobotError(
+            f"{refused}give a position within its limits {joint.limit.lower} to {joint.limit.upper}"
+        )
 
 
 def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...]) -> ArmModel:
@@ -193,9 +160,8 @@ def _fixed_to_base(
     urdf: Urdf, words: RobotDescription, link: str, arm_joints: set[str], what: str
 ) -> None:
     """Refuse a link that the base frame does not carry, or that an unheld joint can move."""
-    held = {words.torso_joint, *words.gripper_joints}
     for joint in urdf.joints_between(words.base_frame, link):
-        moves = joint.type != "fixed" and joint.name not in held and joint.mimic is None
+        moves = joint.type != "fixed" and joint.name not in words.held and joint.mimic is None
         if moves or joint.name in arm_joints:
             raise RobotError(
                 f"{what}: joint {joint.name!r} can move {link!r}: hold it as the torso_joint, or "

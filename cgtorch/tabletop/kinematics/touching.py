@@ -18,7 +18,8 @@ _POSTURES = 2048  # tried at a time in torch: more fall out of the processor's c
 def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
     """Whether an arm with joint positions q (B, n), rad or m, touches something (B,).
 
-    That is the table of each row (B, N, ...) or the robot's own body (N, ...).
+    That is the table of each row (B, N, ...), or of all (1, N, ...), or the robot's own body
+    (N, ...).
     """
     found = _touches_compiled(arm, q, slab, body)
     return touches_in_torch(arm, q, slab, body) if found is None else found
@@ -32,7 +33,8 @@ def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tens
     for first in range(0, len(q), _POSTURES):
         part = slice(first, first + _POSTURES)
         start, end = capsules.placed(arm.frames(q[part]))
-        hit[part] = collide(start, end, capsules.radius, slab[part])
+        near = slab[part] if len(slab.half) > 1 else slab
+        hit[part] = collide(start, end, capsules.radius, near)
         hit[part] |= collide(start[:, loose], end[:, loose], capsules.radius[loose], body[None])
     return hit
 
@@ -43,16 +45,17 @@ def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Ten
     boxes = [*vars(slab).values(), *vars(body).values()]
     if call is None or q.dtype != torch.float32 or not suits(q, *boxes):
         return None
-    capsules, chain = arm.capsules.to(q), arm.chain_table(q)
+    capsules, chain = arm.capsules.to(q), arm.chain(q)[1]
     count, frames = len(capsules.radius), len(chain.kind)
     if frames > most["MOST_FRAMES"] or count > most["MOST_CAPSULES"]:
         return None
-    if (len(slab.half), q.shape[1]) != (len(q), len(arm.joint_names)):
+    one = len(slab.half) == 1
+    if not (one or len(slab.half) == len(q)) or q.shape[1] != len(arm.joint_names):
         return None
     hit, several = torch.empty(len(q), dtype=torch.bool), structure("Boxes", torch.float32)
     task = structure("Arms", torch.float32)(
         chain=structure("Chain", torch.float32)(**vars(chain), frames=frames, joints=q.shape[1]),
-        table=several(**vars(slab), count=slab.half.shape[-2], same=False),
+        table=several(**vars(slab), count=slab.half.shape[-2], same=one),
         body=several(**vars(body), count=body.half.shape[-2], same=True),
         q=q, start=capsules.start, end=capsules.end, radius=capsules.radius, frame=capsules.frame,
         loose=capsules.joints > SHOULDER_JOINTS, hit=hit, postures=len(q), capsules=count,

@@ -21,18 +21,21 @@ MAX_LINKS = 500
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
-_VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",)}
-_LENGTHS = {
-    "mimic": ("multiplier", "offset"),
-    "cylinder": ("radius", "length"),
-    "sphere": ("radius",),
-}
-_UNBOUNDED = {
-    "limit": ("lower", "upper", "effort", "velocity"),
-    "safety_controller": ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
-    "mass": ("value",),
-}
-"""What is not meant as a limit is written as a huge number."""
+_HUGE = sys.float_info.max  # which is written where no limit is meant
+_NUMBERS = {
+    "origin": (3, MOST, ("xyz", "rpy")),
+    "axis": (3, MOST, ("xyz",)),
+    "box": (3, MOST, ("size",)),
+    "mimic": (1, MOST, ("multiplier", "offset")),
+    "cylinder": (1, MOST, ("radius", "length")),
+    "sphere": (1, MOST, ("radius",)),
+    "limit": (1, _HUGE, ("lower", "upper", "effort", "velocity")),
+    "safety_controller": (
+        1, _HUGE, ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+    ),
+    "mass": (1, _HUGE, ("value",)),
+}  # fmt: skip
+"""How many numbers, of at most how much, the attributes of an element hold."""
 
 
 @dataclass(frozen=True)
@@ -140,22 +143,19 @@ def _parse(data: bytes, where: str) -> Any:
 
 def _check_numbers(root: Any, where: str) -> None:
     """As many finite numbers as belong there, and none too large."""
-    for table, count, wanted, most in (
-        (_VECTORS, 3, "three finite numbers", MOST),
-        (_LENGTHS, 1, "a finite number", MOST),
-        (_UNBOUNDED, 1, "a finite number", sys.float_info.max),
-    ):
-        for element in root.iter(*table):
-            for name in table[element.tag]:
-                text = element.get(name)
-                if text is None:
-                    continue
-                parts = text.replace(",", " ").split() if count > 1 else [text]
-                if len(parts) != count or not all(abs(_number(part)) <= most for part in parts):
-                    raise RobotError(
-                        f"{where}, line {element.sourceline}: {element.tag} {name} is {text!r}: "
-                        f"give {wanted}, of {most:.0e} at most"
-                    )
+    for element in root.iter(*_NUMBERS):
+        count, most, names = _NUMBERS[element.tag]
+        for name in names:
+            text = element.get(name)
+            if text is None:
+                continue
+            parts = text.replace(",", " ").split() if count > 1 else [text]
+            if len(parts) != count or not all(abs(_number(part)) <= most for part in parts):
+                wanted = "three finite numbers" if count > 1 else "a finite number"
+                raise RobotError(
+                    f"{where}, line {element.sourceline}: {element.tag} {name} is {text!r}: "
+                    f"give {wanted}, of {most:.0e} at most"
+                )
 
 
 def _number(text: str) -> float:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.graph_levels import levels_html
@@ -119,38 +120,39 @@ class Page:
 
     def _run(self, scenario: Scenarios) -> None:
         """Run the chosen skills on a scenario and show what they do, from its start."""
-        chosen = [n for n in (self.skill.value, self.against.value) if n != NONE]
-        timelines = [self._timeline(self.candidates[name], scenario) for name in chosen]
+        names = [n for n in (self.skill.value, self.against.value) if n != NONE]
+        chosen = [self.candidates[name] for name in names]
+        timelines = [
+            timeline_of(execute(c.skill, c.world(scenario)), c.domain.robot, _rest(c.domain))
+            for c in chosen
+        ]
         self.scenario = scenario
         with self.server.atomic():
             self.pause()
-            self._draw([self.candidates[name] for name in chosen], timelines)
+            self._draw([c.domain.robot for c in chosen], timelines)
             self.note.content = "\n\n".join(
                 f"**{name}**: {t.execution.end} after {len(t.execution.steps)} steps"
-                for name, t in zip(chosen, timelines, strict=True)
+                for name, t in zip(names, timelines, strict=True)
             )
             self.frame.max = max(map(len, timelines)) - 1
             self.frame.value = 0
             self.show(0)
 
-    def _timeline(self, candidate: Candidate, scenario: Scenarios) -> Timeline:
-        execution = execute(candidate.skill, candidate.world(scenario))
-        return timeline_of(execution, candidate.domain.robot, _rest(candidate.domain))
-
-    def _draw(self, chosen: list[Candidate], timelines: list[Timeline]) -> None:
+    def _draw(self, robots: list[Robot], timelines: list[Timeline]) -> None:
         """Make as many scenes as there are skills, of their robots, side by side."""
-        robots = [c.domain.robot for c in chosen]
         if [id(s.robot) for s in self.scenes] != [*map(id, robots)]:
             for scene in self.scenes:
                 scene.remove()
-            self.scenes = [Scene(self.server, f"/skill-{i}", r) for i, r in enumerate(robots)]
+            self.scenes = [
+                Scene(self.server, f"/skill-{i}", robot, -APART * i)
+                for i, robot in enumerate(robots)
+            ]
         self.timelines, self.shown = timelines, []
-        for i, (scene, timeline) in enumerate(zip(self.scenes, timelines, strict=True)):
-            scene.stand_at((0.0, -APART * i))
+        for scene, timeline in zip(self.scenes, timelines, strict=True):
             scene.load(timeline)
         x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
         self.gizmo.position = np.array([x, y, z])
-        middle, camera = -APART / 2 * (len(chosen) - 1), self.server.initial_camera
+        middle, camera = -APART / 2 * (len(robots) - 1), self.server.initial_camera
         camera.fov = math.radians(45)
         # Beside one skill, behind two that stand left and right of it.
         camera.position = (-2.6, -4.4, 3.6) if middle == 0 else (-8.2, middle, 6.6)

@@ -50,7 +50,8 @@ def _folded(robot: Robot, arm: ArmModel) -> Tensor:
     side = math.copysign(1.0, float(arm.mount[1, 3]))
     crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1)
     best = q[(beyond.clamp_min(0).amax(1).sum(1) + APART * crossed).argsort()[:TRIED]]
-    free = ~touches(arm, best, _no_table(len(best)), robot.body.to(best))
+    no_table = robot.body[:0][None].to(best)
+    free = ~touches(arm, best, no_table, robot.body.to(best))
     return best[int(free.long().argmax())]
 
 
@@ -94,18 +95,9 @@ def _free(
     arm: ArmModel, slab: Boxes, body: Boxes, a: Tensor, b: Tensor, steps: int = COARSE
 ) -> Tensor:
     """(K,) whether an arm touches nothing on straight lines from postures a to b (K, n)."""
-    if not len(a):
-        return torch.zeros(0, dtype=torch.bool)
-    line = _between(a, b, steps).flatten(0, 1)
-    parts = (slab.centre, slab.rotation, slab.half)
-    everywhere = Boxes(*(part.expand(len(line), *part.shape[1:]) for part in parts))
-    return ~touches(arm, line, everywhere, body).view(len(a), steps).any(1)
-
-
-def _between(a: Tensor, b: Tensor, steps: int) -> Tensor:
-    """(K, steps, n) postures on straight lines."""
     share = torch.linspace(0, 1, steps, dtype=a.dtype)[None, :, None]
-    return a[:, None] + share * (b - a)[:, None]
+    line = (a[:, None] + share * (b - a)[:, None]).flatten(0, 1)
+    return ~touches(arm, line, slab, body).view(len(a), steps).any(1)
 
 
 def _random_postures(arm: ArmModel, count: int, around: Tensor | None = None) -> Tensor:
@@ -122,8 +114,3 @@ def _points(arm: ArmModel, q: Tensor) -> Tensor:
     """(B, 2 C, 3) both ends of all capsules, in the base frame."""
     start, end = arm.capsules.to(q).placed(arm.frames(q))
     return torch.cat([start, end], 1)
-
-
-def _no_table(count: int) -> Boxes:
-    empty = torch.zeros(count, 0, 3, dtype=torch.float64)
-    return Boxes(empty, torch.zeros(count, 0, 3, 3, dtype=torch.float64), empty)

@@ -32,9 +32,10 @@ FLOOR = 0.006  # m above the floor that lines are drawn
 class Scene:
     """What is drawn for one skill, under one name of the scene tree."""
 
-    def __init__(self, server: viser.ViserServer, name: str, robot: Robot):
+    def __init__(self, server: viser.ViserServer, name: str, robot: Robot, y: float = 0.0):
+        """A scene whose world's origin is drawn at (0, y), m."""
         self.server, self.name, self.robot = server, name, robot
-        self.place = server.scene.add_frame(name, show_axes=False)
+        self.place = server.scene.add_frame(name, show_axes=False, position=(0.0, y, 0.0))
         self.base = server.scene.add_frame(f"{name}/base", show_axes=False)
         # Robots whose shapes are files of meshes, which a run does not keep, show what they
         # collide with.
@@ -63,10 +64,6 @@ class Scene:
     def remove(self) -> None:
         """Take everything away."""
         self.place.remove()
-
-    def stand_at(self, offset: tuple[float, float]) -> None:
-        """Where the world's origin is drawn (m)."""
-        self.place.position = np.array([*offset, 0.0])
 
     def load(self, timeline: Timeline) -> None:
         """Show another execution, from its start."""
@@ -181,11 +178,7 @@ def _model(robot: Robot, **how: bool) -> Any:
 
 def _rest(model: Any, robot: Robot) -> Array:
     """Positions of all joints: those that the description holds, else the one nearest to 0."""
-    words = robot.description
-    held = dict(words.gripper_joints)
-    if words.torso_joint is not None and words.torso_position is not None:
-        held[words.torso_joint] = words.torso_position
-    positions = []
+    held, positions = robot.description.held, []
     for joint in model.actuated_joints:
         limit = joint.limit
         bounded = joint.type != "continuous" and limit is not None

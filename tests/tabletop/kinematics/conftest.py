@@ -19,9 +19,10 @@ def fetch() -> Robot:
 @pytest.fixture(params=["pr2 left", "pr2 right", "fetch arm"])
 def robot_and_arm(request: pytest.FixtureRequest) -> tuple[Robot, ArmModel]:
     """Each arm of each built-in robot."""
-    robot, arm = request.param.split()
+    robot, name = request.param.split()
     found: Robot = request.getfixturevalue(robot)
-    return found, found.arm(arm)
+    (arm,) = (arm for arm in found.arms if arm.name == name)
+    return found, arm
 
 
 @pytest.fixture

@@ -205,7 +205,7 @@ def test_limits_without_end_are_read_at_once(tmp_path):
     text = re.sub("<safety_controller[^>]*/>", "", TEXT)
     assert limits in text
     text = text.replace(limits, 'lower="-1e300" upper="1e300"')
-    assert load_robot(robot(tmp_path, text)).arm("left").closed_form is not None
+    assert load_robot(robot(tmp_path, text)).arms[0].closed_form is not None
 
 
 def test_huge_numbers_in_a_description(tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from support import tool_pose
 
 from cgtorch.tabletop.kinematics.grasping import waypoints
 
@@ -125,7 +126,7 @@ def test_the_footprint_bounds_all_that_stands_still(fetch):
 def test_the_whole_arm_is_drawn_out_straight(fetch):
     """0.6735 m from the shoulder's lift axis to the wrist and 0.30495 m on to the finger tips."""
     (arm,) = fetch.arms
-    tool = fetch.forward_kinematics("arm", torch.zeros(7, dtype=torch.float64))[:3, 3]
+    tool = tool_pose(fetch.arms[0], torch.zeros(7, dtype=torch.float64))[:3, 3]
     shoulder = [-0.086875 + 0.119525 + 0.117, 0, 0.37743 + 0.3 + 0.34858 + 0.06]
     expected = torch.tensor(shoulder, dtype=torch.float64)
     expected[0] += 0.6735 + 0.30495

@@ -2,6 +2,7 @@ import math
 
 import pytest
 import torch
+from support import tool_pose
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import grasp_solution, graspable, grasping
@@ -157,7 +158,7 @@ def test_solutions_do_what_they_claim(request, name):
         arm = robot.arms[int(solution.arm[row])]
         joints = solution.joints[row]
         way = waypoints(position[row : row + 1], *APPROACHES[int(solution.approach[row])])[0]
-        pose = robot.forward_kinematics(arm.name, joints)
+        pose = tool_pose(arm, joints)
         torch.testing.assert_close(pose, way, atol=3e-5, rtol=0)
         assert bool((joints >= arm.lower - 1e-5).all() and (joints <= arm.upper + 1e-5).all())
         step = arm.difference(joints[1:], joints[:-1])

@@ -3,6 +3,7 @@ import math
 import pytest
 import pytorch_kinematics
 import torch
+from support import tool_pose
 
 from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates
 
@@ -18,26 +19,26 @@ def reached(arm, pose, **keywords):
 def test_every_solution_gives_the_pose_and_keeps_the_limits(
     robot_and_arm, random_joints, generator, dtype, tolerance
 ):
-    robot, arm = robot_and_arm
-    pose = robot.forward_kinematics(arm.name, random_joints(arm, 2000, generator)).to(dtype)
+    _, arm = robot_and_arm
+    pose = tool_pose(arm, random_joints(arm, 2000, generator)).to(dtype)
     row, q = arm.candidates(pose)
     assert q.dtype == dtype
-    error = (robot.forward_kinematics(arm.name, q) - pose[row]).abs().amax()
+    error = (tool_pose(arm, q) - pose[row]).abs().amax()
     assert error < tolerance
     assert bool((q >= arm.lower.to(dtype) - 1e-5).all() and (q <= arm.upper.to(dtype) + 1e-5).all())
     assert bool((row[1:] >= row[:-1]).all())
 
 
 def test_nearly_every_reachable_pose_is_found(robot_and_arm, random_joints, generator):
-    robot, arm = robot_and_arm
-    pose = robot.forward_kinematics(arm.name, random_joints(arm, 3000, generator))
+    _, arm = robot_and_arm
+    pose = tool_pose(arm, random_joints(arm, 3000, generator))
     assert reached(arm, pose).double().mean() >= 0.97
     assert reached(arm, pose, samples=144).double().mean() >= 0.99
 
 
 def test_both_branches_are_used(pr2, random_joints, generator):
-    arm = pr2.arm("left")
-    pose = pr2.forward_kinematics("left", random_joints(arm, 300, generator))
+    arm = pr2.arms[0]
+    pose = tool_pose(arm, random_joints(arm, 300, generator))
     _, q = arm.candidates(pose)
     assert 0.1 < (q[:, 2].cos() > 0).double().mean() < 0.9
 
@@ -46,14 +47,14 @@ def test_poses_out_of_reach_have_no_solution(pr2):
     pose = torch.eye(4).repeat(2, 1, 1)
     pose[0, :3, 3] = torch.tensor([1.5, 0.0, 0.9])
     pose[1, :3, 3] = torch.tensor([-0.6, 0.0, 0.9])
-    row, q = pr2.arm("left").candidates(pose)
+    row, q = pr2.arms[0].candidates(pose)
     assert len(row) == len(q) == 0
-    assert len(pr2.arm("left").candidates(pose[:0])[0]) == 0
+    assert len(pr2.arms[0].candidates(pose[:0])[0]) == 0
 
 
 def test_following_a_short_way_keeps_the_posture(robot_and_arm, random_joints, generator):
-    robot, arm = robot_and_arm
-    pose = robot.forward_kinematics(arm.name, random_joints(arm, 500, generator))
+    _, arm = robot_and_arm
+    pose = tool_pose(arm, random_joints(arm, 500, generator))
     row, q = arm.candidates(pose)
     way = pose[row][:, None].repeat(1, 3, 1, 1)
     way[:, :, 2, 3] += torch.tensor([0.0, 0.01, 0.02], dtype=torch.float64)
@@ -62,14 +63,14 @@ def test_following_a_short_way_keeps_the_posture(robot_and_arm, random_joints, g
     assert arm.difference(path[:, 0], q).abs().max() < 1e-6
     ok = sound.all(dim=1)
     assert ok.double().mean() > 0.8
-    error = robot.forward_kinematics(arm.name, path[ok]) - way[ok]
+    error = tool_pose(arm, path[ok]) - way[ok]
     assert error.abs().max() < 1e-6
     assert torch.equal(path[ok][..., 2].cos() > 0, (q[ok][:, None, 2].cos() > 0).expand(-1, 3))
 
 
 def oracle(arm, pose, retries=20):
     """pytorch-kinematics' own inverse kinematics: solutions and whether each pose was reached."""
-    chain = arm.chain(pose)
+    chain = arm.chain(pose)[0]
     lower = torch.where(arm.continuous, -math.pi, arm.lower).to(pose)
     upper = torch.where(arm.continuous, math.pi, arm.upper).to(pose)
     starts = lower + (upper - lower) * torch.rand(
@@ -89,8 +90,8 @@ def oracle(arm, pose, retries=20):
 
 def test_agrees_with_an_independent_solver(robot_and_arm, random_joints, generator):
     """Poses in front of the robot, about half of them within reach."""
-    robot, arm = robot_and_arm
-    pose = robot.forward_kinematics(arm.name, random_joints(arm, 150, generator))
+    _, arm = robot_and_arm
+    pose = tool_pose(arm, random_joints(arm, 150, generator))
     pose[:, :3, 3] += 0.25 * torch.randn(150, 3, generator=generator, dtype=torch.float64)
     pose = pose.float()
     ours, theirs = reached(arm, pose, samples=144), oracle(arm, pose)
@@ -100,14 +101,14 @@ def test_agrees_with_an_independent_solver(robot_and_arm, random_joints, generat
 
 
 def test_numerical_solver_agrees_with_the_closed_form(pr2, random_joints, generator):
-    arm = pr2.arm("left")
-    pose = pr2.forward_kinematics("left", random_joints(arm, 200, generator))
+    arm = pr2.arms[0]
+    pose = tool_pose(arm, random_joints(arm, 200, generator))
     local = torch.linalg.inv(arm.mount) @ pose
     lower = torch.where(arm.continuous, -math.pi, arm.lower)
     upper = torch.where(arm.continuous, math.pi, arm.upper)
-    row, q = numerical_candidates(arm.chain(pose), lower, upper, local)
+    row, q = numerical_candidates(arm.chain(pose)[0], lower, upper, local)
     assert len(row.unique()) / 200 >= 0.9
-    error = pr2.forward_kinematics("left", q) - pose[row]
+    error = tool_pose(arm, q) - pose[row]
     assert error[:, :3, 3].norm(dim=1).max() < 2e-4
     assert error[:, :3, :3].abs().max() < 2e-3
     assert bool((q >= lower - 1e-9).all() and (q <= upper + 1e-9).all())

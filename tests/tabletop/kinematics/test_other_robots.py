@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from support import tool_pose
 
 from cgtorch.tabletop.kinematics import graspable, load_robot
 
@@ -85,10 +86,10 @@ def test_the_numerical_fallback_serves_any_other_arm(tmp_path, generator, random
     robot = write(tmp_path, UPRIGHT)
     (arm,) = robot.arms
     assert arm.closed_form is None
-    pose = robot.forward_kinematics("arm", random_joints(arm, 100, generator))
+    pose = tool_pose(arm, random_joints(arm, 100, generator))
     row, q = arm.candidates(pose)
     assert len(row.unique()) >= 90
-    error = robot.forward_kinematics("arm", q) - pose[row]
+    error = tool_pose(arm, q) - pose[row]
     assert error.abs().max() < 2e-3
     assert bool((q >= arm.lower - 1e-9).all() and (q <= arm.upper + 1e-9).all())
 
@@ -110,10 +111,10 @@ def test_the_closed_form_reads_lengths_and_limits(tmp_path, generator, random_jo
     assert len(arm.closed_form.branches) == 8
     assert arm.closed_form.upper_arm == pytest.approx(0.352)
     assert arm.closed_form.forearm == pytest.approx(0.3215)
-    pose = robot.forward_kinematics("arm", random_joints(arm, 1000, generator))
+    pose = tool_pose(arm, random_joints(arm, 1000, generator))
     row, q = arm.candidates(pose)
     assert len(row.unique()) >= 970
-    assert (robot.forward_kinematics("arm", q) - pose[row]).abs().max() < 1e-6
+    assert (tool_pose(arm, q) - pose[row]).abs().max() < 1e-6
     path, reached = arm.follow(q, pose[row][:, None])
     assert reached.double().mean() > 0.999
     assert arm.difference(path[:, 0], q)[reached[:, 0]].abs().max() < 1e-5
@@ -127,16 +128,16 @@ def test_axes_may_point_the_other_way(tmp_path, generator, random_joints):
     robot = load_robot(tmp_path / "boxer.urdf", tmp_path / "words.json")
     (arm,) = robot.arms
     assert arm.closed_form is not None
-    pose = robot.forward_kinematics("arm", random_joints(arm, 300, generator))
+    pose = tool_pose(arm, random_joints(arm, 300, generator))
     row, q = arm.candidates(pose)
     assert len(row.unique()) >= 290
-    assert (robot.forward_kinematics("arm", q) - pose[row]).abs().max() < 1e-6
+    assert (tool_pose(arm, q) - pose[row]).abs().max() < 1e-6
 
 
 def test_a_joint_without_an_axis_turns_about_x(tmp_path):
     """So says the URDF standard; pytorch-kinematics alone would take z."""
     robot = write(tmp_path, [(None, "0 0 1", (-2, 2)), ("z", "0 0.5 0", (-2, 2))])
-    pose = robot.forward_kinematics("arm", torch.tensor([math.pi / 2, 0.0]))
+    pose = tool_pose(robot.arms[0], torch.tensor([math.pi / 2, 0.0]))
     torch.testing.assert_close(pose[:3, 3], torch.tensor([0.12, 0.0, 1.5]), atol=1e-6, rtol=0)
 
 
@@ -147,9 +148,7 @@ def test_an_axis_of_any_length_is_a_direction(tmp_path):
     path.write_text(path.read_text().replace('"0 1 0"', '"0 2.5 0"'))
     after = load_robot(path, tmp_path / "words.json")
     q = torch.linspace(-1, 1, 7)
-    torch.testing.assert_close(
-        before.forward_kinematics("arm", q), after.forward_kinematics("arm", q)
-    )
+    torch.testing.assert_close(tool_pose(before.arms[0], q), tool_pose(after.arms[0], q))
 
 
 def test_the_description_is_looked_for_beside_the_urdf(tmp_path):

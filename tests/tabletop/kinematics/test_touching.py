@@ -34,7 +34,7 @@ def test_compiled_postures_touch_what_they_touch_in_torch(robot_and_arm, random_
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_what_postures_touch_does_not_depend_on_threads_or_rows(pr2, random_joints, threads):
-    arm, body = pr2.arm("left"), pr2.body
+    arm, body = pr2.arms[0], pr2.body
     q = random_joints(arm, ROWS, torch.Generator().manual_seed(1)).float()
     tables = TABLE + 0.05 * torch.randn(ROWS, 6, generator=torch.Generator().manual_seed(2))
     slab, body = table_slab(tables), body.to(q)

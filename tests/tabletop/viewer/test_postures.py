@@ -1,6 +1,7 @@
 from itertools import pairwise
 
 import torch
+from support import tool_pose
 
 from cgtorch.tabletop.kinematics import grasp_solution, load_robot
 from cgtorch.tabletop.kinematics.grasping import table_slab
@@ -25,7 +26,7 @@ def test_arms_rest_beside_the_body_and_mirror_each_other() -> None:
         assert float(points[:, 0].max()) < x_max + 0.05
         assert float(points[:, 1].min()) > y_min - 0.05
         assert float(points[:, 1].max()) < y_max + 0.05
-        tools.append(ROBOT.forward_kinematics(arm.name, q)[:3, 3])
+        tools.append(tool_pose(arm, q)[:3, 3])
     torch.testing.assert_close(
         tools[0] * torch.tensor([1.0, -1.0, 1.0]), tools[1], atol=0.02, rtol=0
     )

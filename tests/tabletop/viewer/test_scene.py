@@ -7,7 +7,7 @@ import pytest
 import torch
 import viser
 from lxml import etree
-from support import custom_actions, random_skill, world
+from support import custom_actions, random_skill, tool_pose, world
 from viser.transforms import SE3
 
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
@@ -59,7 +59,7 @@ def test_base_object_and_links_are_where_they_should_be(
         np.testing.assert_allclose(scene.object.position, tops, atol=1e-6)
     for which, arm in enumerate(robot.arms):
         q = rest_postures(robot)[which]
-        wanted = robot.forward_kinematics(arm.name, q).numpy()
+        wanted = tool_pose(arm, q).numpy()
         tool = robot.description.arms[which].tool_frame
         np.testing.assert_allclose(drawn_pose(scene, tool), wanted, atol=1e-6)
     scene.remove()
