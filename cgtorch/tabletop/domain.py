@@ -25,7 +25,7 @@ from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions
-from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files, robots_folder
+from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
@@ -35,6 +35,7 @@ from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements
 from cgtorch.tabletop.world import (
+    DRAWS,
     EDGES,
     PERCEPTS,
     ClearWay,
@@ -44,7 +45,6 @@ from cgtorch.tabletop.world import (
     draw_of,
     stage_scenarios,
 )
-from cgtorch.tabletop.world.general import DRAWS
 from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
 
 if TYPE_CHECKING:
@@ -53,20 +53,8 @@ if TYPE_CHECKING:
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
-URDF, DESCRIPTION = "robot.urdf", "robot.json"
-ACTIONS: Mapping[str, Callable[[int], ActionSet]] = {
-    "percept": paper_actions,
-    "edge": edge_actions,
-}
+ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI by what their networks read."""
-FRESH_TESTS = {
-    "gamma/fresh_object": "the object, x and y",
-    "gamma/fresh_table": "the table's sides",
-    "classifier/near": "near the object, any side and heading",
-    "classifier/overall": "anywhere around the table",
-    "classifier/beside": "just across the boundary of what can be grasped",
-}
-"""See `Domain.fresh_tests`."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
 """Networks that read the percept itself can hold for scenarios near to one another only; those in
 the edge's frame for many, if they are evolved on many kinds."""
@@ -90,7 +78,13 @@ class Tabletop(Domain[Scenarios]):
     published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
     publisher = "the paper"
     solved = ("reached", "Objects reached")
-    fresh_tests: ClassVar[Mapping[str, str]] = FRESH_TESTS
+    fresh_tests: ClassVar[Mapping[str, str]] = {
+        "gamma/fresh_object": "the object, x and y",
+        "gamma/fresh_table": "the table's sides",
+        "classifier/near": "near the object, any side and heading",
+        "classifier/overall": "anywhere around the table",
+        "classifier/beside": "just across the boundary of what can be grasped",
+    }
     control = (
         *named("dx", "dy", unit="m", low=-2, high=2),
         Field("dθ", "rad", -torch.pi, torch.pi, "angle"),
@@ -173,8 +167,7 @@ class Tabletop(Domain[Scenarios]):
 
     def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
         """See `Domain.fit_transition`."""
-        rows = data.percept, data.control, data.next_percept
-        return fit_table_transition_model(*rows, seed=seed)
+        return fit_table_transition_model(data.percept, data.control, data.next_percept, seed=seed)
 
     def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
         """See `Domain.fit_success`."""
@@ -227,24 +220,21 @@ class Tabletop(Domain[Scenarios]):
     def write(self, folder: Path) -> None:
         """See `Domain.write`: the URDF and its description."""
         (folder / "robot").mkdir()
-        for source, name in zip(self._files(), (URDF, DESCRIPTION), strict=True):
-            data = read_bytes(source, MAX_BYTES, RobotError)
-            write_bytes(folder / "robot" / name, data)
+        for source, target in zip(self._files(), _stored(folder), strict=True):
+            write_bytes(target, read_bytes(source, MAX_BYTES, RobotError))
 
     @classmethod
     def read(cls, settings: Any, folder: Path) -> Self:
         """See `Domain.read`."""
-        robot = load_robot(folder / "robot" / URDF, folder / "robot" / DESCRIPTION)
-        return cls(settings, robot)
+        return cls(settings, load_robot(*_stored(folder)))
 
     def stored_options(self, folder: Path) -> Mapping[str, str]:
         """See `Domain.stored_options`: a robot that is not built in is taken from the run."""
-        own, built_in = folder / "robot", robots_folder() / "pr2"
-        pairs = ((URDF, "pr2.urdf"), (DESCRIPTION, DESCRIPTION))
-        if all((own / a).read_bytes() == (built_in / b).read_bytes() for a, b in pairs):
-            return {"urdf": "", "robot": "pr2"}
-        where = f"{folder.resolve().name}/robot"
-        return {"urdf": f"{where}/{URDF}", "robot": f"{where}/{DESCRIPTION}"}
+        pairs = zip(_stored(folder), robot_files(), strict=True)
+        if all(own.read_bytes() == built_in.read_bytes() for own, built_in in pairs):
+            return {"urdf": "", "robot": TabletopSettings.robot}
+        urdf, robot = _stored(Path(folder.resolve().name))
+        return {"urdf": urdf.as_posix(), "robot": robot.as_posix()}
 
     def about(self) -> list[tuple[str, str]]:
         """See `Domain.about`."""
@@ -260,6 +250,11 @@ class Tabletop(Domain[Scenarios]):
     def draw_stage(self, stage: str) -> str:
         """See `Domain.draw_stage`: the paper's drawing of an experiment."""
         return stage_drawing(self.stages[stage], self.robot.description.footprint)
+
+
+def _stored(folder: Path) -> tuple[Path, Path]:
+    """Where a run keeps its robot's URDF and description."""
+    return folder / "robot" / "robot.urdf", folder / "robot" / "robot.json"
 
 
 def usual_percept(kind: str) -> str:

@@ -118,9 +118,7 @@ def draw_scenes(
     """Each scene in a panel of its own, all in one scale, for tables that differ.
 
     Marks are those of `draw_table_top`; obstacles are grey. The world's x is up, y to the left.
-
-    Raises:
-        DataError: another number of results than scenarios, or no scenario.
+    DataError if there is another number of results than scenarios, or no scenario.
     """
     from matplotlib.figure import Figure
 
@@ -172,8 +170,7 @@ def _draw_all(
         (scenarios.obstacles.flatten(0, 1), OBSTACLE, TARGET, "obstacle"),
     ):
         for outline in _on_paper(corners(things[present(things)])):
-            style: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "lw": 1.4, "zorder": 1}
-            axes.add_patch(Polygon(outline, gid=name, **style))
+            axes.add_patch(Polygon(outline, gid=name, fc=face, ec=edge, lw=1.4, zorder=1))
     _draw_robots(axes, torch.unique(scenarios.pose, dim=0), footprint)
     _draw_objects(axes, _on_paper(scenarios.object), good, marks)
 

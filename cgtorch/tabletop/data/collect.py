@@ -49,11 +49,8 @@ def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Ten
 
 def _either(first: Tensor, yes: Lanes, no: Lanes) -> Lanes:
     """Lanes from `yes` where `first` (n,), else from `no`."""
-    merged = {
-        name: torch.where(first.view(-1, *[1] * (a.dim() - 1)), a, getattr(no, name))
-        for name, a in vars(yes).items()
-    }
-    return Lanes(**merged)
+    pairs = zip(vars(yes).values(), vars(no).values(), strict=True)
+    return Lanes(*(torch.where(first.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
 def random_motions(count: int, generator: Generator) -> Tensor:

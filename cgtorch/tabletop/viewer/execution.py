@@ -21,13 +21,9 @@ Place: TypeAlias = tuple[Skill, int]
 
 @dataclass(frozen=True)
 class Step:
-    """One action that was executed.
+    """One action that was executed, and how it came out.
 
-    Attributes:
-        places: the node, last, and before it the nodes of the sub-skills that it runs in.
-        name: of the action.
-        action: the action.
-        outcome: how it came out.
+    `places` are its node, last, and before it the nodes of the sub-skills that it runs in.
     """
 
     places: tuple[Place, ...]
@@ -41,9 +37,6 @@ class Execution:
     """What a skill did on a scenario, in T steps.
 
     Attributes:
-        skill: the skill.
-        scenario: the one scenario.
-        steps: T of them.
         end: success, failure or timeout.
         pose: (T + 1, 3) base x, y (m), θ (rad) before the first step and after each.
         percept: (T + 1, D) what the robot had perceived by then.
@@ -76,15 +69,13 @@ def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
 
     most = most_steps(skill.actions, skill.max_transitions)
     run = rollout_in_torch(program, world, which, skill.max_transitions, most, trace)
+    end = "success" if run.succeeded else "timeout" if run.timed_out else "failure"
     return Execution(
-        skill,
-        world.scenarios[which],
-        tuple(steps),
-        "success" if run.succeeded else "timeout" if run.timed_out else "failure",
+        skill, world.scenarios[which], tuple(steps), end,
         pose=torch.cat([x.state[:, :3] for x in seen]),
         percept=torch.cat([x.percept for x in seen]),
         message=torch.cat([x.message.where(x.has_message[:, None], torch.nan) for x in seen]),
-    )
+    )  # fmt: skip
 
 
 def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:

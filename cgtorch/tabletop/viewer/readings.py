@@ -29,11 +29,9 @@ def headline(timeline: Timeline, frame: int) -> str:
     run, k = timeline.execution, int(timeline.step[frame])
     step = run.steps[k]
     skill, slot = step.places[-1]
-    last = frame == len(timeline) - 1
-    end = f" · {run.skill.name} ended with {run.end}" if last else ""
-    return (
-        f"step {k + 1} of {len(run.steps)}: {skill.name} · {step.name}_{slot} → {step.outcome}{end}"
-    )
+    end = f" · {run.skill.name} ended with {run.end}" if frame == len(timeline) - 1 else ""
+    node = f"{skill.name} · {step.name}_{slot}"
+    return f"step {k + 1} of {len(run.steps)}: {node} → {step.outcome}{end}"
 
 
 def readings_html(timeline: Timeline, frame: int) -> str:

@@ -26,7 +26,6 @@ class Timeline:
     """F pictures of an execution, `FPS` a second.
 
     Attributes:
-        execution: what they show.
         pose: (F, 3) base x, y (m), θ (rad).
         joints: (F, J) positions of the joints of all arms, one arm after the other, rad or m.
         object: (F, 3) where the object stands or is held, m.
@@ -146,8 +145,6 @@ def _grasp(
     grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
     all_joints = joints.expand(len(path), -1).clone()
     all_joints[:, mine] = path
-    tool = arm.frames(path[grasped:])[-1][:, :3, 3]
-    lifted = tool[:, 2] - GRASP_HEIGHT
     things = thing.expand(len(path), 3).clone()
-    things[grasped:, 2] = lifted
+    things[grasped:, 2] = arm.frames(path[grasped:])[-1][:, 2, 3] - GRASP_HEIGHT
     return all_joints, things
