@@ -35,10 +35,8 @@ def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tens
 
     Some poses are drawn around the object, more of them beside the boundary between success and
     failure, and the others anywhere, so that models do not believe in grasps at places where
-    nobody has been. The base never stands in the table, where no skill can bring it.
-
-    Raises:
-        DataError: fewer than one pose in a hundred around the object has either label.
+    nobody has been. The base never stands in the table, where no skill can bring it. DataError if
+    fewer than one pose in a hundred around the object has either label.
     """
     anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
     first = count - anywhere - ROUNDS * beside

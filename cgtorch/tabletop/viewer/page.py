@@ -20,9 +20,8 @@ from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
-from cgtorch.tabletop.viewer.graph_levels import levels_html
+from cgtorch.tabletop.viewer.panel import headline, levels_html, readings_html
 from cgtorch.tabletop.viewer.postures import rest_postures
-from cgtorch.tabletop.viewer.readings import headline, readings_html
 from cgtorch.tabletop.viewer.scene import Scene
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios

@@ -37,12 +37,11 @@ class Scene:
         self.server, self.name, self.robot = server, name, robot
         self.place = server.scene.add_frame(name, show_axes=False, position=(0.0, y, 0.0))
         self.base = server.scene.add_frame(f"{name}/base", show_axes=False)
-        # Robots whose shapes are files of meshes, which a run does not keep, show what they
-        # collide with.
-        model = _model(robot)
+        # A model apart from the one that kinematics keep. Robots whose shapes are files of
+        # meshes, which a run does not keep, show what they collide with.
+        xml = io.BytesIO(robot.urdf.xml)
+        model = yourdfpy.URDF.load(xml, load_meshes=False, build_collision_scene_graph=True)
         visual = bool(model.scene.geometry)
-        if not visual:
-            model = _model(robot, build_collision_scene_graph=True)
         # Where the URDF's root link is in the base frame.
         root = model.get_transform(model.base_link, robot.description.base_frame)
         turn = viser.transforms.SO3.from_matrix(root[:3, :3]).wxyz
@@ -169,11 +168,6 @@ def _segments(points: Tensor) -> Tensor:
     """(n, 2, 2) the pieces of a way (F, 2) that have a length."""
     pieces = torch.stack([points[:-1], points[1:]], 1)
     return pieces[(pieces[:, 0] != pieces[:, 1]).any(1)]
-
-
-def _model(robot: Robot, **how: bool) -> Any:
-    """A model of the robot to move, apart from the one that kinematics keep."""
-    return yourdfpy.URDF.load(io.BytesIO(robot.urdf.xml), load_meshes=False, **how)
 
 
 def _rest(model: Any, robot: Robot) -> Array:

@@ -65,7 +65,7 @@ def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) ->
     scene = execution.scenario
     joints = torch.cat(rest).double()[None]
     thing = torch.cat([scene.object[0], scene.table[0, 5:6]]).double()[None]
-    poses, arms, things, steps, seen = [], [], [], [], []
+    pieces: list[list[Tensor]] = []
     for k, step in enumerate(execution.steps):
         before, after = execution.pose[k].double(), execution.pose[k + 1].double()
         pose = _drive(before, after)
@@ -75,21 +75,16 @@ def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) ->
             looks = isinstance(step.action, Detect | Grasp)
             pose = pose.expand(_count(LOOK if looks else THINK), 3)
         count = max(len(pose), len(joints))
-        poses.append(_held(pose, count))
-        arms.append(_held(joints, count))
-        things.append(_held(thing, count))
-        steps += [k] * count
-        seen += [k] * (count - 1) + [k + 1]
+        seen = torch.full((count,), k)
+        seen[-1] = k + 1
+        moving = [_held(rows, count) for rows in (pose, joints, thing)]
+        pieces.append([*moving, torch.full((count,), k), seen])
         joints, thing = joints[-1:], thing[-1:]
     last, count = len(execution.steps), _count(REST)
-    return Timeline(
-        execution,
-        torch.cat([*poses, execution.pose[-1:].double().expand(count, 3)]).float(),
-        torch.cat([*arms, joints.expand(count, -1)]).float(),
-        torch.cat([*things, thing.expand(count, 3)]).float(),
-        torch.tensor(steps + [max(0, last - 1)] * count),
-        torch.tensor(seen + [last] * count),
-    )
+    still = [_held(rows, count) for rows in (execution.pose[-1:].double(), joints, thing)]
+    pieces.append([*still, torch.full((count,), max(0, last - 1)), torch.full((count,), last)])
+    pose, joints, thing, which, seen = (torch.cat(rows) for rows in zip(*pieces, strict=True))
+    return Timeline(execution, pose.float(), joints.float(), thing.float(), which, seen)
 
 
 def _count(seconds: float) -> int:

@@ -1,17 +1,22 @@
-"""The skill's graph as the page shows it: each level that is running, its active node lit."""
+"""What stands beside the scene, as HTML: the skill's graph, and what the robot perceives."""
 
 import re
 from functools import cache
 
 from markupsafe import Markup
 from matplotlib import rc_context
+from torch import Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.report.graph_picture import draw_clusters, gid_of
 from cgtorch.report.html import STYLE, inline_svg, templates
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.viewer.execution import Step
+from cgtorch.tabletop.viewer.timeline import Timeline
+from cgtorch.tabletop.world.percepts import percept_fields
 
+TEMPLATES = templates("cgtorch.tabletop.viewer")
 LIT, RIM = "#ffd60a", "#1c1f24"
 SCALE = 0.94  # of pictures, where 1 is 96 pixels an inch
 OUTER_HEIGHT = 2.1
@@ -28,8 +33,7 @@ def levels_html(skill: Skill, step: Step) -> str:
     ended = nodes[-1].key, step.outcome
     (edge,) = (e for e in clusters[-1].edges if (e.tail, e.outcome) == ended)
     gids = [gid_of(c, node) for c, node in zip(clusters, nodes, strict=True)]
-    template = templates("cgtorch.tabletop.viewer").get_template("levels.html")
-    return template.render(
+    return TEMPLATES.get_template("levels.html").render(
         nodes=[(_selector(gid), _selector(f"text:{gid}")) for gid in gids],
         edge=_selector(gid_of(clusters[-1], edge)),
         pictures=[_picture(skill, inner, inner is step.places[-1][0]) for inner, _ in step.places],
@@ -57,3 +61,40 @@ def _picture(skill: Skill, inner: Skill, last: bool) -> Markup:
         figure = draw_clusters([cluster])
     scale = SCALE if last else min(SCALE, OUTER_HEIGHT / figure.get_size_inches()[1])
     return inline_svg(figure, cluster.key, cluster.path, scale)
+
+
+def percept_rows(percept: Tensor) -> list[tuple[str, str]]:
+    """Names and values of a percept (D,)."""
+    values = zip(percept_fields(len(percept)), percept.tolist(), strict=True)
+    return [(field.name, f"{value:.3f} {field.unit}") for field, value in values]
+
+
+def message_rows(message: Tensor) -> list[tuple[str, str]]:
+    """Names and values of a message (M,), none where there is no message."""
+    if not message.isfinite().all():
+        return []
+    known = [(field.name, f" {field.unit}") for field in Tabletop.control]
+    known += [(f"{i}", "") for i in range(len(known), len(message))]
+    values = zip(known, message.tolist(), strict=False)
+    return [(name, f"{value:+.3f}{unit}") for (name, unit), value in values]
+
+
+def headline(timeline: Timeline, frame: int) -> str:
+    """One line: which step of how many, the node that runs, how it comes out."""
+    run, k = timeline.execution, int(timeline.step[frame])
+    step = run.steps[k]
+    skill, slot = step.places[-1]
+    end = f" · {run.skill.name} ended with {run.end}" if frame == len(timeline) - 1 else ""
+    node = f"{skill.name} · {step.name}_{slot}"
+    return f"step {k + 1} of {len(run.steps)}: {node} → {step.outcome}{end}"
+
+
+def readings_html(timeline: Timeline, frame: int) -> str:
+    """The headline, the percept and the message at one picture, as HTML."""
+    run = timeline.execution
+    message = run.message[min(int(timeline.step[frame]) + 1, len(run.message) - 1)]
+    return TEMPLATES.get_template("readings.html").render(
+        headline=headline(timeline, frame),
+        percept=percept_rows(run.percept[int(timeline.seen[frame])]),
+        message=message_rows(message) or [("none yet", "")],
+    )
