@@ -211,8 +211,8 @@ def table_slab(table: Tensor) -> Boxes:
 def _within_reach(robot: Robot, position: Tensor) -> Tensor:
     """(B,) whether an arm is long enough, which it is not for most that a skill tries."""
     grasp = position + position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
-    away = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) for arm in robot.arms]
-    return torch.stack([a <= arm.reach for a, arm in zip(away, robot.arms, strict=True)]).any(0)
+    near = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) <= arm.reach for arm in robot.arms]
+    return torch.stack(near).any(0)
 
 
 def _standing_in_table(robot: Robot, table: Tensor) -> Tensor:
