@@ -201,10 +201,7 @@ class Tabletop(Domain[Scenarios]):
         )  # fmt: skip
 
     def _clear_way(self, device: torch.device | str) -> ClearWay:
-        """MoveBase's own check on percepts, with more room than the world asks for.
-
-        So a way which is possible in the models is not blocked by the noise of the world.
-        """
+        """MoveBase's own check, with more room, so that the world's noise blocks no way found."""
         footprint = torch.tensor(self.robot.description.footprint, device=device)
         more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
         return ClearWay(footprint + more)
@@ -263,10 +260,7 @@ def usual_percept(kind: str) -> str:
 
 
 def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """`graspable`, its rows shared out among all ranks.
-
-    A few rows are not, so that the first rank alone can try a domain.
-    """
+    """`graspable`, many rows shared out among all ranks; with few, one rank can try a domain."""
     if len(position) < WORTH_SHARING:
         return graspable(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)

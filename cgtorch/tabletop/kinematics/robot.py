@@ -45,17 +45,11 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     """
     urdf, description = robot_files(urdf, description)
     model, words = load_urdf(urdf), load_description(description)
-    for name, position in words.held.items():
-        _check_held(model.joint(name), position)
-    model.model.update_cfg(words.held)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
     in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
-    for name in words.held:
-        if name in in_arms:
-            raise RobotError(
-                f"joint {name!r} is named in the robot description but moves an arm: name a joint "
-                "outside the arms"
-            )
+    for name, position in words.held.items():
+        _check_held(model.joint(name), position, in_arms)
+    model.model.update_cfg(words.held)
     for name in words.capsules:
         model.link(name)
     return Robot(
@@ -66,8 +60,13 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     )
 
 
-def _check_held(joint: Any, position: float) -> None:
-    """Refuse to hold a joint that does not move, or beyond its limits."""
+def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
+    """Refuse to hold a joint that does not move or is an arm's, or to hold it beyond its limits."""
+    if joint.name in in_arms:
+        raise RobotError(
+            f"joint {joint.name!r} is named in the robot description but moves an arm: name a "
+            "joint outside the arms"
+        )
     refused = f"joint {joint.name!r} cannot be held at {position}: "
     if joint.type not in MOVING or joint.mimic is not None:
         raise RobotError(f"{refused}it is fixed or follows another joint; name a joint that moves")
