@@ -58,15 +58,14 @@ def bred(
     room = Graphs(*(torch.empty(each, dtype=torch.long) for each in sizes))
     strategy, first = torch.empty(count, len(STRATEGY)), torch.zeros(kinds + 1, dtype=torch.long)
     breeding = structure("Breeding", torch.float32)(
-        given=_graphs(population.graphs, None), made=_graphs(room, room.parameters),
+        given=_graphs(population.graphs, None, n), made=_graphs(room, room.parameters, capacity),
         elite=elite, parents=parents, strategy=population.strategy.float(),
         parent_strategy=strategy, has_edge=actions and actions.has_edge, first=first,
-        individuals=len(population), nodes=n, outcomes=o, elites=len(elite),
-        pairs=len(parents) // 2, actions=kinds, pair_key=keys[0], key=keys[1],
-        slots=capacity,
+        individuals=len(population), elites=len(elite), pairs=len(parents) // 2, actions=kinds,
+        pair_key=keys[0], key=keys[1], width=0,
     )  # fmt: skip
     _call("bred", torch.float32, breeding, threads())
-    return _in_slots(room, breeding.slots), strategy, first.tolist()
+    return _in_slots(room, breeding.made.nodes), strategy, first.tolist()
 
 
 def changed(
@@ -128,10 +127,11 @@ def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
         raise MemoryError(f"no memory to run {name}")
 
 
-def _graphs(graphs: Graphs, origins: Tensor | None) -> Any:
+def _graphs(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
     action, edges, start = (x.contiguous() for x in (graphs.action, graphs.edges, graphs.start))
     kind = structure("Graphs", torch.float32)
-    return kind(action=action, edges=edges, origins=origins, start=start)
+    sizes = {"nodes": nodes, "outcomes": edges.shape[2]}
+    return kind(action=action, edges=edges, origins=origins, start=start, **sizes)
 
 
 def _in_slots(room: Graphs, slots: int) -> Graphs:

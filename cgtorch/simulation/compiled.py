@@ -24,6 +24,11 @@ EXACT = ("EDGE", "EDGE_BRANCHING")
 """Read percepts of one length only."""
 LARGEST = 2**30
 """Nodes, transitions and scenarios that it can count."""
+RESULTS = (
+    "again", "percept", "state", "status", "transitions", "fitness", "score", "succeeded", "chunks",
+)  # fmt: skip
+NUMBERS = ("keep", "executed", "not_finite", "wrong", "num_chunks")
+"""Fields of a `Task` of lanes.h that are not always given: pointers, and numbers."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +63,13 @@ class CompiledEngine:
         sizes, like = (len(graphs), len(scenarios)), graphs.parameters
         percept, state = like.new_empty(*sizes, self.models.size), like.new_empty(*sizes, 3)
         status, transitions = torch.empty(2, *sizes, dtype=torch.long).unbind()
-        task = self._task(
-            graphs, scenarios, max_transitions, max_steps,
-            percept=percept, state=state, status=status, transitions=transitions, again=None,
+        task = self._ran(
+            "rollouts", graphs, scenarios, max_transitions, max_steps,
+            percept=percept, state=state, status=status, transitions=transitions,
         )  # fmt: skip
-        if task is None:
-            return None
-        self._run("rollouts", task, graphs, len(scenarios))
         succeeded = status == SUCCESS
-        return Rollouts(succeeded, ~succeeded & (status != FAILURE), percept, state, transitions)
+        timed_out = ~succeeded & (status != FAILURE)
+        return task and Rollouts(succeeded, timed_out, percept, state, transitions)
 
     def evaluation(
         self,
@@ -91,23 +94,22 @@ class CompiledEngine:
         sizes = len(graphs), len(scenarios)
         fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)
         succeeded = torch.empty(sizes, dtype=torch.bool)
-        task = self._task(
-            graphs, scenarios, max_transitions, max_steps,
-            percept=None, state=None, status=None, transitions=None, again=again,
+        task = self._ran(
+            "evaluations", graphs, scenarios, max_transitions, max_steps,
+            keep=kept, again=again, fitness=fitness, score=score, succeeded=succeeded,
         )  # fmt: skip
-        if task is None:
-            return None
-        found = structure("Evaluation", self.dtype)(
-            task=task, keep=kept, fitness=fitness, score=score, succeeded=succeeded,
-            transitions=0, not_finite=0, chunks=None, count=0,
-        )  # fmt: skip
-        self._run("evaluations", found, graphs, len(scenarios))
-        return fitness, score.float(), succeeded, found.transitions, found.not_finite
+        return task and (fitness, score.float(), succeeded, task.executed, task.not_finite)
 
-    def _task(
-        self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int, **rest: Any
+    def _ran(
+        self,
+        name: str,
+        graphs: Graphs,
+        scenarios: Tensor,
+        max_transitions: int,
+        max_steps: int,
+        **rest: Any,
     ) -> Any:
-        """A `Task` of lanes.h, or None where compiled code does not know all of it."""
+        """A `Task` of lanes.h that is done, or None where compiled code does not know all of it."""
         whole = graphs.action, graphs.edges, graphs.start, scenarios
         nodes, longest = graphs.action.numel() + self.program["rows"], (max_transitions, max_steps)
         if (
@@ -123,20 +125,19 @@ class CompiledEngine:
             parameters=graphs.parameters, nodes=graphs.capacity, seen=graphs.edges.shape[2],
             each=graphs.parameters.shape[2],
         )  # fmt: skip
-        return structure("Task", self.dtype)(
+        task = structure("Task", self.dtype)(
             program=program, models=self.models, scenarios=scenarios, graphs=len(graphs),
-            count=len(scenarios), max_transitions=max_transitions, max_steps=max_steps, wrong=0,
-            **rest,
+            count=len(scenarios), max_transitions=max_transitions, max_steps=max_steps,
+            **{**dict.fromkeys(RESULTS), **dict.fromkeys(NUMBERS, 0), **rest},
         )  # fmt: skip
-
-    def _run(self, name: str, given: Any, graphs: Graphs, scenarios: int) -> None:
-        failure = function(name, self.dtype)(given, threads())
+        failure = function(name, self.dtype)(task, threads())
         if failure == WRONG_GRAPHS:
             check_numbers(graphs, len(self.actions))
         elif failure:
             raise MemoryError(
-                f"there is no memory for the first percepts of {scenarios} scenarios; give fewer"
+                f"no memory for the first percepts of {len(scenarios)} scenarios; give fewer"
             )
+        return task
 
 
 def compiled_engine(actions: ActionSet, environment: Environment) -> CompiledEngine | None:

@@ -79,7 +79,7 @@ def test_what_c_writes_to_must_be_contiguous() -> None:
     room = torch.zeros(4, 3).T
     fields = dict.fromkeys(("action", "edges", "start"), torch.zeros(3, dtype=torch.long))
     with pytest.raises(ValueError, match="not contiguous"):
-        structure("Graphs", torch.float32)(**fields, origins=room)
+        structure("Graphs", torch.float32)(**fields, origins=room, nodes=3, outcomes=3)
 
 
 def test_sources_are_shipped() -> None:

@@ -3,7 +3,6 @@
 #define CGTORCH_ACTIONS_H
 #include "tabletop/edge.h"
 #include "lanes.h"
-#include "networks.h"
 
 /* What an action did: the lanes with its second outcome, and those where it changed anything that a
    later action could depend on. */
@@ -69,6 +68,29 @@ INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {
   lanes->has_message |= here;
   return (Done){every(0), here & other};
 }
+
+/* ---- Networks with one hidden layer, cgtorch.actions.networks.one_hidden_layer ---- */
+
+#define MOST_HIDDEN 64
+
+INLINE vec weighted(const vec *x, const real *w, int count, real bias) {
+  vec total = all(0);
+  for (int i = 0; i < count; i++) total += w[i] * x[i];
+  return total + bias;
+}
+INLINE void layers(const vec *x, const real *w, int inputs, int hidden, int outputs, vec *out) {
+  vec at[MOST_HIDDEN];
+  const real *b1 = w + hidden * inputs, *w2 = b1 + hidden, *b2 = w2 + outputs * hidden;
+  for (int i = 0; i < hidden; i++) at[i] = sigmoid_vec(weighted(x, w + i * inputs, inputs, b1[i]));
+  for (int i = 0; i < outputs; i++) out[i] = weighted(at, w2 + i * hidden, hidden, b2[i]);
+}
+INLINE void network(const vec *x, const real *w, int inputs, int hidden, int outputs, vec *out) {
+  if (hidden == 3 && inputs == 7) layers(x, w, 7, 3, outputs, out);
+  else if (hidden == 3 && inputs == 9) layers(x, w, 9, 3, outputs, out);
+  else layers(x, w, inputs, hidden, outputs, out);
+}
+/* The lanes that take a branch's second way. */
+INLINE vwhole branch(const vec *out) { return sigmoid_vec(out[1]) > sigmoid_vec(out[0]); }
 
 /* What networks say, of what is seen as it is or from the edge nearest to the object. */
 APART void answer(const Action *a, const real *weights, Layout layout, const vec *percept, vec *out) {

@@ -9,15 +9,25 @@
 #define MOST_OUTCOMES 16
 
 /* Tensors (P, N), (P, N, O), (P, N, 1) and (P,) of cgtorch.graphs.Graphs. In place of parameters a
-   node carries their origin (parameter_origin.h), which without any is 1 + its place among all
-   slots. */
+   node carries their origin (cgtorch.evolution.parameters), which without any is 1 + its place among
+   all slots. */
 typedef struct {
   int64_t *action, *edges, *origins, *start;
+  int64_t nodes, outcomes; /* N and O */
 } Graphs;
 
+/* What children are made of, and room for what they are. */
 typedef struct {
-  int64_t nodes, outcomes; /* N and O */
-} Shape;
+  Graphs given, made; /* of `made` N is what they may have, then as many as the largest may need */
+  const int64_t *elite;    /* (E,) of `given` */
+  const int64_t *parents;  /* (2 Q,) of `given`, the first ones and then the second ones */
+  const float *strategy;   /* (P, STRATEGY) of `given` */
+  float *parent_strategy;  /* (E + 2 Q, STRATEGY) of the elite and of parents */
+  const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
+  int64_t *first;          /* (A + 1,) for `number_new_nodes`, unless nothing is mutated */
+  int64_t individuals, elites, pairs, actions, pair_key, key;
+  int64_t width; /* nodes of the largest of the elite and of parents, set by `bred` */
+} Breeding;
 
 typedef struct {
   int count, start; /* nodes; those that are gone leave a hole */
@@ -30,8 +40,8 @@ typedef struct {
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
 static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
 
-static inline void read_graph(Graph *graph, const Graphs *from, Shape shape, int64_t row) {
-  int64_t n = shape.nodes, o = shape.outcomes, slot[MOST_NODES + 1];
+static inline void read_graph(Graph *graph, const Graphs *from, int64_t row) {
+  int64_t n = from->nodes, o = from->outcomes, slot[MOST_NODES + 1];
   const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
   int8_t place[MOST_NODES] = {0};
   int count = 0;
@@ -107,8 +117,8 @@ static inline void copy_graph(Graph *to, const Graph *from) {
 }
 
 /* Writes what the start leads to into the first slots. */
-static inline void write_reached(Graph *graph, const Graphs *to, Shape shape, int64_t row) {
-  int64_t n = shape.nodes, o = shape.outcomes, count;
+static inline void write_reached(Graph *graph, const Graphs *to, int64_t row) {
+  int64_t n = to->nodes, o = to->outcomes, count;
   int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;
   int64_t *origins = to->origins + row * n;
   prune(graph, (int)o);

@@ -23,18 +23,6 @@ typedef struct {
   real most_novel;
 } Models;
 
-/* What there is to do: P graphs on `count` scenarios; and what comes out, (P * count, ...). */
-typedef struct {
-  const Program *program;
-  const Models *models;
-  const int64_t *scenarios;
-  int64_t graphs, count, max_transitions, max_steps;
-  real *percept, *state;
-  int64_t *status, *transitions;
-  const int64_t *again; /* (PARTS,) how often more each part is done, by which it can be timed; or NULL */
-  int64_t wrong;  /* set where a graph has numbers that are none of its nodes or actions */
-} Task;
-
 /* Up to WIDTH lanes of one graph. Each part of a vector is one lane's, and none meets another. */
 typedef struct {
   whole caller[MOST_DEPTH][WIDTH], outer[MOST_DEPTH][WIDTH]; /* what is left on the levels without */
@@ -60,6 +48,29 @@ typedef struct {
   Lanes lanes;
 } Chunk;
 
+/* What there is to do: P graphs on `count` scenarios, of which the first `keep` are those of W. What
+   comes out is (P, B, ...), of `rollouts` the second, of `evaluations` the third group of fields. */
+typedef struct {
+  const Program *program;
+  const Models *models;
+  const int64_t *scenarios;
+  int64_t graphs, count, keep, max_transitions, max_steps;
+  const int64_t *again; /* (PARTS,) how often more each part is done, by which it can be timed; or NULL */
+
+  real *percept, *state;
+  int64_t *status, *transitions;
+
+  float *fitness; /* (P,) */
+  real *score;
+  unsigned char *succeeded;
+  int64_t executed;   /* transitions that all graphs make */
+  int64_t not_finite; /* graphs with a number that is none; nothing of what they did counts */
+
+  int64_t wrong; /* set where a graph has numbers that are none of its nodes or actions */
+  const Chunk *chunks;
+  int64_t num_chunks;
+} Task;
+
 INLINE void fill_chunk(const Models *m, const int64_t *scenarios, Chunk *chunk, vec *errors) {
   Lanes *lanes = &chunk->lanes;
   vec *state[3] = {&lanes->moves, &lanes->lost, &lanes->chance};
@@ -75,22 +86,20 @@ INLINE void fill_chunk(const Models *m, const int64_t *scenarios, Chunk *chunk, 
   chunk->errors = errors;
 }
 
-/* The first `keep` of a task's scenarios in chunks, and then the others; NULL without memory for it,
-   else to be freed. */
-static Chunk *chunks_of(const Task *task, int64_t keep, int64_t *count) {
+/* The scenarios of W in chunks, and then the others; NULL without memory for it, else to be freed. */
+static Chunk *chunks_of(Task *task) {
   const Models *m = task->models;
-  int64_t rest = task->count - keep, each = m->errors ? m->turns * m->size : 0;
-  *count = (keep + WIDTH - 1) / WIDTH + (rest + WIDTH - 1) / WIDTH;
-  size_t head = (size_t)*count * sizeof(Chunk);
-  Chunk *chunks = malloc(head + (size_t)(*count * each) * BYTES + 1);
-  if (!chunks) return NULL;
-  int64_t from = 0;
-  for (int64_t c = 0; c < *count; c++) {
-    int64_t left = (from < keep ? keep : task->count) - from;
+  int64_t rest = task->count - task->keep, each = m->errors ? m->turns * m->size : 0, from = 0;
+  int64_t count = (task->keep + WIDTH - 1) / WIDTH + (rest + WIDTH - 1) / WIDTH;
+  size_t head = (size_t)count * sizeof(Chunk);
+  Chunk *chunks = malloc(head + (size_t)(count * each) * BYTES + 1);
+  for (int64_t c = 0; c < count && chunks; c++) {
+    int64_t left = (from < task->keep ? task->keep : task->count) - from;
     chunks[c].from = from, chunks[c].count = left < WIDTH ? left : WIDTH;
     fill_chunk(m, task->scenarios, chunks + c, (vec *)((char *)chunks + head) + c * each);
     from += chunks[c].count;
   }
+  task->chunks = chunks, task->num_chunks = count;
   return chunks;
 }
 /* The same once more; of the levels without nothing is known at the beginning. */

@@ -32,13 +32,6 @@ typedef struct {
 EXPORT_STRUCT(Problems)
 
 typedef struct {
-  const real *kernel;
-  int64_t n, stride;
-  const double *z, *lower, *upper;
-  double epsilon, *beta, *gradient;
-} Problem;
-
-typedef struct {
   double *score, *sorted, *before;
   int32_t *index;
   real *block;
@@ -46,11 +39,11 @@ typedef struct {
 } Memory;
 
 /* What a step up gains at most, and what a step down costs at least. */
-static void extremes(const Problem *p, double *high, double *low) {
-  double most = -INFINITY, least_cost = INFINITY;
+static void extremes(const Problems *p, double *high, double *low) {
+  double most = -INFINITY, least_cost = INFINITY, epsilon = *p->epsilon;
   for (int64_t t = 0; t < p->n; t++) {
-    double up = rising(p->beta[t], p->upper[t], p->epsilon) - p->gradient[t];
-    double down = falling(p->beta[t], p->lower[t], p->epsilon) - p->gradient[t];
+    double up = rising(p->beta[t], p->upper[t], epsilon) - p->gradient[t];
+    double down = falling(p->beta[t], p->lower[t], epsilon) - p->gradient[t];
     most = up > most ? up : most;
     least_cost = down < least_cost ? down : least_cost;
   }
@@ -59,11 +52,11 @@ static void extremes(const Problem *p, double *high, double *low) {
 }
 
 /* The duality gap at a bias, as a share of the objective. */
-static double relative_gap(const Problem *p, double bias) {
-  double gap = 0, objective = 0;
+static double relative_gap(const Problems *p, double bias) {
+  double gap = 0, objective = 0, epsilon = *p->epsilon;
   for (int64_t t = 0; t < p->n; t++) {
-    double b = p->beta[t], r = -p->gradient[t] - bias, tube = p->epsilon * fabs(b);
-    double over = r - p->epsilon, under = -r - p->epsilon;
+    double b = p->beta[t], r = -p->gradient[t] - bias, tube = epsilon * fabs(b);
+    double over = r - epsilon, under = -r - epsilon;
     gap += p->upper[t] * (over > 0 ? over : 0) - p->lower[t] * (under > 0 ? under : 0) - r * b + tube;
     objective += 0.5 * (p->gradient[t] - p->z[t]) * b + tube;
   }
@@ -91,13 +84,13 @@ static double kth_largest(double *v, int64_t n, int64_t k) {
 }
 
 /* Writes the rows of the next set, and how many of all rows violate conditions or nearly do. */
-static int64_t choose(const Problem *p, double high, double low, Memory *m, int64_t *near) {
-  double middle = (high + low) / 2, close = -NEAR * (high - low);
+static int64_t choose(const Problems *p, double high, double low, Memory *m, int64_t *near) {
+  double middle = (high + low) / 2, close = -NEAR * (high - low), epsilon = *p->epsilon;
   int64_t live = 0, count = 0;
   *near = 0;
   for (int64_t t = 0; t < p->n; t++) {
-    double up = rising(p->beta[t], p->upper[t], p->epsilon) - p->gradient[t] - middle;
-    double down = middle + p->gradient[t] - falling(p->beta[t], p->lower[t], p->epsilon);
+    double up = rising(p->beta[t], p->upper[t], epsilon) - p->gradient[t] - middle;
+    double down = middle + p->gradient[t] - falling(p->beta[t], p->lower[t], epsilon);
     double score = up > down ? up : down;
     m->score[t] = score;
     live += score > -INFINITY;
@@ -116,7 +109,7 @@ static int64_t choose(const Problem *p, double high, double low, Memory *m, int6
   return count;
 }
 
-static void gather(const Problem *p, Memory *m, int64_t count) {
+static void gather(const Problems *p, Memory *m, int64_t count) {
   int64_t stride = (count + WIDTH - 1) / WIDTH * WIDTH;
   for (int64_t k = 0; k < count; k++) {
     const real *restrict row = p->kernel + m->index[k] * p->stride;
@@ -130,10 +123,10 @@ static void gather(const Problem *p, Memory *m, int64_t count) {
 
 /* Gradients are taken from their middle, where free coefficients have theirs: what is near 0 has
    digits enough for millions of small changes. */
-static void fill(const Problem *p, Memory *m, int64_t count, double middle) {
+static void fill(const Problems *p, Memory *m, int64_t count, double middle) {
   Set *s = &m->set;
   s->count = (count + WIDTH - 1) / WIDTH * WIDTH;
-  s->epsilon = p->epsilon;
+  s->epsilon = *p->epsilon;
   for (int64_t k = 0; k < count; k++) {
     int64_t t = m->index[k];
     m->before[k] = s->beta[k] = p->beta[t];
@@ -150,7 +143,7 @@ static void fill(const Problem *p, Memory *m, int64_t count, double middle) {
 }
 
 /* Takes the set's coefficients over, and brings the gradients up to date; how many changed. */
-static int64_t take_over(const Problem *p, Memory *m, int64_t count) {
+static int64_t take_over(const Problems *p, Memory *m, int64_t count) {
   int64_t changed = 0, n = p->n, k = 0;
   for (int64_t e = 0; e < count; e++) {
     double change = m->set.beta[e] - m->before[e];
@@ -182,21 +175,20 @@ static double bias_between(double high, double low) {
   return isfinite(high) ? high : isfinite(low) ? low : 0;
 }
 
-/* Solves a problem from where it is; the violation that is left. */
-static double solve(const Problem *p, double tolerance, double gap, double worth, double *bias,
-                    Memory *m) {
-  double finest = FINEST * tolerance, work = 0;
+/* Solves the first problem from where it is; the violation that is left. */
+static double solve(const Problems *p, Memory *m) {
+  double tolerance = p->tolerance, finest = FINEST * tolerance, work = 0;
   for (int round = 0;; round++) {
     double high, low;
     extremes(p, &high, &low);
     double wrong = high - low;
-    *bias = bias_between(high, low);
+    *p->bias = bias_between(high, low);
     if (!(wrong > -INFINITY)) return 0; /* nothing can move */
     while (wrong < tolerance) {
-      if (tolerance < finest || relative_gap(p, *bias) <= gap) return wrong;
+      if (tolerance < finest || relative_gap(p, *p->bias) <= p->gap) return wrong;
       tolerance *= FINER;
     }
-    if (work > worth) return wrong;
+    if (work > p->worth) return wrong;
     int64_t near, count = choose(p, high, low, m, &near), most;
     if (near > LARGEST_SET || (round == 0 && 4 * near > p->n)) { /* too many to be gathered */
       for (int64_t t = 0; t < p->n; t++) m->index[t] = (int32_t)t;
@@ -209,7 +201,7 @@ static double solve(const Problem *p, double tolerance, double gap, double worth
       work += GATHERED * (double)(count * count);
       most = ADRIFT * count;
     }
-    int64_t affordable = (int64_t)((worth - work) / (double)count) + count;
+    int64_t affordable = (int64_t)((p->worth - work) / (double)count) + count;
     most = most < affordable ? most : affordable;
     fill(p, m, count, (high + low) / 2);
     double aim = ROUND * wrong > 0.5 * tolerance ? ROUND * wrong : 0.5 * tolerance;
@@ -240,9 +232,10 @@ static void some_problems(void *what, int64_t begin, int64_t end) {
   int64_t n = all->n;
   int room = allocate(&memory, n);
   for (int64_t i = begin; i < end && room; i++) {
-    Problem p = {all->kernel, n, all->stride, all->z + i * n, all->lower + i * n,
-                 all->upper + i * n, all->epsilon[i], all->beta + i * n, all->gradient + i * n};
-    all->violation[i] = solve(&p, all->tolerance, all->gap, all->worth, all->bias + i, &memory);
+    Problems p = *all;
+    p.z += i * n, p.lower += i * n, p.upper += i * n, p.beta += i * n, p.gradient += i * n;
+    p.epsilon += i, p.bias += i;
+    all->violation[i] = solve(&p, &memory);
   }
   free(memory.score), free(memory.block), free(memory.index);
 }
