@@ -20,7 +20,7 @@ from typing import Any
 import click
 import torch
 
-from cgtorch.evolution import EvolutionSettings, evaluate
+from cgtorch.evolution import EvolutionSettings, evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.trial import first_percepts
@@ -94,7 +94,7 @@ def evaluate_as_rank(population: int, repeats: int) -> None:
         for _ in range(repeats + 1):
             ranks.wait()
             began = time.perf_counter()
-            result = evaluate(graphs, run.actions, environment, keep)
+            result = evaluator(run.actions, environment, keep)(graphs)
             seconds.append(time.perf_counter() - began)
         if ranks.first():
             digest = hashlib.sha256(result.scores.numpy().tobytes()).hexdigest()

@@ -1,7 +1,8 @@
 """The action interface: what a node of a computational graph does (section IV-A)."""
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -101,3 +102,14 @@ class Action(nn.Module, ABC):
         """Standard normal numbers (n, size); the rest as for `uniform`."""
         lanes, drawn = self.uniform(lanes, environment, 2 * size)
         return lanes, chance.normal(drawn)
+
+
+def memory_parts(actions: Sequence[Action]) -> tuple[tuple[slice, ...], int]:
+    """Where the part of each action, given once, in a lane's common memory lies, and its length."""
+    owner = [action.memory_part or id(action) for action in actions]
+    sizes: dict[str | int, int] = {}
+    for who, action in zip(owner, actions, strict=True):
+        sizes[who] = max(sizes.get(who, 0), action.memory_size)
+    ends = dict(zip(sizes, itertools.accumulate(sizes.values()), strict=True))
+    parts = tuple(slice(ends[who] - sizes[who], ends[who]) for who in owner)
+    return parts, sum(sizes.values())

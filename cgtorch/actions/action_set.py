@@ -41,23 +41,20 @@ class ActionSet:
     def __post_init__(self) -> None:
         """Check the actions and lay out their tables."""
         _check(self.names, self.actions)
-        counts = torch.tensor([len(a.outcomes) for a in self.actions])
-        width = int(counts.max())
-        terminal = torch.zeros(len(self.actions), width, dtype=torch.bool)
-        succeeds = terminal.clone()
+        width = max(len(action.outcomes) for action in self.actions)
+        terminal, succeeds, has_edge = torch.zeros(3, len(self), width, dtype=torch.bool)
         for i, action in enumerate(self.actions):
             for j, outcome in enumerate(action.outcomes):
                 terminal[i, j] = outcome in action.terminal
                 succeeds[i, j] = action.terminal.get(outcome, False)
-        tables = {
-            "terminal": terminal,
-            "succeeds": succeeds,
-            "has_edge": (torch.arange(width) < counts[:, None]) & ~terminal,
-            "num_parameters": torch.tensor([a.num_parameters for a in self.actions]),
-            "message_size": max(a.message_size for a in self.actions),
-        }
-        for name, value in tables.items():
-            object.__setattr__(self, name, value)
+                has_edge[i, j] = outcome not in action.terminal
+        vars(self).update(
+            terminal=terminal,
+            succeeds=succeeds,
+            has_edge=has_edge,
+            num_parameters=torch.tensor([a.num_parameters for a in self.actions]),
+            message_size=max(a.message_size for a in self.actions),
+        )
 
     def __len__(self) -> int:
         """The number of actions."""

@@ -16,6 +16,7 @@ from cgtorch.environment.dry_run import (
     expect,
     expect_lanes,
     expect_pair,
+    reason,
     returned,
     two_rows,
 )
@@ -58,7 +59,7 @@ def _made(spec: str, entry: EntryPoint) -> Action:
         found = entry.load()
     except Exception as e:  # whatever a foreign module raises when it is imported
         raise ActionError(
-            f"cannot import action {spec!r} ({_reason(e)}); is it spelt right and its package "
+            f"cannot import action {spec!r} ({reason(e)}); is it spelt right and its package "
             "installed or on PYTHONPATH?"
         ) from e
     if not (isinstance(found, type) and issubclass(found, Action)):
@@ -67,7 +68,7 @@ def _made(spec: str, entry: EntryPoint) -> Action:
         return found()
     except Exception as e:
         raise ActionError(
-            f"action {spec!r} cannot be made as {found.__name__}() ({_reason(e)}); give it a "
+            f"action {spec!r} cannot be made as {found.__name__}() ({reason(e)}); give it a "
             "constructor that needs no arguments and implement forward"
         ) from e
 
@@ -126,7 +127,3 @@ def _parameters(name: str, action: Action, generator: Generator) -> Tensor:
     if not values.isfinite().all():
         raise ActionError(f"{who} returned numbers that are not finite")
     return values
-
-
-def _reason(e: Exception) -> str:
-    return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"

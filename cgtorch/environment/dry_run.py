@@ -31,8 +31,12 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
     except CgtorchError:
         raise
     except Exception as e:
-        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
-        raise error(f"{who} raised {reason} on two rows") from e
+        raise error(f"{who} raised {reason(e)} on two rows") from e
+
+
+def reason(e: Exception) -> str:
+    """What an exception says, in one short line."""
+    return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
 
 
 def expect(

@@ -12,7 +12,6 @@ from cgtorch.evolution.fitness import Evaluator as Evaluator
 from cgtorch.evolution.fitness import Fitness as Fitness
 from cgtorch.evolution.fitness import chance_of_success as chance_of_success
 from cgtorch.evolution.fitness import episode_return as episode_return
-from cgtorch.evolution.fitness import evaluate as evaluate
 from cgtorch.evolution.fitness import evaluator as evaluator
 from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.drift import bounds
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import STRATEGY, Population, bounds
 from cgtorch.graphs import Graphs
 from cgtorch.ground.counter_rng import quantiles
 from cgtorch.native import NO_PARENT, constants, function, structure, threads

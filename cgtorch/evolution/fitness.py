@@ -81,25 +81,6 @@ Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int]
 """Fitness (P,), scores (P, B), successes (P, B), actions executed, and how many are not finite."""
 
 
-def evaluate(
-    graphs: Graphs,
-    actions: ActionSet,
-    environment: Environment,
-    keep: Tensor,
-    max_transitions: int = MAX_TRANSITIONS,
-    most_lanes: int = MOST_LANES,
-    group: ranks.Group | None = None,
-    fitness: Fitness = chance_of_success,
-) -> Evaluation:
-    """What an `evaluator`, whose arguments follow, says of P graphs; one is faster if asked twice.
-
-    `keep` (B,) bool are the scenarios of W.
-    """
-    return evaluator(actions, environment, keep, max_transitions, most_lanes, group, fitness)(
-        graphs
-    )
-
-
 def evaluator(
     actions: ActionSet,
     environment: Environment,

@@ -11,9 +11,8 @@ from torch.nn.functional import pad
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
 from cgtorch.evolution.crossover import swapped
-from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.parameters import changed, copied, with_new_origins, with_origins
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import STRATEGY, TAU, Population
 from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
 from cgtorch.ground.counter_rng import random_key

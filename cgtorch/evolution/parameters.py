@@ -13,8 +13,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
-from cgtorch.evolution.drift import drifted, factors
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import STRATEGY, Population, drifted, factors
 from cgtorch.graphs import Graphs
 from cgtorch.ground.counter_rng import keys, normal_from, random_key, uniform_from, words
 

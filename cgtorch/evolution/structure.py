@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.graphs import NO_NODE, Graphs, compacted, narrowed, pruned, widened
+from cgtorch.graphs import NO_NODE, Graphs, compacted, narrowed, pruned, widened, without
 from cgtorch.ground.counter_rng import individual_words, nth_true, pick, uniform_from
 
 
@@ -72,13 +72,9 @@ def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> G
     rest = graphs.used & ~at
     into = (graphs.edges == gone[:, None, None]) & deletes[:, None, None]
     edges = torch.where(into, nth_true(rest, heads), graphs.edges)
-    start = nth_true(rest, draws[:, 2])
-    return Graphs(
-        graphs.action.masked_fill(at, NO_NODE),
-        edges.masked_fill(at[..., None], NO_NODE),
-        graphs.parameters.masked_fill(at[..., None], 0),
-        torch.where(deletes & (graphs.start == gone), start, graphs.start),
-    )
+    moves = deletes & (graphs.start == gone)
+    start = torch.where(moves, nth_true(rest, draws[:, 2]), graphs.start)
+    return without(replace(graphs, edges=edges, start=start), at)
 
 
 def replace_nodes(

@@ -15,7 +15,7 @@ from pathlib import Path
 from textwrap import fill, indent
 
 from cgtorch.actions import Action
-from cgtorch.actions.memory import memory_parts
+from cgtorch.actions.action import memory_parts
 from cgtorch.export.computed import control_size_of, named_primitives
 from cgtorch.export.step import ROUTINES
 from cgtorch.export.text import filled

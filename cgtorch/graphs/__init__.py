@@ -10,11 +10,10 @@ from cgtorch.graphs.graphs import Graphs as Graphs
 from cgtorch.graphs.graphs import compacted as compacted
 from cgtorch.graphs.graphs import concatenate as concatenate
 from cgtorch.graphs.graphs import narrowed as narrowed
-from cgtorch.graphs.graphs import nodes_first as nodes_first
-from cgtorch.graphs.graphs import rearranged as rearranged
 from cgtorch.graphs.graphs import resized as resized
 from cgtorch.graphs.graphs import trimmed as trimmed
 from cgtorch.graphs.graphs import widened as widened
+from cgtorch.graphs.graphs import without as without
 from cgtorch.graphs.merge import merged as merged
 from cgtorch.graphs.merge import same_behaviour as same_behaviour
 from cgtorch.graphs.skill import Skill as Skill

@@ -98,34 +98,34 @@ def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graph
 
 def compacted(graphs: Graphs) -> Graphs:
     """The same graphs with their nodes moved to the first slots, in order."""
-    order = nodes_first(graphs)
-    return rearranged(graphs, order, torch.argsort(order, dim=1))
-
-
-def nodes_first(graphs: Graphs) -> Tensor:
-    """(P, N) long, the slots that hold nodes in their order, then the unused ones."""
-    return torch.argsort((~graphs.used).long(), dim=1, stable=True)
-
-
-def rearranged(graphs: Graphs, order: Tensor, place: Tensor) -> Graphs:
-    """The same graphs with their nodes elsewhere.
-
-    `order` (P, n) says which slot's node is to lie at each of n slots, `place` (P, N) where each
-    slot's node is to lie.
-    """
+    order = torch.argsort((~graphs.used).long(), dim=1, stable=True)
+    place = torch.argsort(order, dim=1)
 
     def taken(x: Tensor) -> Tensor:
-        """Rows (P, n, ...) of x (P, N, ...) in the new order."""
-        index = order.view(*order.shape, *[1] * (x.dim() - 2))
-        return x.gather(1, index.expand(*order.shape, *x.shape[2:]))
+        """Rows of x (P, N, ...) in the new order."""
+        return x.gather(1, order.view(*order.shape, *[1] * (x.dim() - 2)).expand_as(x))
 
-    tails = taken(graphs.edges)
-    heads = place.gather(1, tails.clamp_min(0).flatten(1)).view_as(tails)
     return Graphs(
         taken(graphs.action),
-        torch.where(tails == NO_NODE, NO_NODE, heads),
+        heads_in(taken(graphs.edges), place),
         taken(graphs.parameters),
         place.gather(1, graphs.start[:, None])[:, 0],
+    )
+
+
+def heads_in(edges: Tensor, values: Tensor) -> Tensor:
+    """(P, N, O) the values (P, N) of the nodes that edges lead to, `NO_NODE` where to none."""
+    found = values.gather(1, edges.clamp_min(0).flatten(1)).view_as(edges)
+    return torch.where(edges == NO_NODE, NO_NODE, found)
+
+
+def without(graphs: Graphs, gone: Tensor) -> Graphs:
+    """The graphs with slots `gone` (P, N) unused."""
+    return Graphs(
+        graphs.action.masked_fill(gone, NO_NODE),
+        graphs.edges.masked_fill(gone[..., None], NO_NODE),
+        graphs.parameters.masked_fill(gone[..., None], 0),
+        graphs.start,
     )
 
 

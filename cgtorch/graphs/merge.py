@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import Action
-from cgtorch.graphs.graphs import NO_NODE, Graphs, resized
+from cgtorch.graphs.graphs import NO_NODE, Graphs, heads_in, resized, without
 from cgtorch.graphs.skill import Skill, SubSkill
 
 
@@ -28,15 +28,9 @@ def merged(graphs: Graphs) -> Graphs:
     first = torch.full((label.numel(),), graphs.capacity, device=label.device)
     first.scatter_reduce_(0, label.flatten(), slot.flatten(), "amin")
     stands = first[label]
-    gone = stands != slot
-    heads = stands.gather(1, graphs.edges.clamp_min(0).flatten(1)).view_as(graphs.edges)
-    heads = torch.where(graphs.edges == NO_NODE, NO_NODE, heads)
-    return replace(
-        graphs,
-        action=graphs.action.masked_fill(gone, NO_NODE),
-        edges=heads.masked_fill(gone[..., None], NO_NODE),
-        parameters=graphs.parameters.masked_fill(gone[..., None], 0.0),
-        start=stands.gather(1, graphs.start[:, None])[:, 0],
+    start = stands.gather(1, graphs.start[:, None])[:, 0]
+    return without(
+        replace(graphs, edges=heads_in(graphs.edges, stands), start=start), stands != slot
     )
 
 
@@ -45,15 +39,14 @@ def node_classes(graphs: Graphs) -> Tensor:
 
     Numbers are from 0 and differ from graph to graph; unused slots of a graph share one.
     """
-    p, n, o = graphs.edges.shape
-    number = torch.arange(p, device=graphs.action.device)[:, None].expand(p, n)
+    number = torch.arange(len(graphs), device=graphs.action.device)[:, None].expand_as(
+        graphs.action
+    )
     bits = torch.int64 if graphs.parameters.element_size() == 8 else torch.int32
     parameters = graphs.parameters.view(bits).long()  # which tells 0.0 from -0.0
     label = _numbered(torch.cat([number[..., None], graphs.action[..., None], parameters], 2))
     while True:
-        heads = label.gather(1, graphs.edges.clamp_min(0).flatten(1)).view(p, n, o)
-        heads = torch.where(graphs.edges == NO_NODE, NO_NODE, heads)
-        finer = _numbered(torch.cat([label[..., None], heads], 2))
+        finer = _numbered(torch.cat([label[..., None], heads_in(graphs.edges, label)], 2))
         if torch.equal(finer, label):
             return label
         label = finer

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.graphs.graphs import NO_NODE, Graphs
+from cgtorch.graphs.graphs import NO_NODE, Graphs, without
 from cgtorch.ground.errors import GraphError
 
 
@@ -35,13 +35,7 @@ def reachable(graphs: Graphs) -> Tensor:
 
 def pruned(graphs: Graphs) -> Graphs:
     """Without the nodes that the start does not lead to."""
-    keep = reachable(graphs)
-    return replace(
-        graphs,
-        action=graphs.action.masked_fill(~keep, NO_NODE),
-        edges=graphs.edges.masked_fill(~keep[..., None], NO_NODE),
-        parameters=graphs.parameters.masked_fill(~keep[..., None], 0.0),
-    )
+    return without(graphs, ~reachable(graphs))
 
 
 def valid(graphs: Graphs, actions: ActionSet) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import Action, ActionSet
-from cgtorch.actions.memory import memory_parts
+from cgtorch.actions.action import memory_parts
 from cgtorch.graphs import Skill, SubSkill
 
 SUCCESS, FAILURE, TIMEOUT = -1, -2, -3

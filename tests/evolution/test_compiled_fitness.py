@@ -8,7 +8,7 @@ from random_models import random_models
 from support import as_double, as_double_actions, nested_actions, random_graphs, seeded
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.evolution.fitness import Evaluation, evaluate
+from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.ground.numerics import row_means
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment
@@ -33,9 +33,9 @@ def both(
         graphs.parameters[3, 0, 1] = torch.inf
         environment.percepts[1, 5] = torch.nan
         environment.first_state[1, 2] = torch.nan
-    compiled = evaluate(graphs, actions, environment, keep, limit, most_lanes=40)
+    compiled = evaluator(actions, environment, keep, limit, most_lanes=40)(graphs)
     environment.__class__ = InTorch
-    return compiled, evaluate(graphs, actions, environment, keep, limit)
+    return compiled, evaluator(actions, environment, keep, limit)(graphs)
 
 
 def assert_same(found: Evaluation, wanted: Evaluation) -> None:
@@ -67,9 +67,9 @@ def test_the_comparison_meets_graphs_that_lose_and_keep_w() -> None:
     keep = torch.zeros(16, dtype=torch.bool)
     environment = random_models(3, 16)
     graphs = as_double(random_graphs(3, 200, SETS[0]))
-    solved = evaluate(graphs, SETS[0], environment, keep).succeeded
+    solved = evaluator(SETS[0], environment, keep)(graphs).succeeded
     keep[solved.sum(0).argsort(descending=True)[:2]] = True
-    found = evaluate(graphs, SETS[0], environment, keep)
+    found = evaluator(SETS[0], environment, keep)(graphs)
     kept = found.succeeded[:, keep].all(1)
     assert 5 < int(kept.sum()) < 195
     assert bool((found.scores[~kept] == 0).all())

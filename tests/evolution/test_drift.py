@@ -8,7 +8,7 @@ from support import seeded
 from torch import Generator, Tensor
 
 from cgtorch.evolution import STRATEGY
-from cgtorch.evolution.drift import PROBABILITY_MAX, SIGMA_MAX, STRATEGY_MIN, drifted, factors
+from cgtorch.evolution.population import PROBABILITY_MAX, SIGMA_MAX, STRATEGY_MIN, drifted, factors
 
 
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:

@@ -13,7 +13,7 @@ from cgtorch.evolution import (
     Generation,
     Population,
     ask,
-    evaluate,
+    evaluator,
     evolve,
     initial_state,
     lexicase,
@@ -153,7 +153,7 @@ def test_ask_and_tell_are_the_same_search_as_evolve() -> None:
         population = ask(state)
         assert same_population(population, mine[-1].population)
         assert same_population(ask(state), population)
-        result = evaluate(population.graphs, ACTIONS, environment, keep)
+        result = evaluator(ACTIONS, environment, keep)(population.graphs)
         assert torch.equal(result.fitness, mine[-1].fitness)
         state = tell(state, result.fitness, SETTINGS, ACTIONS, generator, result.scores)
         assert state.best_fitness == mine[-1].best
@@ -215,7 +215,7 @@ def test_settings_that_cannot_work(values: dict[str, object], message: str) -> N
 def test_fitness_is_that_of_equation_3(seed: int, kept: list[bool]) -> None:
     graphs = random_population(12, ACTIONS, 12, (2, 10), seeded(seed)).graphs
     environment, keep = model(seed, 4), torch.tensor(kept)
-    found = evaluate(graphs, ACTIONS, environment, keep)
+    found = evaluator(ACTIONS, environment, keep)(graphs)
     runs = rollout(graphs, ACTIONS, environment)
     for i in range(12):
         lost = any(k and not s for k, s in zip(kept, runs.succeeded[i].tolist(), strict=True))
@@ -234,7 +234,7 @@ def test_how_many_run_at_once_changes_nothing(most: int) -> None:
     graphs = random_population(13, ACTIONS, 12, (2, 10), seeded(0)).graphs
     environment, keep = model(0, 4), torch.tensor([True, False, False, False])
     whole, parts = (
-        evaluate(graphs, ACTIONS, environment, keep, **limit)
+        evaluator(ACTIONS, environment, keep, **limit)(graphs)
         for limit in ({}, {"most_lanes": most})
     )
     assert 0 < whole.succeeded.sum() < whole.succeeded.numel()
@@ -262,7 +262,7 @@ def test_evolve_yields_generations_that_improve() -> None:
 def test_what_is_not_finite_costs_its_individual_and_no_other() -> None:
     graphs = random_population(40, ACTIONS, 12, (2, 10), seeded(1)).graphs
     environment, keep = model(0, 4), torch.zeros(4, dtype=torch.bool)
-    clean = evaluate(graphs, ACTIONS, environment, keep)
+    clean = evaluator(ACTIONS, environment, keep)(graphs)
     ends = rollout(graphs, ACTIONS, environment).percept
     limit = float(ends[..., 4].flatten().quantile(0.75))
     whole = environment.classifier
@@ -272,7 +272,7 @@ def test_what_is_not_finite_costs_its_individual_and_no_other() -> None:
 
     environment = judged_by(environment, broken)
     graphs.parameters[7, int(graphs.start[7]), 0] = float("inf")
-    found = evaluate(graphs, ACTIONS, environment, keep)
+    found = evaluator(ACTIONS, environment, keep)(graphs)
     again = rollout(graphs, ACTIONS, environment).percept
     bad = ((again[..., 4] > limit) | ~again.isfinite().all(-1)).any(1)
     bad[7] = True

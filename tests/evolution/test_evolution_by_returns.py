@@ -15,7 +15,7 @@ from cgtorch.evolution import (
     Population,
     chance_of_success,
     episode_return,
-    evaluate,
+    evaluator,
     evolve,
     initial_strategy,
     lexicase,
@@ -41,7 +41,7 @@ def returns_of(runs: Rollouts) -> Tensor:
 
 def test_scores_are_the_returns_and_none_is_the_worst_of_all() -> None:
     graphs, place = random_graphs(0, 200, ACTIONS), path(0, 5, longest=5)
-    found = evaluate(graphs, ACTIONS, place, NOTHING, fitness=episode_return)
+    found = evaluator(ACTIONS, place, NOTHING, fitness=episode_return)(graphs)
     returns = returns_of(rollout(graphs, ACTIONS, place))
     whole = returns.isfinite()
     assert 20 < int(whole.sum()) < 980
@@ -57,9 +57,9 @@ def test_scores_are_the_returns_and_none_is_the_worst_of_all() -> None:
 
 def test_who_has_lost_w_is_worth_the_least() -> None:
     graphs, place = random_graphs(1, 300, ACTIONS), path(1, 5, longest=4)
-    free = evaluate(graphs, ACTIONS, place, NOTHING, fitness=episode_return)
+    free = evaluator(ACTIONS, place, NOTHING, fitness=episode_return)(graphs)
     keep = torch.arange(5) == int(free.succeeded.sum(0).argmax())
-    found = evaluate(graphs, ACTIONS, place, keep, fitness=episode_return)
+    found = evaluator(ACTIONS, place, keep, fitness=episode_return)(graphs)
     kept = free.succeeded[:, keep][:, 0]
     assert 5 < int(kept.sum()) < 295
     assert torch.equal(found.scores[kept], free.scores[kept])
@@ -70,7 +70,7 @@ def test_who_has_lost_w_is_worth_the_least() -> None:
 
 def test_what_is_not_finite_is_worth_the_least() -> None:
     graphs, place = random_graphs(2, 30, ACTIONS), path(2, 5)
-    usual = evaluate(graphs, ACTIONS, place, NOTHING, fitness=episode_return)
+    usual = evaluator(ACTIONS, place, NOTHING, fitness=episode_return)(graphs)
     graphs.parameters[4, 0, 0] = torch.nan
 
     def odd(runs: Rollouts, probability: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ def test_what_is_not_finite_is_worth_the_least() -> None:
         worth[8, 2] = torch.inf
         return worth
 
-    found = evaluate(graphs, ACTIONS, place, NOTHING, fitness=odd)
+    found = evaluator(ACTIONS, place, NOTHING, fitness=odd)(graphs)
     assert found.not_finite == 3
     assert (found.scores[[4, 7, 8]] == WORST).all()
     assert not found.succeeded[[4, 7, 8]].any()
@@ -90,7 +90,7 @@ def test_what_is_not_finite_is_worth_the_least() -> None:
 def test_how_many_are_run_at_once_changes_nothing() -> None:
     graphs, place = random_graphs(3, 40, ACTIONS), path(3, 5)
     whole, parts = (
-        evaluate(graphs, ACTIONS, place, NOTHING, most_lanes=n, fitness=episode_return)
+        evaluator(ACTIONS, place, NOTHING, most_lanes=n, fitness=episode_return)(graphs)
         for n in (2**16, 35)
     )
     assert torch.equal(whole.scores, parts.scores)
@@ -100,15 +100,15 @@ def test_how_many_are_run_at_once_changes_nothing() -> None:
 def test_returns_need_an_environment_that_gives_them() -> None:
     graphs = random_graphs(0, 3, ACTIONS)
     with pytest.raises(SettingsError, match="but the environment gives no rewards"):
-        evaluate(graphs, ACTIONS, Path(path(0, 5).scenarios), NOTHING, fitness=episode_return)
+        evaluator(ACTIONS, Path(path(0, 5).scenarios), NOTHING, fitness=episode_return)(graphs)
     paper = paper_actions()
     with pytest.raises(SettingsError, match="use chance_of_success"):
-        evaluate(random_graphs(0, 3, paper), paper, model(0, 5), NOTHING, fitness=episode_return)
+        evaluator(paper, model(0, 5), NOTHING, fitness=episode_return)(random_graphs(0, 3, paper))
 
 
 def test_the_chance_of_success_is_there_where_rewards_are_too() -> None:
     graphs, place = random_graphs(0, 100, ACTIONS), path(0, 5, longest=5)
-    found = evaluate(graphs, ACTIONS, place, NOTHING, fitness=chance_of_success)
+    found = evaluator(ACTIONS, place, NOTHING, fitness=chance_of_success)(graphs)
     runs = rollout(graphs, ACTIONS, place)
     near = place.succeeded(runs.state.flatten(0, 1)).view(100, 5).float()
     assert torch.equal(found.scores, torch.where(runs.succeeded, near, near / 2))
@@ -158,7 +158,7 @@ def test_a_graph_is_made_smaller_where_it_returns_as_much() -> None:
     after = shrunk(before, ACTIONS, place, 60, episode_return)
     keep = torch.zeros(3, dtype=torch.bool)
     old, new = (
-        evaluate(p.graphs, ACTIONS, place, keep, 60, fitness=episode_return)
+        evaluator(ACTIONS, place, keep, 60, fitness=episode_return)(p.graphs)
         for p in (before, after)
     )
     assert int(after.graphs.num_nodes) <= READABLE

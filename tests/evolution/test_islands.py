@@ -11,7 +11,7 @@ from support import all_valid, custom_actions, model, seeded
 from torch import Generator, Tensor
 
 from cgtorch.evolution import EvolutionSettings, Population, evolve, initial_state, tell
-from cgtorch.evolution.fitness import evaluate
+from cgtorch.evolution.fitness import evaluator
 from cgtorch.evolution.islands import (
     Tried,
     emigrants,
@@ -102,7 +102,7 @@ def test_one_island_is_algorithm_2_as_it_reads() -> None:
     search = evolve(model(0, 3), ACTIONS, settings, other)
     for number in range(6):
         found = next(search)
-        result = evaluate(state.population.graphs, ACTIONS, model(0, 3), keep)
+        result = evaluator(ACTIONS, model(0, 3), keep)(state.population.graphs)
         assert found.number == number
         assert same(found.population, state.population)
         assert torch.equal(found.fitness, result.fitness)
@@ -118,7 +118,7 @@ def plainly(count: int, migration: int, generations: int) -> list[list[Populatio
     history = []
     for number in range(generations):
         history.append([s.population for s in states])
-        results = [evaluate(s.population.graphs, ACTIONS, environment, keep) for s in states]
+        results = [evaluator(ACTIONS, environment, keep)(s.population.graphs) for s in states]
         best: list[list[int]] = []
         for s, r in zip(states, results, strict=True):
             nodes = s.population.graphs.num_nodes.tolist()
@@ -164,7 +164,7 @@ def test_the_champion_is_the_best_of_all_islands() -> None:
     winners, bests = set(), []
     for found in generations(settings, 4, 6):
         results = [
-            evaluate(island.state.population.graphs, ACTIONS, model(0, 3), keep)
+            evaluator(ACTIONS, model(0, 3), keep)(island.state.population.graphs)
             for island in found.islands
         ]
         fitness: Tensor = torch.stack([r.fitness for r in results])

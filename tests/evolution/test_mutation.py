@@ -10,9 +10,9 @@ from support import custom_actions, random_graphs, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
-from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.offspring import mutate
 from cgtorch.evolution.parameters import changed, with_new_origins, with_origins
+from cgtorch.evolution.population import TAU
 from cgtorch.evolution.structure import (
     add_node,
     change_edges,

@@ -14,7 +14,7 @@ from cgtorch.evolution import (
     EvolutionSettings,
     Population,
     chance_of_success,
-    evaluate,
+    evaluator,
     evolve,
     initial_state,
     lexicase,
@@ -39,14 +39,14 @@ def hurry(runs: Rollouts, probability: Tensor) -> Tensor:
 def test_what_a_run_is_worth_is_ones_own() -> None:
     graphs = random_population(300, ACTIONS, 12, (2, 10), seeded(0)).graphs
     environment, keep = model(0, 5), torch.tensor([True, False, False, False, False])
-    found = evaluate(graphs, ACTIONS, environment, keep, fitness=hurry)
+    found = evaluator(ACTIONS, environment, keep, fitness=hurry)(graphs)
     runs = rollout(graphs, ACTIONS, environment)
     kept = runs.succeeded[:, 0]
     assert 0 < kept.sum() < 300
     expected = hurry(runs, torch.zeros(300, 5)) * kept[:, None]
     assert torch.equal(found.scores, expected)
     assert torch.equal(found.fitness, expected.mean(1))
-    usual = evaluate(graphs, ACTIONS, environment, keep)
+    usual = evaluator(ACTIONS, environment, keep)(graphs)
     assert torch.equal(found.succeeded, usual.succeeded)
     assert not torch.equal(found.scores, usual.scores)
 
@@ -60,7 +60,7 @@ def test_worth_that_is_no_number_or_negative() -> None:
 
     graphs = random_population(20, ACTIONS, 12, (2, 10), seeded(0)).graphs
     environment, keep = model(0, 4), torch.zeros(4, dtype=torch.bool)
-    found, usual = (evaluate(graphs, ACTIONS, environment, keep, fitness=f)
+    found, usual = (evaluator(ACTIONS, environment, keep, fitness=f)(graphs)
                     for f in (odd, chance_of_success))  # fmt: skip
     assert found.not_finite == usual.not_finite + 1
     assert (found.scores[[3, 5]] == 0).all()

@@ -18,10 +18,9 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.evolution import structure as m
-from cgtorch.evolution.drift import TAU
 from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.parameters import changed, with_origins
-from cgtorch.evolution.population import random_population, seeded_population
+from cgtorch.evolution.population import TAU, random_population, seeded_population
 from cgtorch.graphs import pruned, valid
 
 SETS = [paper_actions(), stochastic_actions(), nested_actions()]

@@ -4,7 +4,7 @@ import torch
 from support import model, random_graphs
 
 from cgtorch.actions import paper_actions
-from cgtorch.evolution import Population, evaluate, initial_strategy
+from cgtorch.evolution import Population, evaluator, initial_strategy
 from cgtorch.graphs import valid
 from cgtorch.improvement.shrink import READABLE, SLACK, _without_each, shrunk
 
@@ -24,7 +24,7 @@ def test_what_is_large_becomes_smaller_and_does_as_well() -> None:
     for seed in range(6):
         before = large(seed)
         after = shrunk(before, ACTIONS, environment, 20)
-        old, new = (evaluate(p.graphs, ACTIONS, environment, keep) for p in (before, after))
+        old, new = (evaluator(ACTIONS, environment, keep)(p.graphs) for p in (before, after))
         sizes.append(int(after.graphs.num_nodes))
         assert valid(after.graphs, ACTIONS).all()
         assert (new.succeeded | ~old.succeeded).all()

@@ -9,7 +9,7 @@ from support import as_double, as_double_actions
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
-from cgtorch.evolution import evaluate
+from cgtorch.evolution import evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
@@ -55,9 +55,9 @@ def test_it_says_which_number_of_which_graph(
     whole, environment = as_double(graphs()), random_models(0, 3)
     keep = torch.tensor([True, False, False])
     rollout(whole, ACTIONS, environment)
-    evaluate(whole, ACTIONS, environment, keep)
+    evaluator(ACTIONS, environment, keep)(whole)
     wrong = replace(whole, **{name: changed(getattr(whole, name), place, value)})
     with pytest.raises(GraphError, match=said):
         rollout(wrong, ACTIONS, environment)
     with pytest.raises(GraphError, match=said):
-        evaluate(wrong, ACTIONS, environment, keep)
+        evaluator(ACTIONS, environment, keep)(wrong)

@@ -28,7 +28,7 @@ from benchmarks.workload import (
 )
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.evolution.evolution import EvolutionState, tell
-from cgtorch.evolution.fitness import evaluate
+from cgtorch.evolution.fitness import evaluator
 from cgtorch.graphs import Graphs, widened
 from cgtorch.simulation import rollout
 
@@ -107,7 +107,7 @@ def generation(work: Workload, population: Population, capacity: int = CAPACITY)
     settings = EvolutionSettings(population=len(population), capacity=capacity)
     state = EvolutionState(population, 0, population[:1], 0.0)
     keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
-    result = evaluate(population.graphs, work.actions, work.environment, keep)
+    result = evaluator(work.actions, work.environment, keep)(population.graphs)
     generator = torch.Generator().manual_seed(7)
     return tell(state, result.fitness, settings, work.actions, generator, result.scores)
 

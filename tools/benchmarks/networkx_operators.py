@@ -13,8 +13,7 @@ import networkx as nx
 
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import Population
-from cgtorch.evolution.drift import PROBABILITY_MAX, SIGMA_MAX, STRATEGY_MIN, TAU
-from cgtorch.evolution.population import STRATEGY
+from cgtorch.evolution.population import PROBABILITY_MAX, SIGMA_MAX, STRATEGY, STRATEGY_MIN, TAU
 from cgtorch.graphs import to_networkx
 
 Graph: TypeAlias = Any  # nx.MultiDiGraph

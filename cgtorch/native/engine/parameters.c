@@ -50,7 +50,7 @@ static inline int64_t parameters_at(const Children *c, int64_t slot) {
   return action < 0 || action >= c->actions ? 0 : c->num_parameters[action];
 }
 
-/* Strategies as they were, or drifted (cgtorch.evolution.drift.drifted). */
+/* Strategies as they were, or drifted (cgtorch.evolution.population.drifted). */
 static inline void drift(const Children *c, int64_t row) {
   const float *from = c->strategy + row * STRATEGY, *least = c->bounds, *most = least + STRATEGY;
   float *to = c->drifted + row * STRATEGY;
