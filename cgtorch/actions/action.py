@@ -75,13 +75,7 @@ class Action(nn.Module, ABC):
         belong to the scenario, as the noise of the world does, and what a skill has solved it
         solves again. All seeds come from the generator that the scenarios were drawn with.
 
-        Args:
-            lanes: the n lanes.
-            environment: where they run.
-            size: numbers for each lane.
-
-        Returns:
-            The lanes, which have drawn once more, and (n, size) numbers in [0, 1).
+        Returned are the n lanes, which have drawn once more, and (n, size) numbers in [0, 1).
 
         Raises:
             ActionError: the action does not say that it is stochastic, or has no memory.

@@ -50,7 +50,7 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """See `cgtorch.evolution.offspring.bred_in_torch`."""
+    """See `cgtorch.evolution.offspring.bred`."""
     count, (_, n, o) = len(elite) + len(parents), population.graphs.edges.shape
     size, kinds = (count, min(n + 1, capacity)), 0 if actions is None else len(actions)
     sizes = size, (*size, o), (*size, 1), size[:1]

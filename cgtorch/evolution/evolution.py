@@ -103,11 +103,8 @@ def initial_state(
 ) -> EvolutionState:
     """The first population: random, or half of it `seeds` (section IV-B).
 
-    Args:
-        settings: of the evolution.
-        actions: what nodes can do.
-        generator: of all random choices, a CPU one.
-        seeds: earlier individuals, with the same actions first in their sets.
+    These are earlier individuals, with the same actions first in their sets. The generator, of all
+    random choices, is a CPU one.
 
     Raises:
         GraphError: an earlier individual has more nodes than `settings.capacity`.
@@ -125,7 +122,6 @@ def ask(state: EvolutionState) -> Population:
     """The P = `settings.population` individuals to evaluate next.
 
     Their graphs have as many slots as the largest may need, however many nodes there could be.
-
     Whoever asks again before telling gets the same ones.
     """
     return state.population
@@ -141,15 +137,10 @@ def tell(
 ) -> EvolutionState:
     """The next generation, given how this one did (Algorithm 2, lines 7 to 12).
 
-    Args:
-        state: with the generation that was evaluated.
-        fitness: (P,) of the individuals in the order of `ask`, on the CPU; more is better, in any
-            unit, and NaN counts as the worst. It decides who is the elite and the best.
-        settings: of the evolution.
-        actions: what nodes can do.
-        generator: of all random choices.
-        scores: (P, B) on each scenario or of each aim, for selection; the fitness as of one if not
-            given. More is better in each column, whatever its unit.
+    The fitness (P,) of the individuals in the order of `ask`, on the CPU, decides who is the elite
+    and the best; more is better, in any unit, and NaN counts as the worst. Selection looks at
+    scores (P, B) on each scenario or of each aim, at the fitness as of one if not given; more is
+    better in each column, whatever its unit.
 
     Raises:
         DataError: fitness or scores are not of such a shape.

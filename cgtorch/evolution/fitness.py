@@ -98,16 +98,11 @@ def evaluator(
 
     It is good for one generation after the other, as long as no argument is changed in place.
 
-    Args:
-        actions: what action indices of individuals mean.
-        environment: the models, on B scenarios.
-        keep: (B,) bool, the scenarios of W; the others are those of M. Rollouts run on its
-            device, which must be that of the environment; the results come back to the graphs'.
-        max_transitions: see `rollout`.
-        most_lanes: individuals times scenarios at once, B at least; it changes no result.
-        group: the ranks that have this population (`cgtorch.ground.distributed`), all if not
-            given. Individuals are shared out among them, and each of them gets all results.
-        fitness: what a run is worth.
+    Of the environment's scenarios `keep` (B,) bool are those of W and the others those of M.
+    Rollouts run on its device, which must be that of the environment; the results come back to the
+    graphs'. Of individuals times scenarios `most_lanes` run at once, B at least, which changes no
+    result. Individuals are shared out among a group of ranks (`cgtorch.ground.distributed`), all if
+    not given, each of which gets all results.
     """
     engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
     steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))

@@ -46,14 +46,7 @@ class Island:
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Tried:
-    """Individuals, and what they achieved.
-
-    Attributes:
-        population: P of them.
-        fitness: (P,).
-        scores: (P, B) on each scenario.
-        succeeded: (P, B) bool.
-    """
+    """P individuals and what they achieved, as in `Evaluation`."""
 
     population: Population
     fitness: Tensor
@@ -134,10 +127,7 @@ def next_islands(
     """Each island's next generation, given how this one did; see `tell`."""
     made = []
     for island, each in zip(islands, tried, strict=True):
-        state, found = (
-            replace(island.state, population=each.population),
-            (each.fitness, each.scores),
-        )
-        state = next_state(state, each.order, *found, settings, actions, island.generator)
-        made.append(Island(state, island.generator))
+        state, about = replace(island.state, population=each.population), (settings, actions)
+        found = each.order, each.fitness, each.scores
+        made.append(replace(island, state=next_state(state, *found, *about, island.generator)))
     return made

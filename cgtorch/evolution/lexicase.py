@@ -21,11 +21,7 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     A population of more than `MOST_CANDIDATES` is split at random into equal groups, each of which
     gives as many parents, so that time and memory grow with the population and no faster.
 
-    Args:
-        order: (P,) long, individuals from best to worst; it does not matter here.
-        scores: (P, B) of each on every scenario.
-        count: how many parents (count,) to choose.
-        generator: of all random choices.
+    Given are scores (P, B) and how many parents (count,) to choose; the order does not matter here.
     """
     groups = -(-len(order) // MOST_CANDIDATES)
     if groups == 1:

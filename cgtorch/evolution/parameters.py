@@ -56,17 +56,11 @@ def changed(
     generator: Generator,
     tau: float,
 ) -> Population:
-    """Graphs with parameters, each of which may have changed by a Gaussian step, and eq. 2.
+    """P graphs with parameters, each of which may have changed by a Gaussian step, and eq. 2.
 
-    Args:
-        graphs: P of them, with origins.
-        first: numbers of new nodes, which get initial parameters; see `with_new_origins`.
-        old: (P', N, K) parameters of parents.
-        actions: what the nodes are.
-        strategy: (P at least, S), which drifts after the steps.
-        same: individuals that come first and stay as they are.
-        generator: of new parameters, of the choices, of the steps and of the drift.
-        tau: variance of the drift.
+    Graphs have origins: new nodes, whose numbers are `first` (`with_new_origins`), get initial
+    parameters, others those of parents (P', N, K). Strategies (P at least, S) drift after the
+    steps, with variance `tau`. The `same` individuals that come first stay as they are.
     """
     fresh = old.new_zeros(first[-1], old.shape[2])
     for module, begin, end in zip(actions.actions, first, first[1:], strict=False):

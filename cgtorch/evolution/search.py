@@ -73,16 +73,11 @@ def evolve(
     Islands are shared out among all ranks (`cgtorch.ground.distributed`), each of which is told
     the same but for the islands that it holds itself.
 
-    Args:
-        environment: the models, on B scenarios.
-        actions: what nodes can do.
-        settings: of the evolution.
-        generator: of all random choices; it goes on only where the first island is held.
-        keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device; none if not
-            given, which is on the CPU.
-        seeds: earlier individuals, which make up half of each first population.
-        islands: where to begin, in place of first populations: those that this rank holds.
-        max_transitions: see `cgtorch.simulation.rollout`.
+    Of the environment's scenarios `keep` (B,) bool, on its device, are those of W (eq. 1a); none,
+    on the CPU, if not given. Half of each first population are `seeds`, earlier individuals, if
+    there are any; in place of first populations there can be `islands` to go on from, those that
+    this rank holds. The generator, of all random choices, goes on only where the first island is
+    held.
 
     Raises:
         WorldError: the environment, tried on two scenarios, breaks its interface.

@@ -60,14 +60,9 @@ def flattened(skill: Skill, max_transitions: int) -> Skill:
     the whole does, so with `max_transitions` of no more than every skill's own, no node has a copy.
     Nodes that behave the same are merged.
 
-    Args:
-        skill: with skills in it, at any depth.
-        max_transitions: of the flat skill; what `max_steps` of `cgtorch.simulation.rollout` is to
-            the nested one.
-
-    Returns:
-        A skill of the same name, over the primitive actions of all levels, those of the outermost
-        first.
+    The flat skill has the same name, the primitive actions of all levels, those of the outermost
+    first, and `max_transitions`, which is to it what `max_steps` of `cgtorch.simulation.rollout` is
+    to the nested one.
 
     Raises:
         GraphError: an action ends a sub-skill without success, after which the nested skill goes

@@ -49,12 +49,7 @@ class Interface:
 
 
 def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
-    """The interface of a library.
-
-    Args:
-        library: compiled from the sources.
-        sources: all of them.
-        real: ctype of `real`.
+    """The interface of a library compiled from all the sources, for `real` of this ctype.
 
     Raises:
         ImportError: the size of a structure is not what these sources say.

@@ -139,7 +139,10 @@ def _kept(real: str, compiler: str) -> Path:
     """Where the compiled sources lie, named by all that they depend on."""
     about = "\0".join([platform.machine(), *_command(real, compiler), _target(compiler)])
     name = hashlib.sha256(about.encode() + _sources()).hexdigest()[:32]
-    return _folder() / f"{real}-{name}.so"
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(home) / "cgtorch"  # which nobody else may write to
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder / f"{real}-{name}.so"
 
 
 @cache
@@ -177,11 +180,3 @@ def _target(compiler: str) -> str:
 def _run(command: list[str]) -> str:
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=SECONDS)  # noqa: S603
     return done.stdout
-
-
-def _folder() -> Path:
-    """The user's cache, which nobody else may write to."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(home) / "cgtorch"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder
