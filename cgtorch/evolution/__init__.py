@@ -1,7 +1,5 @@
 """Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
 
-from cgtorch.evolution.custom_operators import Crossover as Crossover
-from cgtorch.evolution.custom_operators import Mutation as Mutation
 from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
 from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import ask as ask
@@ -17,6 +15,8 @@ from cgtorch.evolution.islands import Island as Island
 from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.offspring import mutate as mutate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
+from cgtorch.evolution.population import Crossover as Crossover
+from cgtorch.evolution.population import Mutation as Mutation
 from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join

@@ -7,13 +7,15 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
-from cgtorch.evolution.custom_operators import Crossover, Mutation, check_offspring
 from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success
 from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import (
     TAU,
+    Crossover,
+    Mutation,
     Population,
+    check_offspring,
     join,
     random_population,
     seeded_population,

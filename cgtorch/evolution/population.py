@@ -1,16 +1,23 @@
-"""A population: graphs with the strategy parameters that each individual evolves by itself."""
+"""A population: graphs with the strategy parameters that each individual evolves by itself.
+
+And what a crossover and a mutation of one's own have to give.
+"""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.environment.dry_run import expect, kind
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
+    check_graph,
     compacted,
     concatenate,
     pruned,
@@ -19,7 +26,7 @@ from cgtorch.graphs import (
     valid,
     widened,
 )
-from cgtorch.ground.errors import GraphError
+from cgtorch.ground.errors import GraphError, SettingsError
 
 STRATEGY = (
     "crossover",
@@ -57,6 +64,18 @@ class Population:
     def __getitem__(self, index: Tensor | slice) -> "Population":
         """The individuals at `index`."""
         return Population(self.graphs[index], self.strategy[index])
+
+
+Crossover: TypeAlias = Callable[[Population, Population, Generator], Population]
+"""From Q first parents, Q second ones and the generator of all random choices to 2 Q children."""
+
+Mutation: TypeAlias = Callable[[Population, ActionSet, Generator, float], Population]
+"""From P individuals, what their nodes can do, the generator of all random choices and the variance
+of the drift of strategy parameters to as many individuals.
+
+Graphs come compacted, with one slot that is free in every graph; they may come back with more
+slots, up to the capacity. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
+To add to what the library does, call `cgtorch.evolution.mutate` first."""
 
 
 def slim(population: Population) -> Population:
@@ -142,7 +161,7 @@ def seeded_population(
     return join(Population(resized(compacted(copies.graphs), *shape), copies.strategy), fresh)
 
 
-def expected_tensors(
+def _expected_tensors(
     count: int, nodes: int, actions: ActionSet
 ) -> dict[str, tuple[tuple[int, ...], torch.dtype]]:
     """Shapes and types of the tensors of so many individuals of so many slots, by name."""
@@ -167,7 +186,7 @@ def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Populatio
         GraphError: they are not those of at least one valid graph.
     """
     p, n = (*tensors["action"].shape, 0, 0)[:2]
-    expected = expected_tensors(p, n, actions)
+    expected = _expected_tensors(p, n, actions)
     graphs = Graphs(*(tensors[name] for name in list(expected)[:-1]))
     whole = (
         p * n > 0
@@ -178,3 +197,33 @@ def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Populatio
     if not whole:
         raise GraphError("these tensors are not those of valid graphs; restore the file")
     return Population(graphs, tensors["strategy"])
+
+
+def check_offspring(
+    offspring: object,
+    count: int,
+    capacity: int,
+    actions: ActionSet,
+    who: str = "crossover, mutation",
+) -> None:
+    """A SettingsError, which says `who`, unless these are so many valid individuals.
+
+    The capacity is the most slots of a graph.
+    """
+    if not isinstance(offspring, Population):
+        raise SettingsError(f"{who} returned {kind(offspring)}; return a Population")
+    graphs = offspring.graphs
+    nodes = graphs.action.shape[1] if graphs.action.dim() == 2 else capacity
+    if nodes > capacity:
+        raise SettingsError(
+            f"{who} returned graphs of {nodes} slots; return {capacity} at most, the capacity"
+        )
+    given: dict[str, Tensor] = {**vars(graphs), "strategy": offspring.strategy}
+    for name, (shape, dtype) in _expected_tensors(count, nodes, actions).items():
+        expect(SettingsError, who, name, given[name], shape, dtype)
+    if not (good := valid(graphs, actions)).all():
+        bad = int((~good).nonzero()[0])
+        try:
+            check_graph(graphs[bad : bad + 1], actions)
+        except GraphError as e:
+            raise SettingsError(f"{who} made graph {bad} invalid: {e}") from e

@@ -1,6 +1,5 @@
 /* Angles of a vector's rows: sines and cosines to the last digit or two, half angles, wrapping. */
-#ifndef CGTORCH_ANGLES_H
-#define CGTORCH_ANGLES_H
+#pragma once
 #include "real.h"
 
 #define PI 3.14159265358979323846
@@ -52,4 +51,3 @@ INLINE void half_angle(vec x, vec y, vec *c, vec *s) {
   *c = select_vec(share >= 0, larger, smaller);
   *s = with_sign_of(select_vec(share >= 0, smaller, larger), y);
 }
-#endif

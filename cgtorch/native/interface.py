@@ -1,7 +1,7 @@
 """How Python calls the C sources: functions, structures and constants, none of them written twice.
 
 Functions and structures are read from the sources; constants, and the sizes of structures, are what
-a compiled library says of itself (exported.h). Where sizes differ, the library is refused.
+a compiled library says of itself (library.h). Where sizes differ, the library is refused.
 """
 
 import ctypes

@@ -41,7 +41,7 @@ VECTOR = 64
 """Bytes of a vector of numbers, as in real.h."""
 WRONG_GRAPHS, NO_PARENT = 2, 3
 FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS, "NO_PARENT": NO_PARENT}
-"""What functions return, as in exported.h."""
+"""What functions return, as in library.h."""
 
 
 def available() -> bool:

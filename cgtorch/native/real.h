@@ -1,7 +1,6 @@
 /* Vectors of 64 bytes of REAL, float or double, whatever registers the CPU has: sums of sixteen or
    eight parts are made in the same order everywhere, and a row never meets another one. */
-#ifndef CGTORCH_REAL_H
-#define CGTORCH_REAL_H
+#pragma once
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -159,4 +158,3 @@ INLINE vec sigmoid_vec(vec x) {
   vec p = select_vec(x < 0, power, all(1)) / (1 + power);
   return select_vec(x == x, p, x);
 }
-#endif

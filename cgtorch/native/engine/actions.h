@@ -1,6 +1,5 @@
 /* The actions of section VI for those of a vector of lanes that are at one node. */
-#ifndef CGTORCH_ACTIONS_H
-#define CGTORCH_ACTIONS_H
+#pragma once
 #include "tabletop/edge.h"
 #include "lanes.h"
 
@@ -132,4 +131,3 @@ INLINE Done act(const Task *task, GraphRows graph, Layout layout, const vec *err
     return say(lanes, out, action->kind == EDGE ? 3 : action->outputs, here);
   }
 }
-#endif

@@ -1,7 +1,6 @@
 /* How far scores are from their median (cgtorch.evolution.lexicase.deviation). */
 #include "order.h"
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 #include <stdlib.h>
 
 /* The number at place k of `count` numbers in order, bit by bit: how many are less than what it is so

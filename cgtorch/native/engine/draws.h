@@ -1,6 +1,5 @@
 /* Random numbers that are functions of a key (cgtorch.ground.counter_rng). */
-#ifndef CGTORCH_DRAWS_H
-#define CGTORCH_DRAWS_H
+#pragma once
 #include <math.h>
 #include <stdint.h>
 
@@ -43,4 +42,3 @@ static inline int pick(float draw, int count) {
   int64_t k = (int64_t)(draw * (float)count);
   return (int)(k < 0 ? 0 : k < count ? k : count - 1);
 }
-#endif

@@ -1,6 +1,5 @@
 /* One computational graph at a time: its nodes in order, without the unused slots between them. */
-#ifndef CGTORCH_GRAPH_H
-#define CGTORCH_GRAPH_H
+#pragma once
 #include <stdint.h>
 #include <string.h>
 
@@ -132,4 +131,3 @@ static inline void write_reached(Graph *graph, const Graphs *to, int64_t row) {
   for (int64_t i = count * o; i < n * o; i++) edges[i] = NO_NODE;
   to->start[row] = graph->start;
 }
-#endif

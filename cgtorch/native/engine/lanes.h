@@ -1,6 +1,5 @@
 /* What rollouts are made of: programs, models, and a vector of lanes that run one graph. */
-#ifndef CGTORCH_LANES_H
-#define CGTORCH_LANES_H
+#pragma once
 #include <stdlib.h>
 
 #include "tabletop/models.h"
@@ -107,4 +106,3 @@ INLINE void copy_lanes(const Lanes *from, int size, Lanes *to) {
   size_t skipped = offsetof(Lanes, message), end = offsetof(Lanes, percept) + (size_t)size * BYTES;
   memcpy((char *)to + skipped, (const char *)from + skipped, end - skipped);
 }
-#endif

@@ -1,8 +1,7 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
 #include "draws.h"
 #include "order.h"
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 #include <stdlib.h>
 
 typedef struct {

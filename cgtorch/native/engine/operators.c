@@ -1,8 +1,7 @@
 /* Crossover and mutation of nodes and edges of a whole population, one pair after the other. */
 #include "crossover.h"
-#include "exported.h"
+#include "library.h"
 #include "mutation.h"
-#include "parallel.h"
 #include <stdlib.h>
 
 EXPORT_CONSTANTS(graph_limits, MOST_NODES, MOST_OUTCOMES)

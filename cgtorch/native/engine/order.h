@@ -1,6 +1,5 @@
 /* The bits of numbers, and whole numbers in the order of numbers. */
-#ifndef CGTORCH_ORDER_H
-#define CGTORCH_ORDER_H
+#pragma once
 #include "real.h"
 
 #ifdef REAL_IS_FLOAT
@@ -26,4 +25,3 @@ INLINE real number_of(pattern place) {
   memcpy(&x, &place, sizeof x);
   return x;
 }
-#endif

@@ -2,8 +2,7 @@
    say, with Gaussian steps where they are hit; and the drift of their strategies (eq. 2). */
 #define _DEFAULT_SOURCE /* of madvise */
 #include "draws.h"
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 #include <string.h>
 #include <sys/mman.h>
 

@@ -2,8 +2,7 @@
 
    Nodes are counted from the first of all sub-skills, which are laid out once; after theirs come those
    of the graph that runs. */
-#ifndef CGTORCH_PROGRAM_H
-#define CGTORCH_PROGRAM_H
+#pragma once
 #include "real.h"
 
 #define NO_NODE (-1)
@@ -65,4 +64,3 @@ INLINE int wrong_graph(const Program *p, int64_t graph) {
   for (int64_t i = 0; i < p->nodes * p->seen; i++) wrong |= outside(g.edges[i], p->nodes);
   return wrong;
 }
-#endif

@@ -1,7 +1,7 @@
 /* Individuals from best to worst (cgtorch.evolution.selection.ranking). */
 #include "graph.h"
 #include "order.h"
-#include "exported.h"
+#include "library.h"
 #include <stdlib.h>
 
 #define DIGIT 11 /* bits that are sorted by at once */

@@ -1,5 +1,5 @@
 /* RBF kernel matrices in single precision, from distances in double (cgtorch.svm.gram). */
-#include "parallel.h"
+#include "library.h"
 #include "real.h"
 
 #define FAINT 40 /* 2^-40 and less is 0: small numbers would slow down what is done with them */

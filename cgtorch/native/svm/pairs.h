@@ -1,7 +1,6 @@
 /* Steps on pairs of coefficients: sequential minimal optimisation with libsvm's choice of the second
    one (Fan, Chen & Lin 2005, WSS 2), for problems as cgtorch.svm.problems has them. */
-#ifndef CGTORCH_PAIRS_H
-#define CGTORCH_PAIRS_H
+#pragma once
 #include "real.h"
 
 #define TAU 1e-12
@@ -111,4 +110,3 @@ static int64_t pairs(const Set *s, real tolerance, int64_t most) {
     kj = s->kernel + j * s->stride;
   }
 }
-#endif

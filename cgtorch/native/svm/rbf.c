@@ -1,6 +1,5 @@
 /* Values of RBF machines for many rows (cgtorch.svm.rbf_predict). */
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 #include "rbf.h"
 
 EXPORT_STRUCT(Machine)

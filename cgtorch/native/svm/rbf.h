@@ -1,6 +1,5 @@
 /* The function of an RBF machine: sum_j w_j exp(-gamma |x - c_j|^2) + bias. */
-#ifndef CGTORCH_RBF_H
-#define CGTORCH_RBF_H
+#pragma once
 #include "real.h"
 
 typedef struct {
@@ -86,4 +85,3 @@ INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int fea
   *value = select_vec(finite, *value + f->bias[0], all((real)NAN));
   *nearest = select_vec(finite, *nearest, all((real)NAN));
 }
-#endif

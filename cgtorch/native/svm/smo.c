@@ -5,9 +5,8 @@
    they are solved (Joachims 1999), gradients of all rows are brought up to date in double
    precision, and others take their turn. */
 #include <stdlib.h>
-#include "exported.h"
+#include "library.h"
 #include "pairs.h"
-#include "parallel.h"
 
 #define LARGEST_SET 1024
 #define SMALLEST_SET 64

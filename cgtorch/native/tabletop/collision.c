@@ -1,6 +1,5 @@
 /* Whether arms touch their table and body (cgtorch.tabletop.kinematics), posture after posture. */
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 #include <math.h>
 #include <stddef.h>
 

@@ -1,8 +1,7 @@
 /* Γ, C (cgtorch.tabletop.models) and the check of motions (cgtorch.tabletop.world.clear_way) for many
    rows. */
 #include "models.h"
-#include "exported.h"
-#include "parallel.h"
+#include "library.h"
 
 EXPORT_STRUCT(Gamma)
 EXPORT_STRUCT(Classifier)

@@ -1,6 +1,5 @@
 /* Γ and C, a vector of rows at once: cgtorch.svm.{transition,geometry,success,grasp_features}. */
-#ifndef CGTORCH_MODELS_H
-#define CGTORCH_MODELS_H
+#pragma once
 #include "svm/rbf.h"
 #include "tabletop.h"
 
@@ -181,4 +180,3 @@ APART vec success_vec(const Classifier *f, Layout layout, const vec *p, uint32_t
   }
   return sigmoid_vec(-(f->slope * value + f->offset));
 }
-#endif

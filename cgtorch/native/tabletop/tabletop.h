@@ -1,7 +1,6 @@
 /* The tabletop as percepts show it, a vector of rows at once: cgtorch.tabletop.world.{percepts,sweep} and
    motion_possible. */
-#ifndef CGTORCH_TABLETOP_H
-#define CGTORCH_TABLETOP_H
+#pragma once
 #include "angles.h"
 
 #define TURN_STEPS 12 /* of 15 degrees */
@@ -126,4 +125,3 @@ INLINE vwhole motion_possible(const vec *p, const vec *u, Layout layout, const B
   }
   return rows;
 }
-#endif

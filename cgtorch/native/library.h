@@ -1,0 +1,18 @@
+/* What a library says of itself, so that Python can be sure to read the sources as the compiler did
+   (cgtorch.native.interface), and how its functions share out their work. */
+#pragma once
+#include <stdint.h>
+
+#define EXPORT_STRUCT(name) const int64_t size_of_##name = sizeof(name);
+#define EXPORT_CONSTANTS(group, ...)            \
+  const char names_of_##group[] = #__VA_ARGS__; \
+  const int64_t values_of_##group[] = {__VA_ARGS__};
+
+/* What functions return. */
+enum { DONE, NO_MEMORY, WRONG_GRAPHS, NO_PARENT };
+
+/* Pieces of work shared out among threads that take them off one counter (thread_pool.c). */
+typedef void (*Piece)(void *what, int64_t begin, int64_t end);
+
+/* Calls `piece` on [0, total) in parts of `size`, in up to `threads` threads, and waits for all. */
+void in_parallel(Piece piece, void *what, int64_t total, int64_t size, int64_t threads);
