@@ -82,7 +82,7 @@ def check_action(
         ActionError: naming the method and what is wrong with what it returned.
     """
     who = f"action {name!r}: forward"
-    parameters = _parameters(name, action, torch.Generator().manual_seed(0))
+    parameters = _parameters(name, action)
     scenario = two_rows(environment.num_scenarios, device)
     lanes = start_lanes(environment, scenario, action.message_size, action.memory_size)
     kept = copied(lanes)
@@ -115,14 +115,15 @@ def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tenso
             )
 
 
-def _parameters(name: str, action: Action, generator: Generator) -> Tensor:
+def _parameters(name: str, action: Action) -> Tensor:
     """The parameters of two nodes, if they are as the action promises."""
     who = f"action {name!r}: initial_parameters"
     for attribute in ("num_parameters", "message_size", "memory_size"):
         value = getattr(action, attribute)
         if not isinstance(value, int) or value < 0:
             raise ActionError(f"action {name!r}: {attribute} is {value!r}; give a whole number")
-    values: Tensor = returned(ActionError, who, action.initial_parameters, ROWS, generator)
+    given = ROWS, Generator().manual_seed(0)
+    values: Tensor = returned(ActionError, who, action.initial_parameters, *given)
     expect(ActionError, who, "values", values, (ROWS, action.num_parameters), torch.float32)
     if not values.isfinite().all():
         raise ActionError(f"{who} returned numbers that are not finite")

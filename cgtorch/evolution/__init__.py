@@ -12,7 +12,6 @@ from cgtorch.evolution.fitness import chance_of_success as chance_of_success
 from cgtorch.evolution.fitness import episode_return as episode_return
 from cgtorch.evolution.fitness import evaluator as evaluator
 from cgtorch.evolution.islands import Island as Island
-from cgtorch.evolution.lexicase import lexicase as lexicase
 from cgtorch.evolution.offspring import mutate as mutate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Crossover as Crossover
@@ -24,4 +23,5 @@ from cgtorch.evolution.population import population_from as population_from
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve
 from cgtorch.evolution.selection import Selection as Selection
+from cgtorch.evolution.selection import lexicase as lexicase
 from cgtorch.evolution.selection import tournament as tournament

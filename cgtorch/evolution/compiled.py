@@ -91,14 +91,14 @@ def changed(
 
 
 def deviation(scores: Tensor) -> Tensor:
-    """See `cgtorch.evolution.lexicase.deviation`."""
+    """See `cgtorch.evolution.selection.deviation`."""
     out = scores.new_empty(scores.shape[1])
     _call("deviation", scores.dtype, scores.contiguous(), *scores.shape, out, threads())
     return out
 
 
 def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
-    """See `cgtorch.evolution.lexicase.parents`."""
+    """See `cgtorch.evolution.selection.parents`."""
     chosen, scores = torch.empty(count, dtype=torch.long), scores.contiguous()
     task = scores, *scores.shape, epsilon.contiguous(), key, count, chosen, threads()
     _call("lexicase", scores.dtype, *task)

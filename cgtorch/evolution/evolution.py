@@ -8,7 +8,6 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
 from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success
-from cgtorch.evolution.lexicase import lexicase
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import (
     TAU,
@@ -21,7 +20,7 @@ from cgtorch.evolution.population import (
     seeded_population,
     slim,
 )
-from cgtorch.evolution.selection import Selection, ranking
+from cgtorch.evolution.selection import Selection, lexicase, ranking
 from cgtorch.graphs import compacted, resized
 from cgtorch.ground.errors import DataError, SettingsError
 

@@ -8,11 +8,14 @@ from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
 from cgtorch.graphs import Graphs
+from cgtorch.ground.counter_rng import keys, pick, random_key, uniform_from, words
 from cgtorch.ground.errors import SettingsError
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and
 the generator of the choices, to the parents (count,)."""
+
+MOST_CANDIDATES = 1024  # individuals that a parent is chosen from at most
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
@@ -42,3 +45,85 @@ def tournament(rounds: int = 5) -> Selection:
         return order[place.amin(1)]
 
     return choose_winners
+
+
+def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
+    """Parents that are among the best on one scenario after the other (La Cava et al. 2016).
+
+    Each parent is chosen by itself: from all individuals those stay whose score on a random
+    scenario is the best of them, or less by no more than the scenario's median absolute
+    deviation, then of these those good on the next scenario, and so on through all in random
+    order; of what stays at the end, a random one. So who alone solves a hard scenario has
+    children, however little else it solves.
+
+    A population of more than `MOST_CANDIDATES` is split at random into equal groups, each of which
+    gives as many parents, so that time and memory grow with the population and no faster.
+
+    Given are scores (P, B) and how many parents (count,) to choose; the order does not matter here.
+    """
+    groups = -(-len(order) // MOST_CANDIDATES)
+    if groups == 1:
+        return _from_all(scores, count, generator)
+    members = torch.randperm(len(order), generator=generator).tensor_split(groups)
+    chosen = [
+        group[_from_all(scores[group], len(part), generator)]
+        for group, part in zip(members, torch.arange(count).tensor_split(groups), strict=True)
+    ]
+    return torch.cat(chosen)[torch.randperm(count, generator=generator)]
+
+
+def deviation(scores: Tensor) -> Tensor:
+    """(B,) median absolute deviation from the median of scores (P, B)."""
+    return (scores - scores.median(0).values).abs().median(0).values
+
+
+def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
+    """(count,) parents from all P individuals of `scores` (P, B)."""
+    if compiled.takes_scores(scores):
+        return compiled.lexicase(scores, compiled.deviation(scores), count, random_key(generator))
+    scores = scores + 0.0  # there is one zero only
+    return parents(scores, deviation(scores), count, random_key(generator))
+
+
+def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
+    """(count,) parents, in torch; `native/engine/lexicase.c` chooses one after the other.
+
+    Individuals of equal scores (P, B) stand or fall together, so they are one row here; `epsilon`
+    (B,) says how much worse than the best is good enough.
+    """
+    rows, row_of, size = _distinct(scores)
+    cases, own = rows.T.contiguous(), keys(key, count)
+    stands = torch.ones(count, len(rows), dtype=torch.bool)
+    for case in _turns(own, scores.shape[1]):
+        score = cases[case].masked_fill_(~stands, float("-inf"))
+        stands &= score >= (score.amax(1) - epsilon[case])[:, None]
+        if stands.sum() == count:  # one for each parent
+            break
+    # A random individual: of a parent's rows each counts as often as there are of its kind.
+    last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
+    ends = (stands * size).cumsum(1)
+    place = (last * ends[:, -1]).long()
+    row = (ends <= place[:, None]).sum(1)
+    within = place - ends.gather(1, row[:, None])[:, 0] + size[row]
+    first = size.cumsum(0) - size
+    return row_of.argsort(stable=True)[first[row] + within]
+
+
+def _turns(own: Tensor, scenarios: int) -> Tensor:
+    """(B, count) in what order the scenarios come for keys (count,): Fisher and Yates' shuffle."""
+    turns = torch.arange(scenarios)[:, None].repeat(1, len(own))
+    for turn in range(scenarios):
+        at = turn + pick(uniform_from(words(own, torch.tensor(turn))), scenarios - turn)
+        found = turns.gather(0, at[None])
+        turns.scatter_(0, at[None], turns[turn : turn + 1].clone())
+        turns[turn] = found[0]
+    return turns
+
+
+def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Different rows (R, B) in the order in which they appear, each one's (P,), and how often."""
+    rows, row_of, size = torch.unique(scores, dim=0, return_inverse=True, return_counts=True)
+    where = torch.full_like(size, len(scores))
+    where.scatter_reduce_(0, row_of, torch.arange(len(scores)), "amin")
+    order = where.argsort()
+    return rows[order], order.argsort()[row_of], size[order]

@@ -85,11 +85,9 @@ class CompiledEngine:
         How often more Γ, C, networks and the check of motions are done `again` (4,) changes no
         result: how much longer it takes says how long each of them does.
 
-        Returns:
-            Fitness (P,), the means of scores (P, B), which are C(p_t) or half of it without
-            success, and 0 where W is lost; successes (P, B); actions executed by all; and of how
-            many graphs some number was not finite, whose scores and successes are 0. Or None, where
-            it has to be done in torch. Errors are those of `rollouts`.
+        Returned are the fields of an `Evaluation`, whose scores are C(p_t), half of it without
+        success, and 0 where W is lost; or None, where it has to be done in torch. Errors are those
+        of `rollouts`.
         """
         sizes = len(graphs), len(scenarios)
         fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)

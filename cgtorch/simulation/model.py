@@ -69,10 +69,10 @@ class ModelEnvironment:
         Raises:
             ModelError: one of these, tried on two percepts, gives something else than it should.
         """
-        _check(percepts, gamma, classifier, possible, control_size, errors, seeds)
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
         self.most_novel, self.compiled = most_novel, compiled
+        _check(self, seeds)
         self.seeds = torch.arange(len(percepts)) if seeds is None else seeds
         self.seeds = self.seeds.to(percepts.device)
         self.first_state = percepts.new_zeros(len(percepts), 3)
@@ -139,16 +139,9 @@ def _with_rows(values: Tensor, rows: Tensor, which: Tensor, new: Tensor) -> Tens
     return values.index_copy(0, rows, torch.where(which[:, None], new, old))
 
 
-def _check(
-    percepts: Tensor,
-    gamma: Gamma,
-    classifier: Classifier,
-    possible: Possible,
-    control_size: int,
-    errors: Tensor | None,
-    seeds: Tensor | None,
-) -> None:
+def _check(models: ModelEnvironment, seeds: Tensor | None) -> None:
     """Try the models on two percepts; ModelError says what is wrong with what they return."""
+    percepts, errors = models.percepts, models.errors
     if percepts.dim() != 2 or not percepts.is_floating_point() or not percepts.numel():
         raise ModelError(f"percepts are {kind(percepts)}; give floating numbers (B, D)")
     if errors is not None and not (
@@ -163,12 +156,12 @@ def _check(
     if seeds is not None and (seeds.shape != percepts.shape[:1] or seeds.dtype != torch.long):
         raise ModelError(f"seeds are {kind(seeds)}; give (B,) long, B as for {kind(percepts)}")
     rows = percepts[two_rows(len(percepts), percepts.device)]
-    control = rows.new_zeros(ROWS, control_size)
-    found = returned(ModelError, "Γ", gamma, rows, control)
+    control = rows.new_zeros(ROWS, models.control_size)
+    found = returned(ModelError, "Γ", models.gamma, rows, control)
     after, novelty = expect_pair(ModelError, "Γ", "next percepts, novelty", found)
     expect(ModelError, "Γ", "next percepts", after, rows.shape, rows.dtype)
     expect(ModelError, "Γ", "novelty", novelty, (ROWS,), rows.dtype)
-    chance = returned(ModelError, "C", classifier, rows)
+    chance = returned(ModelError, "C", models.classifier, rows)
     expect(ModelError, "C", "", chance, (ROWS,), rows.dtype)
-    free = returned(ModelError, "possible", possible, rows, control)
+    free = returned(ModelError, "possible", models.possible, rows, control)
     expect(ModelError, "possible", "", free, (ROWS,), torch.bool)

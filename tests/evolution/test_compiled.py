@@ -13,9 +13,9 @@ from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.evolution import EvolutionSettings, Population, compiled, initial_state, tell
-from cgtorch.evolution.lexicase import deviation, lexicase
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import STRATEGY, random_population, slim
+from cgtorch.evolution.selection import deviation, lexicase
 from cgtorch.graphs import NO_NODE, trimmed, valid
 from cgtorch.native import constants
 

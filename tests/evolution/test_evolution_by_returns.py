@@ -22,7 +22,7 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.evolution.fitness import WORST, WORTHLESS
-from cgtorch.evolution.lexicase import deviation
+from cgtorch.evolution.selection import deviation
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.shrink import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from support import seeded
 from torch import Tensor
 
-from cgtorch.evolution.lexicase import deviation, lexicase
-from cgtorch.evolution.selection import tournament
+from cgtorch.evolution.selection import deviation, lexicase, tournament
 
 tables = st.integers(1, 5).flatmap(
     lambda b: st.lists(
@@ -71,7 +70,7 @@ def test_who_alone_solves_a_hard_scenario_has_children() -> None:
 
 def test_groups_give_as_many_parents_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """In groups of 50, whoever is best in its own has all of its group's children."""
-    monkeypatch.setattr(sys.modules["cgtorch.evolution.lexicase"], "MOST_CANDIDATES", 50)
+    monkeypatch.setattr(sys.modules["cgtorch.evolution.selection"], "MOST_CANDIDATES", 50)
     scores = torch.rand(150, 1, generator=seeded(0))
     scores[:3, 0] = torch.tensor([9.0, 8.0, 7.0])
     shares = torch.zeros(150)

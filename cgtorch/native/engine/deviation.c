@@ -1,4 +1,4 @@
-/* How far scores are from their median (cgtorch.evolution.lexicase.deviation). */
+/* How far scores are from their median (cgtorch.evolution.selection.deviation). */
 #include "order.h"
 #include "library.h"
 #include <stdlib.h>

@@ -1,4 +1,4 @@
-/* Epsilon-lexicase selection (cgtorch.evolution.lexicase), one parent after the other. */
+/* Epsilon-lexicase selection (cgtorch.evolution.selection), one parent after the other. */
 #include "draws.h"
 #include "order.h"
 #include "library.h"

@@ -54,13 +54,3 @@ INLINE const real *parameters_of_node(const Program *p, GraphRows g, int64_t nod
   int64_t place = node - p->rows;
   return place < 0 ? p->learned + node * p->width : g.parameters + place * p->each;
 }
-
-/* Whether a graph has numbers that are none of its nodes or actions. */
-INLINE int outside(int64_t number, int64_t count) { return number < NO_NODE || number >= count; }
-INLINE int wrong_graph(const Program *p, int64_t graph) {
-  GraphRows g = graph_of(p, graph);
-  int wrong = p->start[graph] < 0 || p->start[graph] >= p->nodes;
-  for (int64_t i = 0; i < p->nodes; i++) wrong |= outside(g.action[i], p->actions);
-  for (int64_t i = 0; i < p->nodes * p->seen; i++) wrong |= outside(g.edges[i], p->nodes);
-  return wrong;
-}

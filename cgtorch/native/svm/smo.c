@@ -168,12 +168,6 @@ static int64_t take_over(const Problems *p, Memory *m, int64_t count) {
   return changed;
 }
 
-/* In the middle of what is optimal, as far as that is bounded. */
-static double bias_between(double high, double low) {
-  if (isfinite(high) && isfinite(low)) return (high + low) / 2;
-  return isfinite(high) ? high : isfinite(low) ? low : 0;
-}
-
 /* Solves the first problem from where it is; the violation that is left. */
 static double solve(const Problems *p, Memory *m) {
   double tolerance = p->tolerance, finest = FINEST * tolerance, work = 0;
@@ -181,7 +175,9 @@ static double solve(const Problems *p, Memory *m) {
     double high, low;
     extremes(p, &high, &low);
     double wrong = high - low;
-    *p->bias = bias_between(high, low);
+    /* In the middle of what is optimal, as far as that is bounded. */
+    if (isfinite(high) && isfinite(low)) *p->bias = (high + low) / 2;
+    else *p->bias = isfinite(high) ? high : isfinite(low) ? low : 0;
     if (!(wrong > -INFINITY)) return 0; /* nothing can move */
     while (wrong < tolerance) {
       if (tolerance < finest || relative_gap(p, *p->bias) <= p->gap) return wrong;
