@@ -175,12 +175,7 @@ def _expected_tensors(
 
 
 def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Population:
-    """A population from tensors that may be anything, as they come from a file.
-
-    Args:
-        tensors: action (P, N), edges (P, N, O), parameters (P, N, K) and start (P,) of the graphs,
-            and strategy (P, S); see `Graphs` and `Population`.
-        actions: what the graphs' nodes can be.
+    """A population from tensors that may be anything, as they come from a file, by field name.
 
     Raises:
         GraphError: they are not those of at least one valid graph.

@@ -1,11 +1,8 @@
 """C sources below this folder, compiled once for this very CPU and kept in the user's cache.
 
-A computational graph runs one short step after another, and a tensor operation costs more than
-most of them: a thousand operations per step were half of all time. Compiled for the CPU they run
-on, as Numba, Triton and torch.compile do it, the same steps take a tenth (docs/decisions.md).
-
-Nothing has to be compiled: where there is no compiler, or `CGTORCH_NATIVE=0` is set, everything
-runs in torch, slower and with other roundings.
+A computational graph runs one short step after another, which take a tenth of what they would as
+tensor operations (docs/decisions.md). Nothing has to be compiled: where there is no compiler, or
+`CGTORCH_NATIVE=0` is set, everything runs in torch, slower and with other roundings.
 """
 
 import ctypes

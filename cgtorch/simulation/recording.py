@@ -40,6 +40,6 @@ class Recording:
         d, u = self.percept_size, self.control_size
         empty = (torch.zeros(0, d), torch.zeros(0, u), torch.zeros(0, d))
         nothing = (torch.zeros(0, d), torch.zeros(0, dtype=torch.bool))
-        moved = [torch.cat(x) for x in zip(*[empty, *self.transitions], strict=True)]
-        tested = [torch.cat(x) for x in zip(*[nothing, *self.tests], strict=True)]
-        return moved[0], moved[1], moved[2], tested[0], tested[1]
+        p, control, after = map(torch.cat, zip(empty, *self.transitions, strict=True))
+        tested, success = map(torch.cat, zip(nothing, *self.tests, strict=True))
+        return p, control, after, tested, success
