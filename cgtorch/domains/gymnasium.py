@@ -6,6 +6,7 @@ evolved in the environment itself, and a return is what Gymnasium says it is.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -30,11 +31,7 @@ STEPS = 200  # of each at most
 
 @dataclass(frozen=True)
 class Starts(ScenarioBatch):
-    """Starts of episodes.
-
-    Attributes:
-        seed: (B,) long, that `reset` is given.
-    """
+    """Starts of episodes, each by the `seed` (B,) long that `reset` is given."""
 
     seed: Tensor
 
@@ -57,23 +54,23 @@ class Gymnasium(Domain[Starts]):
     ) -> None:
         """The environment of the settings.
 
-        Args:
-            settings: of the domain.
-            scaling: of observations; found in random episodes if not given.
-            target: return from which an episode is solved; that of the settings if not given.
+        Where they are not given, the scaling of observations is found in random episodes, and the
+        return from which an episode is solved is that of the settings.
 
         Raises:
             DomainError: Gymnasium is not installed or knows no such environment, or it is of a
                 sort that is no domain.
         """
         super().__init__(settings)
-        self.episodes = _episodes(self.settings.environment)
-        space, action = self.episodes.spaces.observation, self.episodes.spaces.action
-        self.vector = _vector_steps(self.settings.environment)
-        self.percept = _percept(space, self.settings.environment)
-        self.control = _control(action, self.settings.environment)
+        name = self.settings.environment
+        self.episodes = _episodes(name)
+        self.vector: VectorSteps | None = None
+        with suppress(LookupError):  # it has no vectorised environment that suits lanes
+            self.vector = VectorSteps(name)
+        self.percept = _percept(self.episodes.observation, name)
+        self.control = _control(self.episodes.action, name)
         self.target_return = self._target() if target is None else target
-        self.scaling = scaling or _explored(self.episodes, space)
+        self.scaling = scaling or _explored(self.episodes)
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
@@ -81,10 +78,11 @@ class Gymnasium(Domain[Starts]):
 
     def world(self, scenarios: Starts) -> GymnasiumWorld:
         """See `Domain.world`."""
-        common = scenarios.seed, self.episodes.spaces, self.scaling, len(self.control)
+        size, target = len(self.control), self.target_return
+        common = self.episodes, scenarios.seed, self.scaling, size, target
         if self.vector is not None:
-            return VectorWorld(self.vector, self.episodes, *common, self.target_return)
-        return PlayedWorld(self.episodes, *common, self.target_return)
+            return VectorWorld(self.vector, *common)
+        return PlayedWorld(*common)
 
     def write(self, folder: Path) -> None:
         """See `Domain.write`: the scaling of observations, and what counts as solved."""
@@ -122,7 +120,7 @@ class Gymnasium(Domain[Starts]):
         ]
 
     def _target(self) -> float:
-        given, own = self.settings.target_return, self.episodes.spaces.threshold
+        given, own = self.settings.target_return, self.episodes.threshold
         if given != float("inf"):
             return given
         if own is None:
@@ -134,11 +132,7 @@ class Gymnasium(Domain[Starts]):
 
 
 def _episodes(environment: str) -> Episodes:
-    """The environment by its id.
-
-    Raises:
-        DomainError: Gymnasium is not installed, or knows no such environment.
-    """
+    """The environment by its id; DomainError where Gymnasium cannot make it."""
     try:
         import gymnasium
     except ImportError as e:
@@ -153,14 +147,6 @@ def _episodes(environment: str) -> Episodes:
             f"Gymnasium cannot make environment {environment!r} ({reason}); is it spelt right and "
             "its package installed?"
         ) from e
-
-
-def _vector_steps(environment: str) -> VectorSteps | None:
-    """Gymnasium's own vectorised environment of that id, if it has one that suits lanes."""
-    try:
-        return VectorSteps(environment)
-    except LookupError:
-        return None
 
 
 def _percept(space: Any, environment: str) -> tuple[Field, ...]:
@@ -191,8 +177,9 @@ def _control(space: Any, environment: str) -> tuple[Field, ...]:
     )
 
 
-def _explored(episodes: Episodes, space: Any) -> Scaling:
+def _explored(episodes: Episodes) -> Scaling:
     """The scaling of observations: by their bounds if they have some, else by random episodes."""
+    space = episodes.observation
     low, high = (torch.from_numpy(bound).double() for bound in (space.low, space.high))
     bounded = (low > -1e6) & (high < 1e6)
     seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()

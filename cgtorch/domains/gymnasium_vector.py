@@ -3,7 +3,6 @@
 Those whose states are an array that can be set, as CartPole's, need no environment for each lane.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.domains.gymnasium_world import (
-    OVER,
-    RETURN,
-    STEPS,
-    Episodes,
-    GymnasiumWorld,
-)
-from cgtorch.environment import Lanes
+from cgtorch.domains.gymnasium_world import OVER, RETURN, STEPS, GymnasiumWorld
 
 OWN = 3  # the column in which the environment's own state begins
 
@@ -27,11 +19,7 @@ class VectorSteps:
     """Steps of many episodes at once, from any states."""
 
     def __init__(self, environment: str) -> None:
-        """Make the first vectorised environment of that id.
-
-        Raises:
-            LookupError: there is none, or its states cannot be set.
-        """
+        """Make one of that id; LookupError if there is none, or its states cannot be set."""
         import gymnasium
 
         if gymnasium.spec(environment).vector_entry_point is None:
@@ -46,16 +34,9 @@ class VectorSteps:
     def step(
         self, state: NDArray[Any], steps: NDArray[Any], action: NDArray[Any]
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """One step of n episodes.
+        """One step of n episodes, from states (n, S) after so many steps (n,), by actions (n,).
 
-        Args:
-            state: (n, S) of the environment.
-            steps: (n,) so far.
-            action: (n,).
-
-        Returns:
-            The states after it (n, S), observations (n, D), rewards (n,), and (n,) bool which
-            episodes are over.
+        Returned are states (n, S), observations (n, D), rewards (n,), and (n,) bool which are over.
         """
         n = len(state)
         environment = self._of_size(1 << (n - 1).bit_length())
@@ -82,37 +63,29 @@ class VectorSteps:
 class VectorWorld(GymnasiumWorld):
     """A world in which one environment steps all lanes; a state goes on with the environment's."""
 
-    def __init__(self, vector: VectorSteps, episodes: Episodes, *common: Any) -> None:
+    def __init__(self, vector: VectorSteps, *common: Any) -> None:
         """The world of these steps; the other arguments are those of `GymnasiumWorld`.
 
-        `episodes` begin each start, as vectorised environments have one seed for all.
+        Its episodes begin each start, as vectorised environments have one seed for all.
         """
         super().__init__(*common)
-        self._vector, self._episodes = vector, episodes
+        self._vector = vector
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        first = [self._episodes.first(seed) for seed in self.seeds[scenario].tolist()]
+        first = [self._episodes.first(seed) for seed in self._seeds[scenario].tolist()]
         state = torch.zeros(len(first), OWN + self._vector.size, dtype=torch.float64)
         if first:
             own = np.array([one[0] for one in first], dtype=np.float64)
             state[:, OWN:] = torch.from_numpy(own)
         return state, self._percepts(np.array([one[1] for one in first], dtype=np.float64))
 
-    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """See `Environment.step`."""
-        done = self._going_on(lanes, control)
-        rows = done.nonzero()[:, 0]
-        if not len(rows):
-            return lanes, done
-        state, here = lanes.state.clone(), lanes.state[rows]
-        own, steps = here[:, OWN:].numpy(), here[:, STEPS].numpy()
-        after, seen, reward, over = self._vector.step(own, steps, self._actions(control[rows]))
-        here = here.clone()
+    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+        own, steps = state[:, OWN:].numpy(), state[:, STEPS].numpy()
+        after, seen, reward, over = self._vector.step(own, steps, actions)
+        here = state.clone()
         here[:, OWN:] = torch.from_numpy(np.ascontiguousarray(after))
         here[:, STEPS] += 1
         here[:, RETURN] += torch.from_numpy(reward).double()
         here[:, OVER] = torch.from_numpy(over).double()
-        state[rows] = here
-        percept = lanes.percept.index_copy(0, rows, self._percepts(seen))
-        return replace(lanes, state=state, percept=percept), done
+        return here, seen

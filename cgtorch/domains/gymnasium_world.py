@@ -31,25 +31,11 @@ class Scaling:
     scale: Tensor
 
 
-@dataclass(frozen=True)
-class Spaces:
-    """The spaces of an environment, and the return from which it says that it is solved, if any."""
-
-    observation: Any
-    action: Any
-    threshold: float | None
-
-
 @dataclass
 class Episode:
-    """One episode that is being played.
+    """One episode that is being played, over after `limit` steps at the latest.
 
-    Attributes:
-        environment: that plays it.
-        limit: steps after which it is over.
-        seed: it was begun with.
-        actions: so far.
-        keys: what tells apart ways to get to each step; the first is that of the start.
+    `keys` tell apart ways to get to each step; the first is that of the start.
     """
 
     environment: Any
@@ -73,11 +59,7 @@ class Episode:
         return seen, float(reward), bool(terminated or truncated or len(self.actions) >= self.limit)
 
     def return_to(self, step: int, key: int) -> None:
-        """Go on from an earlier step.
-
-        Raises:
-            WorldError: it came to that step in another way.
-        """
+        """Go on from an earlier step; WorldError if it came to that step in another way."""
         if step >= len(self.keys) or self.keys[step] != key:
             raise WorldError(
                 "a lane cannot go on from where it is, as its Gymnasium environment has gone "
@@ -94,7 +76,9 @@ class Episodes:
     """As many environments of one id as there are lanes, used again for each batch of lanes.
 
     Attributes:
-        spaces: of the environment.
+        observation: the space of observations.
+        action: the space of actions.
+        threshold: return from which the environment says that it is solved, None if it does not.
         batch: how often lanes have begun; only those of the last batch can go on.
     """
 
@@ -103,19 +87,15 @@ class Episodes:
         self._id = environment
         self._played = [self._made()]
         first = self._played[0].environment
+        self.observation, self.action = first.observation_space, first.action_space
         own = first.spec.reward_threshold
-        threshold = None if own is None else float(own)
-        self.spaces = Spaces(first.observation_space, first.action_space, threshold)
+        self.threshold = None if own is None else float(own)
         self.batch = 0
         self._starts: dict[int, tuple[Any, NDArray[np.float64]]] = {}
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Environments stay in the process that made them."""
-        return {"_id": self._id}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make environments anew."""
-        self.__init__(state["_id"])  # type: ignore[misc]
+    def __reduce__(self) -> tuple[type["Episodes"], tuple[str]]:
+        """Environments stay in the process that made them; another one makes them anew."""
+        return Episodes, (self._id,)
 
     def begin(self, seeds: list[int]) -> list[NDArray[np.float64]]:
         """First observations of a batch of episodes with these seeds."""
@@ -148,11 +128,11 @@ class Episodes:
     def random_observations(self, count: int, most: int) -> NDArray[np.float64]:
         """(N, D) observations in `count` episodes of random actions, `most` in each at most."""
         episode, seen = self._played[0], []
-        self.spaces.action.seed(0)
+        self.action.seed(0)
         for seed in range(count):
             seen.append(episode.begin(seed))
             for _ in range(most):
-                action = np.asarray(self.spaces.action.sample())
+                action = np.asarray(self.action.sample())
                 observation, _, over = episode.play(action)
                 seen.append(observation)
                 if over:
@@ -179,18 +159,10 @@ class GymnasiumWorld(ABC):
     """
 
     def __init__(
-        self, seeds: Tensor, spaces: Spaces, scaling: Scaling, control_size: int, target: float
+        self, episodes: Episodes, seeds: Tensor, scaling: Scaling, control_size: int, target: float
     ) -> None:
-        """Set up the world.
-
-        Args:
-            seeds: (B,) long.
-            spaces: of observations and actions.
-            scaling: of observations.
-            control_size: U.
-            target: return from which an episode is solved.
-        """
-        self.seeds, self._spaces, self._scaling = seeds, spaces, scaling
+        """The world of starts with seeds (B,), solved from the return `target` on."""
+        self._episodes, self._seeds, self._scaling = episodes, seeds, scaling
         self.control_size, self._target = control_size, target
 
     @abstractmethod
@@ -198,18 +170,29 @@ class GymnasiumWorld(ABC):
         """See `Environment.start`."""
 
     @abstractmethod
-    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """See `Environment.step`; an episode that is over goes no further."""
+    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+        """The states (n, S) after actions (n, ...), and observations (n, D)."""
 
     @property
     def num_scenarios(self) -> int:
         """B."""
-        return len(self.seeds)
+        return len(self._seeds)
 
     @property
     def percept_size(self) -> int:
         """D."""
         return len(self._scaling.centre)
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """See `Environment.step`; an episode that is over goes no further."""
+        done = control.isfinite().all(1) & ~self.over(lanes)
+        rows = done.nonzero()[:, 0]
+        if not len(rows):
+            return lanes, done
+        after, seen = self._play(lanes.state[rows], self._actions(control[rows]))
+        state = lanes.state.index_copy(0, rows, after)
+        percept = lanes.percept.index_copy(0, rows, self._percepts(seen))
+        return replace(lanes, state=state, percept=percept), done
 
     def observe(self, lanes: Lanes) -> Lanes:
         """See `Environment.observe`."""
@@ -228,10 +211,6 @@ class GymnasiumWorld(ABC):
         """See `Rewarded.returns`."""
         return lanes.state[:, RETURN]
 
-    def _going_on(self, lanes: Lanes, control: Tensor) -> Tensor:
-        """(n,) bool, the lanes that are to act and can."""
-        return control.isfinite().all(1) & (lanes.state[:, OVER] == 0)
-
     def _percepts(self, observations: NDArray[np.floating[Any]]) -> Tensor:
         """Percepts (n, D) of observations (n, D)."""
         seen = torch.from_numpy(observations).double().view(-1, self.percept_size)
@@ -239,7 +218,7 @@ class GymnasiumWorld(ABC):
 
     def _actions(self, control: Tensor) -> NDArray[Any]:
         """Actions (n, ...) as Gymnasium wants them."""
-        space = self._spaces.action
+        space = self._episodes.action
         if not hasattr(space, "low"):
             return control.argmax(1).numpy() + int(getattr(space, "start", 0))
         within: NDArray[Any] = control.numpy().clip(space.low, space.high).astype(space.dtype)
@@ -253,14 +232,9 @@ class PlayedWorld(GymnasiumWorld):
     began in, and what tells apart ways to get there.
     """
 
-    def __init__(self, episodes: Episodes, *common: Any) -> None:
-        """The world of these episodes; the other arguments are those of `GymnasiumWorld`."""
-        super().__init__(*common)
-        self._episodes = episodes
-
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        seeds = self.seeds[scenario].tolist()
+        seeds = self._seeds[scenario].tolist()
         observations = self._episodes.begin(seeds)
         state = torch.zeros(len(seeds), 6, dtype=torch.float64)
         state[:, SLOT] = torch.arange(len(seeds))
@@ -268,20 +242,12 @@ class PlayedWorld(GymnasiumWorld):
         state[:, KEY] = torch.tensor(seeds, dtype=torch.float64) % _KEYS
         return state, self._percepts(np.array(observations))
 
-    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """See `Environment.step`."""
-        done = self._going_on(lanes, control)
-        rows = done.nonzero()[:, 0]
-        if not len(rows):
-            return lanes, done
-        state, actions = lanes.state.clone(), self._actions(control[rows])
+    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
         observations, after = [], []
-        for old, action in zip(state[rows].tolist(), actions, strict=True):
+        for old, action in zip(state.tolist(), actions, strict=True):
             steps, gained, _, slot, batch, key = old
             episode = self._episodes.at(int(slot), int(batch), int(steps), int(key))
             seen, reward, over = episode.play(action)
             observations.append(seen)
             after.append([steps + 1, gained + reward, over, slot, batch, episode.keys[-1]])
-        state[rows] = torch.tensor(after, dtype=torch.float64)
-        percept = lanes.percept.index_copy(0, rows, self._percepts(np.array(observations)))
-        return replace(lanes, state=state, percept=percept), done
+        return torch.tensor(after, dtype=torch.float64), np.array(observations)

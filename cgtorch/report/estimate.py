@@ -11,11 +11,10 @@ MEMORY = 0.9  # weight of the past in smoothed numbers
 
 @dataclass
 class Estimate:
-    """Smoothed speed, and bounds on the time left by what is known of a run.
+    """Smoothed speed, and upper bounds on the time left by what is known of a run.
 
-    Nobody knows how many generations an evolution needs, only how many it may take. So the times
-    are upper bounds, as long as generations and what lies between two evolutions (tests in the
-    world, fits) take no longer than they did so far.
+    They hold as long as generations and what lies between two evolutions (tests in the world, fits)
+    take no longer than they did so far.
     """
 
     clock: Callable[[], float] = time.monotonic

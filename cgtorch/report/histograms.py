@@ -29,19 +29,11 @@ def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
     limits = torch.addcmul(low[:, None], width[:, None], steps / bins)
     about = torch.stack([least, greatest, values.sum(0), values.square().sum(0)], 1)
     rows = zip(tags, about.tolist(), limits.tolist(), counts.tolist(), strict=True)
-    entries = [
-        Summary.Value(
-            tag=tag,
-            histo=HistogramProto(
-                min=numbers[0],
-                max=numbers[1],
-                num=len(values),
-                sum=numbers[2],
-                sum_squares=numbers[3],
-                bucket_limit=limit,
-                bucket=[0, *count],  # what lies below the first limit
-            ),
-        )
-        for tag, numbers, limit, count in rows
-    ]
+    entries = []
+    for tag, (low_end, high_end, total, squares), limit, count in rows:
+        histogram = HistogramProto(
+            min=low_end, max=high_end, num=len(values), sum=total, sum_squares=squares,
+            bucket_limit=limit, bucket=[0, *count],  # none lies below the first limit
+        )  # fmt: skip
+        entries.append(Summary.Value(tag=tag, histo=histogram))
     return Summary(value=entries)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Self, cast
 
 from rich.console import Console, Group, RenderableType
@@ -25,8 +24,8 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.report import event_messages
 from cgtorch.report.estimate import Estimate, as_time, stage_number
+from cgtorch.report.event_messages import few_kept, message_of
 
 ENOUGH = 30  # scenarios solved in the search, to say how many of them the world keeps
 
@@ -49,9 +48,8 @@ class ProgressDisplay:
         self._stage: StageStarted | None = None
         self._generation: GenerationDone | None = None
         self._world = ""
-        self._solved = self._kept = (
-            0  # scenarios of candidates' groups, in the search and the world
-        )
+        # Scenarios of candidates' groups that are solved in the search and in the world.
+        self._solved = self._kept = 0
         self._working: list[tuple[str, float, Spinner]] = []
 
     def __enter__(self) -> Self:
@@ -59,17 +57,13 @@ class ProgressDisplay:
         self._began = time.monotonic()
         if self._live_mode:
             self._live = Live(
-                get_renderable=self.live_lines,
-                console=self.console,
-                refresh_per_second=4,
+                get_renderable=self.live_lines, console=self.console, refresh_per_second=4,
                 transient=True,
-            )
+            )  # fmt: skip
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Take the live lines away; what was printed above them stays."""
         if self._live is not None:
             self._live.stop()
@@ -77,36 +71,34 @@ class ProgressDisplay:
 
     def __call__(self, event: Event) -> None:
         """Show what an event says."""
+        message = message_of(event)
         if isinstance(event, GenerationDone):
             self._generation = event
             self._estimate.generation_done(event)
-        elif isinstance(event, EvolutionRecalled | JournalDamaged):
-            self.say(event_messages.journal_read(event))
+        elif isinstance(event, EvolutionRecalled | JournalDamaged | FreshTested):
+            self.say(message)
         elif isinstance(event, StageStarted):
             self._stage, self._generation, self._world = event, None, ""
             self._estimate.stage_started(event)
-            self._plain(event_messages.stage_started(event))
+            self._plain(message)
         elif isinstance(event, ModelsFitted):
             # What Γ and C are worth before all learning on is a result and stays.
-            tell = self.say if event.summary.first else self._plain
-            tell(event_messages.models_fitted(event))
+            (self.say if event.summary.first else self._plain)(message)
         elif isinstance(event, WorldTested):
             self._estimate.evolution_over()
-            self._world = event_messages.world_tested(event)
-            self._plain(self._world)
+            self._world = message
+            self._plain(message)
             self._compare(event.promised or 0, event.kept or 0)
         elif isinstance(event, SkillAccepted):
             self._estimate.stage_over()
-            self.say(event_messages.skill_accepted(event), style="green")
-        elif isinstance(event, FreshTested):
-            self.say(event_messages.fresh_tested(event))
+            self.say(message, style="green")
 
     def _compare(self, solved: int, kept: int) -> None:
         """Say once that the world keeps little of what the search solves."""
         before = self._solved
         self._solved, self._kept = self._solved + solved, self._kept + kept
         if before < ENOUGH <= self._solved and self._kept < self._solved / 4:
-            self.say(event_messages.few_kept(self._solved, self._kept), style="yellow")
+            self.say(few_kept(self._solved, self._kept), style="yellow")
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:
@@ -145,11 +137,8 @@ class ProgressDisplay:
                 )
             )
         if self._generation is not None:
-            left = self._estimate.evolution_left or 0.0
-            lines += [
-                _bar(self._generation, left),
-                _numbers(self._generation, self._estimate.speed),
-            ]
+            lines.append(_bar(self._generation, self._estimate.evolution_left or 0.0))
+            lines.append(_numbers(self._generation, self._estimate.speed))
         if self._world:
             lines.append(_line((f"  {self._world}", "dim")))
         for message, began, spinner in list(self._working):

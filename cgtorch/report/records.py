@@ -4,7 +4,7 @@ import io
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cgtorch.ground.errors import RunError
 
@@ -70,10 +70,18 @@ class Records:
 
     def picture(self, tag: str, figure: "Figure", step: int) -> None:
         """Write an image."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from tensorboard.compat.proto.summary_pb2 import Summary
 
-        entry = Summary.Value(tag=tag, image=Summary.Image(**_encoded(figure)))
-        self.write(Summary(value=[entry]), step)
+        figure.set_dpi(DPI)
+        canvas = FigureCanvasAgg(figure)
+        width, height = canvas.get_width_height()
+        out = io.BytesIO()
+        canvas.print_png(out)
+        image = Summary.Image(
+            height=height, width=width, colorspace=4, encoded_image_string=out.getvalue()
+        )
+        self.write(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
 
     def write(self, summary: "Summary", step: int) -> None:
         """Write a record of any kind."""
@@ -99,20 +107,3 @@ class Records:
         for values, step, when in waiting:
             entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
             self._writer.file_writer.add_summary(Summary(value=entries), step, when)
-
-
-def _encoded(figure: "Figure") -> dict[str, Any]:
-    """A figure as PNG, with what TensorBoard wants to know about it."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure.set_dpi(DPI)
-    canvas = FigureCanvasAgg(figure)
-    width, height = canvas.get_width_height()
-    out = io.BytesIO()
-    canvas.print_png(out)
-    return {
-        "height": height,
-        "width": width,
-        "colorspace": 4,
-        "encoded_image_string": out.getvalue(),
-    }

@@ -9,7 +9,6 @@ and what is not finite are of all, the rest is of the first, which the first ran
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -104,7 +103,13 @@ class TensorBoardWatch:
         elif isinstance(event, ModelsFitted):
             self._models(event)
         elif isinstance(event, WorldTested):
-            self._world(event)
+            told = {
+                "world/solved_W": event.solved_w,
+                "world/solved_M": event.solved_m,
+                "world/kept": event.kept,
+                "world/promised": event.promised,
+            }
+            self._scalars({tag: value for tag, value in told.items() if value is not None})
         elif isinstance(event, SkillAccepted):
             self._accepted(event)
         elif isinstance(event, FreshTested):
@@ -121,9 +126,7 @@ class TensorBoardWatch:
         """The watch itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Close the file."""
         self.close()
 
@@ -177,11 +180,7 @@ class TensorBoardWatch:
             self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
-        """Write learning curves where the step is the number of rows.
-
-        TensorBoard hides what a file holds beyond the step at which a run goes on, so these are
-        not in a file whose step is the generation.
-        """
+        """Write learning curves to a file of their own, as their step is the number of rows."""
         from torch.utils.tensorboard import SummaryWriter
 
         with SummaryWriter(str(self._folder / BY_ROWS)) as writer:
@@ -192,14 +191,6 @@ class TensorBoardWatch:
                     for size, folds in zip(curve.sizes, scores, strict=True):
                         tag = f"{name}/learning_curve/{kind}"
                         writer.add_scalar(tag, sum(folds) / len(folds), size)
-
-    def _world(self, event: WorldTested) -> None:
-        values = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}
-        if event.kept is not None:
-            values["world/kept"] = event.kept
-        if event.promised is not None:
-            values["world/promised"] = event.promised
-        self._scalars(values)
 
     def _accepted(self, event: SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})

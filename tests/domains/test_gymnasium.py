@@ -77,8 +77,7 @@ def test_the_vectorised_environment_is_used_and_is_the_same() -> None:
     assert domain.vector is not None
     starts = domain.draw("starts", 5, seeded(2))
     world: Any = domain.world(starts)
-    common = starts.seed, domain.episodes.spaces, domain.scaling, len(domain.control), -50.0
-    played = PlayedWorld(domain.episodes, *common)
+    played = PlayedWorld(domain.episodes, starts.seed, domain.scaling, len(domain.control), -50.0)
     one, other = started(world, 5), started(played, 5)
     for control in controls_of(domain, 30, 5):
         (one, _), (other, _) = world.step(one, control), played.step(other, control)

@@ -21,7 +21,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
-from cgtorch.report.event_messages import models_fitted
+from cgtorch.report.event_messages import message_of
 from cgtorch.svm import Acceptance
 from cgtorch.tabletop.models import TransitionQuality
 
@@ -48,14 +48,14 @@ def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
 def test_models_are_told_with_what_no_model_can_better(events: list[Event], models: Any) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     told = models.summary(replace(models.fresh, quality=QUALITY))
-    line = models_fitted(replace(fitted, summary=told))
+    line = message_of(replace(fitted, summary=told))
     assert line.startswith(
         "S1: on 2000 fresh transitions Γ errs by 1.06 cm on the object (floor 1.07; without the "
         "noise of the motion 0.40) and 2.11 cm on the table (floor 1.97 ± 0.05), C's balanced "
     )
     said = Acceptance(True, 20, 0.02, 0.01, 0.001), Acceptance(False, 20, 0.03, 0.04, 0.001)
     learned = replace(models.knowledge, acceptances=said)
-    assert models_fitted(replace(fitted, summary=summary_of(learned))).startswith(
+    assert message_of(replace(fitted, summary=summary_of(learned))).startswith(
         "S1: Γ has learned on; C stays as it was, since its error on earlier data would be 0.0400 "
         "instead of 0.0300; now from 120 transitions"
     )
