@@ -6,53 +6,36 @@ import numpy as np
 
 from cgtorch.domains.reports import Reliability
 from cgtorch.ground.errors import DataError
+from cgtorch.report.figures import FAINT, GOOD, INK, LINE, plain_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DOT, LINE, IDEAL, TEXT, GRID = "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6"
 BINS = 10  # of equal widths, that the probabilities were put into
 SPREAD = 2.0  # standard errors of a frequency that its bar spans
 
 
 def draw_reliability(
-    curve: Reliability,
-    *,
-    title: str = "the success classifier C",
-    of: str = "fresh labels",
+    curve: Reliability, *, title: str = "the success classifier C", of: str = "fresh labels"
 ) -> "Figure":
     """Reliability diagram above a histogram of the probabilities (DeGroot & Fienberg 1983).
 
     A green dot is a bin of probabilities, its bar two standard errors of the frequency either way;
-    on the dashed line they would be exactly as likely as they say.
-
-    Args:
-        curve: mean probability, frequency and rows of each bin that is not empty.
-        title: whose probabilities they are.
-        of: what the rows are.
-
-    Raises:
-        DataError: the curve holds no rows.
+    on the dashed line they would be exactly as likely as they say. The title says whose
+    probabilities they are, and `of` what the rows are. DataError if the curve holds none.
     """
-    from matplotlib.figure import Figure
-
     rows = sum(count for _, _, count in curve)
     if rows == 0:
         raise DataError("the reliability curve holds no rows; measure it on some labels")
-    figure = Figure(figsize=(5.2, 6.2), dpi=100, facecolor="white", layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    figure, (upper, lower) = plain_figure(5.2, 6.2, (3, 1))
     _draw_dots(upper, curve)
     _draw_counts(lower, curve)
     error = sum(abs(mean - frequency) * count for mean, frequency, count in curve) / rows
     upper.set_title(
         f"{title} on {rows} {of}\nexpected calibration error {error:.3f}",
-        fontsize=11, color=TEXT,
+        fontsize=11, color=INK,
     )  # fmt: skip
-    for axes in (upper, lower):
-        axes.set_axisbelow(True)
-        axes.grid(color=GRID, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 
@@ -62,10 +45,10 @@ def _draw_dots(axes: "Axes", curve: Reliability) -> None:
     sure = (frequency * count + 1) / (count + 2)
     bar = SPREAD * np.sqrt(sure * (1 - sure) / count)
     ends = [np.minimum(bar, frequency), np.minimum(bar, 1 - frequency)]
-    axes.plot([0, 1], [0, 1], "--", color=IDEAL, lw=1.4, zorder=1, label="as likely as it says")
+    axes.plot([0, 1], [0, 1], "--", color=FAINT, lw=1.4, zorder=1, label="as likely as it says")
     axes.plot(mean, frequency, color=LINE, lw=1.0, zorder=2)
     axes.errorbar(
-        mean, frequency, yerr=ends, fmt="o", color=DOT, ms=6, lw=1.2, capsize=3, zorder=3,
+        mean, frequency, yerr=ends, fmt="o", color=GOOD, ms=6, lw=1.2, capsize=3, zorder=3,
         label="a bin of labels",
     )  # fmt: skip
     axes.set_xlim(-0.02, 1.02)
@@ -79,7 +62,7 @@ def _draw_counts(axes: "Axes", curve: Reliability) -> None:
         number = min(int(mean * BINS), BINS - 1)
         place = (number + 0.5) / BINS
         axes.bar(place, count, width=0.92 / BINS, color=LINE, gid="count")
-        axes.annotate(f"{count}", (place, count), ha="center", va="bottom", fontsize=8, color=TEXT)
+        axes.annotate(f"{count}", (place, count), ha="center", va="bottom", fontsize=8, color=INK)
     axes.set_yscale("log")
     axes.set_ylim(0.7, 4 * max(count for _, _, count in curve))
     axes.set_xlabel("probability that C gives")

@@ -1,6 +1,6 @@
 """What there is to tell of a run: its folder, read as far as the run has come."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -24,23 +24,14 @@ START = "start"
 
 @dataclass(frozen=True)
 class Stage:
-    """A finished stage or round.
-
-    Attributes:
-        name: of the stage.
-        result: its result.json.
-        skill: what the run could do when it ended.
-        solved: W, all that the skill has succeeded on.
-        missed: M, all that it has failed on.
-        accepted: its line in the ledger; None if no skill was accepted.
-    """
+    """A finished stage or round: its result.json, and what the run could do when it ended."""
 
     name: str
     result: dict[str, Any]
     skill: Skill
-    solved: Any
-    missed: Any
-    accepted: dict[str, Any] | None
+    solved: Any  # W, all scenarios that the skill has succeeded on
+    missed: Any  # M, all that it has failed on
+    accepted: dict[str, Any] | None  # its line in the ledger; None if no skill was accepted
 
 
 @dataclass(frozen=True)
@@ -80,7 +71,12 @@ def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None 
         _an_object(folder / "run.json"),
         _an_object(summary) if summary.is_file() else {},
         tuple(_stage(run, name, index.get(name)) for name in run.stages),
-        tuple(_begun(run)),
+        # Stages that are not finished, and the generations that their journals know.
+        tuple(
+            (path.name, FileJournal(path).generations)
+            for path in sorted((run.folder / JOURNAL).glob("*"))
+            if path.is_dir() and path.name not in run.stages
+        ),
         _fitted(run),
         read_event_files(folder),
         read_event_files(folder / BY_ROWS),
@@ -99,13 +95,6 @@ def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
     solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"), run.like())
     skill = load_skill(folder / "skill.json", run.actions)
     return Stage(name, load_result(folder / "result.json"), skill, solved, missed, accepted)
-
-
-def _begun(run: Run) -> Iterable[tuple[str, int]]:
-    """Stages that are not finished, and the generations that their journals know."""
-    for path in sorted((run.folder / JOURNAL).glob("*")):
-        if path.is_dir() and path.name not in run.stages:
-            yield path.name, FileJournal(path).generations
 
 
 def _fitted(run: Run) -> Fitted | None:

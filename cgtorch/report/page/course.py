@@ -17,9 +17,9 @@ class Course:
     """When things happened in a run.
 
     Attributes:
-        steps: of TensorBoard, of each generation.
-        ends: for each evolution the generation it ended with: its candidate was then tried in the
-            world, or a stage ended.
+        steps: TensorBoard's, of each generation.
+        ends: the generations with which evolutions ended, as a candidate was tried in the world or
+            a stage ended.
         stages: name, first and last generation of each finished stage that had any; empty where
             the event files do not hold all generations of the run.
     """

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,18 +18,12 @@ class Spread(NamedTuple):
     high: float
 
 
-Points: TypeAlias = tuple[tuple[int, float], ...]
-"""Steps and the values there, as often as they were written."""
-Spreads: TypeAlias = tuple[tuple[int, Spread], ...]
-"""The same of histograms."""
-
-
 @dataclass(frozen=True)
 class Told:
-    """The scalars and histograms of the files in a folder, by tag; empty if there are none."""
+    """What the files in a folder hold, by tag: steps and the scalars or histograms there."""
 
-    scalars: dict[str, Points]
-    histograms: dict[str, Spreads]
+    scalars: dict[str, tuple[tuple[int, float], ...]]
+    histograms: dict[str, tuple[tuple[int, Spread], ...]]
 
     def last(self, tag: str) -> float | None:
         """The last value of a scalar, None if it was never written."""

@@ -33,9 +33,8 @@ def model_quality(contents: Contents) -> dict[str, Any]:
             figure = draw_learning(curves)
             learning = inline_svg(figure, "learning", "Learning curves of the models")
         if fitted is not None and fitted.classifier.reliability:
-            figure = draw_reliability(
-                fitted.classifier.reliability, title="C", of="held-out labels"
-            )
+            bins = fitted.classifier.reliability
+            figure = draw_reliability(bins, title="C", of="held-out labels")
             reliability = inline_svg(figure, "reliability", "Reliability diagram of C")
     tests = contents.run.domain.fresh_tests
     return {
@@ -53,9 +52,8 @@ def model_quality(contents: Contents) -> dict[str, Any]:
 def _errors(contents: Contents) -> Rows:
     if contents.fitted is not None:
         report = contents.fitted.gamma
-        rows = zip(
-            report.coordinates, report.units, report.error, report.baseline_error, strict=True
-        )
+        errors = report.error, report.baseline_error
+        rows = zip(report.coordinates, report.units, *errors, strict=True)
         return [(name, _in_unit(e, unit), _in_unit(rigid, unit)) for name, unit, e, rigid in rows]
     prefix = "gamma/error_"
     return [

@@ -42,14 +42,8 @@ def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = 
     """
     contents = read_contents(folder, trusted, domain)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
-    page = (
-        templates(PACKAGE)
-        .get_template("page.html")
-        .render(
-            **_context(contents),
-            style=Markup(style),  # noqa: S704  our own file
-        )
-    )
+    template = templates(PACKAGE).get_template("page.html")
+    page = template.render(_context(contents), style=Markup(style))  # noqa: S704  our own file
     return page.encode()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.interval import wilson
+from cgtorch.report.figures import FAINT, GOOD, INK, LINE, PAPER, plain_figure
 from cgtorch.report.page.course import Course
 from cgtorch.report.page.event_files import Told
 
@@ -15,9 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-GOOD, LINE, FAINT, INK, GRID, PAPER = (
-    "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6", "#8a6d3b",
-)  # fmt: skip
 WIDTH = 8.4  # inches
 RATES = {
     "crossover": "crossover",
@@ -39,9 +37,9 @@ def draw_success(
 ) -> "Figure":
     """Success by stage, and on other scenarios, with 95 % confidence intervals.
 
-    A line is who has reported which share of all scenarios, if anyone has.
+    The share of all scenarios that somebody has reported is a line.
     """
-    figure, (axes,) = _figure(2.9)
+    figure, (axes,) = plain_figure(WIDTH, 2.9)
     for data, shift, marker, colour, name in (
         (shares, -0.08, "o", GOOD, label),
         (others, 0.08, "s", LINE, other),
@@ -77,7 +75,7 @@ def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
     rewards fitness is the mean return of episodes.
     """
     worthless = "no return" if rewarded else "fitness 0"
-    figure, (fitness, unsolved, nodes) = _figure(5.4, (2.2, 1, 1))
+    figure, (fitness, unsolved, nodes) = plain_figure(WIDTH, 5.4, (2.2, 1, 1))
     for axes, tags in (
         (fitness, {"fitness/best": (GOOD, "the best"), "fitness/mean": (LINE, "the mean")}),
         (unsolved, {"population/unsolved": (LINE, worthless)}),
@@ -109,7 +107,7 @@ def draw_rates(told: Told, course: Course) -> "Figure | None":
     rates = {name: told.histograms.get(f"strategy/{name}", ()) for name in STRATEGY}
     if not any(rates.values()):
         return None
-    figure, grid = _figure(4.0, (1, 1), columns=4)
+    figure, grid = plain_figure(WIDTH, 4.0, (1, 1), columns=4)
     for axes, (name, spreads) in zip(grid, rates.items(), strict=True):
         for line in course.lines(spreads):
             known = [(x, *spread) for x, spread in line if isfinite(sum(spread))]
@@ -129,7 +127,7 @@ Curve = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 
 def draw_learning(curves: Sequence[Curve]) -> "Figure":
     """Learning curves, one below the other."""
-    figure, grid = _figure(3.1 * len(curves), [1] * len(curves), width=5.2, share_x=False)
+    figure, grid = plain_figure(5.2, 3.1 * len(curves), [1] * len(curves), share_x=False)
     for axes, (name, sizes, train, test) in zip(grid, curves, strict=True):
         axes.plot(sizes, train, color=FAINT, lw=1.2, marker="s", ms=3.5, label="learnt from")
         axes.plot(sizes, test, color=GOOD, lw=1.4, marker="o", ms=4, label="held out")
@@ -140,26 +138,6 @@ def draw_learning(curves: Sequence[Curve]) -> "Figure":
         axes.set_xlabel("rows learnt from")
         _legend(axes)
     return figure
-
-
-def _figure(
-    height: float,
-    ratios: Sequence[float] = (1,),
-    columns: int = 1,
-    width: float = WIDTH,
-    share_x: bool = True,
-) -> tuple["Figure", list["Axes"]]:
-    """A figure of so many inches, and its axes row by row."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    rows = len(ratios)
-    grid = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios, squeeze=False)
-    for axes in grid.flat:
-        axes.set_axisbelow(True)
-        axes.grid(color=GRID, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    return figure, list(grid.flat)
 
 
 def _stages(axes: "Axes", course: Course, named: bool) -> None:

@@ -17,7 +17,7 @@ ENGINE, TORCH = "engine", "torch"
 
 
 def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """What a run went on with otherwise than before, oldest first, as its run.json tells.
+    """What a run's run.json tells that it went on with otherwise than before, oldest first.
 
     They are the stage that was made next, the setting or version, its old and its new value.
     """
@@ -45,9 +45,8 @@ def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, 
     for number, (words, before) in enumerate(legs):
         here = [(name, new) for place, name, _, new in taken if number and place == before]
         engine = dict(here).get(ENGINE, engine)
-        overrides = [
-            f"--override {shlex.quote(f'{name}={new}')}" for name, new in here if name != ENGINE
-        ]
+        words_of = (f"{name}={new}" for name, new in here if name != ENGINE)
+        overrides = [f"--override {shlex.quote(one)}" for one in words_of]
         begin = [*_settings(run, at_first), f"--run-dir {AGAIN}"]
         rest = [f"--resume {AGAIN}", *overrides] if number else begin
         program = ["CGTORCH_NATIVE=0"] * (engine == TORCH) + ["cgtorch-train"]

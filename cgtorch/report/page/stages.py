@@ -20,17 +20,15 @@ NONE = Markup("")
 
 @dataclass(frozen=True)
 class StageSection:
-    """What the page says of a stage or round.
+    """What the page says of a stage or round; pictures have a text, and some domains have none.
 
     Attributes:
-        name: of the stage.
         scenarios: the kind that it is about.
         tested: whether it is one of the domain's stages, which have tests of their own.
-        published: what others report; None if nobody has such a stage.
-        drawing: of what it is about; empty if the domain has none.
+        drawing: of what it is about.
         stage: what was made; None if it is not made.
-        map: a picture of what the skill solved, empty if the domain has none, and its text.
-        graph: a picture of its graph, and its text.
+        map: a picture of what the skill solved.
+        graph: a picture of its graph.
         panels: the graph as tables: title, start node, and for each outcome from node to node.
     """
 
