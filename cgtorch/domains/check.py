@@ -33,8 +33,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
         )
     world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
     check_environment(world)
-    sizes = {"percept": world.percept_size, "control": world.control_size}
-    for name, size in sizes.items():
+    for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
             raise DomainError(
                 f"{who}.{name} names {given} numbers, its world has {size}; give one Field for each"
@@ -66,8 +65,8 @@ def _check_names(domain: Domain[Any], who: str) -> None:
 
 
 def _drawn(domain: Domain[Any], who: str, scenarios: str, count: int) -> ScenarioBatch:
-    generator = Generator().manual_seed(0)
-    found = returned(DomainError, f"{who}.draw", domain.draw, scenarios, count, generator)
+    given = scenarios, count, Generator().manual_seed(0)
+    found = returned(DomainError, f"{who}.draw", domain.draw, *given)
     if not isinstance(found, ScenarioBatch) or len(found) != count:
         said = f"{len(found)} scenarios" if isinstance(found, ScenarioBatch) else kind(found)
         raise DomainError(f"{who}.draw returned {said}; return a ScenarioBatch of {count}")

@@ -40,13 +40,9 @@ S = TypeVar("S", bound=ScenarioBatch)
 
 @dataclass(frozen=True)
 class Published:
-    """What others report of a stage, or of all scenarios.
+    """What others report of a stage, or of all scenarios: how many succeeded of those tried.
 
-    Attributes:
-        succeeded: scenarios that were solved.
-        tried: of so many.
-        remark: on the result.
-        details: headings and texts about it.
+    They have a remark on the result, and headings and texts about it.
     """
 
     succeeded: int
@@ -151,11 +147,10 @@ class Domain(ABC, Generic[S]):
         Raises:
             DataError: success, or its absence, is hardly ever met.
         """
-
-        def worlds(count: int) -> Environment:
-            return self.world(self.draw(kind, count, generator))
-
-        return explore(worlds, self.control, transitions, tests, generator)
+        return explore(
+            lambda count: self.world(self.draw(kind, count, generator)),
+            self.control, transitions, tests, generator,
+        )  # fmt: skip
 
     def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
         """Further features (..., F) that Γ learns from; with any, the domain must be picklable."""

@@ -16,11 +16,7 @@ MOST_TRIES = 40
 
 
 def random_controls(control: Sequence[Field], count: int, generator: Generator) -> Tensor:
-    """(n, U) controls, uniform within the bounds of their fields.
-
-    Raises:
-        DomainError: a field has no bounds.
-    """
+    """(n, U) controls, uniform within the bounds of their fields; DomainError without bounds."""
     low, high = bounds_of(control)
     for field in control:
         if max(abs(field.low), abs(field.high)) == float("inf"):
@@ -43,16 +39,10 @@ def explore(
     tests: int,
     generator: Generator,
 ) -> Dataset:
-    """Act at random for transitions, and test success everywhere on the way.
+    """Act at random for transitions (p, u, p′), and test success everywhere on the way.
 
-    Of the tests, both labels are kept as far as there are enough of the rarer one.
-
-    Args:
-        worlds: makes the world of so many random scenarios.
-        control: the numbers of a control, with bounds.
-        transitions: how many (p, u, p′).
-        tests: how many percepts with what the world says of success there.
-        generator: of all random choices.
+    Of the tests, both labels are kept as far as there are enough of the rarer one; `worlds` makes
+    the world of so many random scenarios.
 
     Raises:
         DataError: success, or its absence, is hardly ever met.

@@ -121,8 +121,7 @@ class Episodes:
                 "environment; run one batch after the other"
             )
         found = self._played[slot]
-        if len(found.actions) != step or found.keys[step] != key:
-            found.return_to(step, key)
+        found.return_to(step, key)
         return found
 
     def random_observations(self, count: int, most: int) -> NDArray[np.float64]:

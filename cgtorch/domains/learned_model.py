@@ -38,11 +38,7 @@ class LearnedModel(nn.Module, ABC):
 
     @abstractmethod
     def checked(self, *rows: Any) -> tuple[Tensor, ...]:
-        """Rows to learn from in float64.
-
-        Raises:
-            DataError: Wrong shapes, NaN, one class only, or too many rows.
-        """
+        """Rows to learn from in float64; DataError where nothing can be learnt from them."""
 
     @abstractmethod
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -59,11 +55,7 @@ class LearnedModel(nn.Module, ABC):
         """Find out how far from a centre is still known, by features (n, F), in place."""
 
     def standardised(self, raw: Tensor, made_of: str) -> Tensor:
-        """Features (..., F) less their mean, in units of their scale.
-
-        Raises:
-            DataError: Another number of features than the model was fitted on.
-        """
+        """Features (..., F) less their mean, in units of their scale; DataError of another F."""
         raw = raw.to(self.mean)
         if raw.shape[-1] != len(self.mean):
             raise DataError(
@@ -76,10 +68,9 @@ class LearnedModel(nn.Module, ABC):
         return dict.fromkeys(("mean", "scale"), (features,))
 
     def updated(self, *rows: Any) -> Self:
-        """A new model fitted on more rows; this one, which must not be compact, stays as it is.
+        """A new model fitted on all rows, those of the last fit first and in the same order.
 
-        Args:
-            rows: All of them, those of the last fit first and in the same order.
+        This one, which must not be compact, stays as it is.
 
         Raises:
             DataError: Wrong shapes, NaN, one class only, or fewer rows than before.
@@ -98,11 +89,8 @@ class LearnedModel(nn.Module, ABC):
     def coreset(self, *rows: Tensor, limit: int) -> tuple[Tensor, Self]:
         """At most `limit` of the rows that it was fitted on, and a model to go on from there.
 
-        Rows that tell the machine nothing go first, as it never learnt from them.
-
-        Returns:
-            The indices (m,) that stay, ascending, and the model in terms of these rows: the start
-            of an update, which predicts as before only if no support vector had to go.
+        These are the indices (m,) that stay, ascending, and the start of an update, which predicts
+        as before only if no support vector had to go. Rows that tell the machine nothing go first.
         """
         if len(rows[0]) <= limit:
             return torch.arange(len(rows[0]), device=rows[0].device), self

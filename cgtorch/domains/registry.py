@@ -6,7 +6,6 @@ Nothing here imports torch until a domain is asked for.
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +58,8 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
             "'package.module:Class'"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
-    found = _loaded(spec, entry)
+    advice = "is it spelt right and its package installed or on PYTHONPATH?"
+    found = _foreign(entry.load, f"cannot import domain {spec!r}", advice)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
     return found
@@ -70,24 +70,17 @@ def settings_class(spec: str) -> type[DomainSettings]:
     name = spec.partition(":")[0]
     if name not in _SETTINGS:
         return domain_class(spec).settings_type
-    module, _, attribute = _SETTINGS[name].partition(":")
-    found: type[DomainSettings] = getattr(import_module(module), attribute)
+    found: type[DomainSettings] = EntryPoint("settings", _SETTINGS[name], ENTRY_POINTS).load()
     return found
 
 
 def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[Any]":
-    """A domain with these settings; "gymnasium:ENV_ID" says which environment in its name.
-
-    Raises:
-        DomainError: it cannot be made.
-    """
+    """A domain with these settings, or a DomainError; "gymnasium:ENV_ID" names its environment."""
     kind = domain_class(spec)
     settings = with_name(spec, kind.settings_type() if settings is None else settings)
-    return _foreign(
-        lambda: kind(settings),
-        f"domain {spec!r} cannot be made as {kind.__name__}(settings)",
-        "give it a constructor that needs no other arguments",
-    )
+    failure = f"domain {spec!r} cannot be made as {kind.__name__}(settings)"
+    advice = "give it a constructor that needs no other arguments"
+    return _foreign(lambda: kind(settings), failure, advice)
 
 
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
@@ -110,14 +103,6 @@ def check_options(spec: str, names: Sequence[str]) -> None:
             raise DomainError(
                 f"domain {spec!r} has a setting {f.name!r}, which every run has; rename it"
             )
-
-
-def _loaded(spec: str, entry: EntryPoint) -> Any:
-    return _foreign(
-        entry.load,
-        f"cannot import domain {spec!r}",
-        "is it spelt right and its package installed or on PYTHONPATH?",
-    )
 
 
 def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:

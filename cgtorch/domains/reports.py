@@ -14,18 +14,14 @@ class TransitionReport:
     """What the fit of a transition model found.
 
     Attributes:
-        rows: Transitions that were given.
-        informative: How many of them the machine learned from.
-        coordinates: Names of the D numbers of a percept.
-        units: Their units.
+        rows: Transitions that were given, of which the machine learned from the informative.
+        coordinates: Names of the D numbers of a percept, which have the units.
         error: Cross-validated mean absolute error of each number, in its unit.
         baseline_error: The same of a model without a machine.
         choice: Hyper-parameters (C, gamma, epsilon, score) of each output, None if not used.
         gap: Duality gap of each output's dual problem.
         centres: Number of centres.
-        grid_cost: Costs tried.
-        grid_gamma: Kernel widths tried.
-        grid_epsilon: Tube widths tried.
+        grid_cost: Costs tried, beside the widths of kernels (gamma) and tubes (epsilon).
         grid_scores: Mean negative absolute error by gamma, epsilon, C and output.
         learning_curve: The same score by the number of transitions learned from.
     """
@@ -61,8 +57,7 @@ class SuccessReport:
         choice: Hyper-parameters.
         gap: Duality gap.
         centres: Number of centres.
-        grid_cost: Costs tried.
-        grid_gamma: Kernel widths tried.
+        grid_cost: Costs tried, beside kernel widths (gamma).
         grid_scores: Mean balanced accuracy by gamma and C.
         learning_curve: Balanced accuracy of the chosen cell by rows learnt from.
     """

@@ -21,15 +21,9 @@ def robust_success(
     generator: Generator,
     replicas: int = REPLICAS,
 ) -> Tensor:
-    """Where (B,) bool a skill succeeds in the models under each of several draws of Γ's errors.
+    """Where (B,) bool a skill succeeds from percepts (B, D) under each of several draws of errors.
 
-    Args:
-        domain: what the models are of.
-        skill: what is run.
-        knowledge: the models.
-        percepts: (B, D) first percepts.
-        generator: of the errors, others than those that the skill was evolved under.
-        replicas: how often each scenario is run.
+    The errors of Γ are others than those that the skill was evolved under.
     """
     environment = domain.imagine(knowledge, percepts, replicas, generator)
     with torch.no_grad():

@@ -43,24 +43,22 @@ def check_options(settings: Any) -> None:
     for f in fields(settings):
         value, about = getattr(settings, f.name), f.metadata
         least, most = about.get("least", 1), about.get("most", MOST)
+        said = f"is {value!r:.40}"
         if isinstance(f.default, int):
-            if type(value) is not int or not least <= value <= most:
-                raise SettingsError(
-                    f"{f.name} is {value!r:.40}; give a whole number of at least {least}"
-                )
-        elif isinstance(f.default, float):
-            # No comparison holds for nan.
-            if type(value) not in (int, float) or not least <= value <= most:
-                raise SettingsError(
-                    f"{f.name} is {value!r:.40}; give a number from {least} to {most}"
-                )
+            usable = type(value) is int and least <= value <= most
+            wanted = f"give a whole number of at least {least}"
+        elif isinstance(f.default, float):  # no comparison holds for nan
+            usable = type(value) in (int, float) and least <= value <= most
+            wanted = f"give a number from {least} to {most}"
         elif isinstance(f.default, str):
             choices = about.get("choices", ())
-            if not isinstance(value, str) or (choices and value not in choices):
-                wanted = f"use one of {', '.join(choices)}" if choices else "give a text"
-                raise SettingsError(f"{f.name} is {value!r:.40}; {wanted}")
-        elif not isinstance(value, tuple) or not all(isinstance(one, str) for one in value):
-            raise SettingsError(f"{f.name} are {value!r:.60}; give names in a tuple")
+            usable = isinstance(value, str) and (not choices or value in choices)
+            wanted = f"use one of {', '.join(choices)}" if choices else "give a text"
+        else:
+            usable = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+            said, wanted = f"are {value!r:.60}", "give names in a tuple"
+        if not usable:
+            raise SettingsError(f"{f.name} {said}; {wanted}")
 
 
 @dataclass(frozen=True)
@@ -95,11 +93,7 @@ def _plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], data: Any) -> T:
-    """Settings from what `to_plain` gave.
-
-    Raises:
-        SettingsError: a setting is unknown, missing or impossible.
-    """
+    """Settings from what `to_plain` gave; SettingsError if one is unknown, missing or wrong."""
     names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]

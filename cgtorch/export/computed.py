@@ -29,10 +29,7 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
 
 
 def control_size_of(skill: Skill) -> int:
-    """U, the numbers that MoveBase sends, also where a skill could send them and does not.
-
-    Without a MoveBase among its actions it is 3, as of the robot of the paper.
-    """
+    """U, what the MoveBase among a skill's actions sends; 3 without one, as in the paper."""
     sent = (a.message_size for a in skill.actions.actions if isinstance(a, MoveBase))
     return max(sent, default=3)
 
@@ -50,12 +47,7 @@ class Computed(nn.Module):
     """An action that only computes, as a function of tensors."""
 
     def __init__(self, name: str, action: Action, sizes: Sizes):
-        """Try the action on zeros.
-
-        Raises:
-            ActionError: it needs its environment, draws random numbers, writes what belongs to the
-                robot, or fails.
-        """
+        """Try the action on zeros; ActionError if it does more than compute, or fails."""
         super().__init__()
         self.name, self.action, self.sizes = name, action, sizes
         if not action.deterministic:
@@ -97,11 +89,7 @@ class Computed(nn.Module):
 
 
 def traced(computed: Computed) -> nn.Module:
-    """The same function as a graph of its own, so that its constants are part of it.
-
-    Raises:
-        ActionError: the action does what `torch.export` cannot follow.
-    """
+    """The same function as a graph of its own with its constants; ActionError if it has none."""
     try:
         program = torch.export.export(computed, computed.arguments)
     except Exception as e:  # whatever torch.export raises

@@ -66,18 +66,13 @@ def _converted(
 
 
 def _blame(step: SkillStep) -> None:
-    """Find the action that cannot be converted by itself.
-
-    Raises:
-        ActionError: naming it.
-    """
+    """An ActionError naming the action that cannot be converted by itself, if there is one."""
     for one in step.carried:
         try:
             _converted(torch.export.export(one, one.arguments))
         except Exception as e:
-            raise refused(
-                one.name, f"ONNX lacks something that it does ({type(e).__name__})"
-            ) from e
+            reason = f"ONNX lacks something that it does ({type(e).__name__})"
+            raise refused(one.name, reason) from e
 
 
 def _tidy(graph: "onnx.GraphProto", used: set[str]) -> set[str]:

@@ -50,19 +50,12 @@ class SkillStep(nn.Module):
     limit: Tensor
     request: Tensor
 
-    def __init__(
-        self,
-        skill: Skill,
-        percept_size: int | None = None,
-        control_size: int | None = None,
-        max_steps: int | None = None,
-    ):
+    def __init__(self, skill: Skill, percept_size: int | None = None, max_steps: int | None = None):
         """Lay the skill out.
 
         Args:
             skill: the skill.
             percept_size: D; what its networks read if not given.
-            control_size: U; what its MoveBase sends if not given.
             max_steps: actions on all levels after which it has timed out; `most_steps` by default.
 
         Raises:
@@ -72,7 +65,7 @@ class SkillStep(nn.Module):
         super().__init__()
         self.name = skill.name
         self.percept_size = _percept_size(skill) if percept_size is None else percept_size
-        self.control_size = control_size_of(skill) if control_size is None else control_size
+        self.control_size = control_size_of(skill)
         most = most_steps(skill.actions, skill.max_transitions)
         self.max_steps = most if max_steps is None else max_steps
         program = compile_graphs(skill.graph, skill.actions)
@@ -92,10 +85,10 @@ class SkillStep(nn.Module):
                 request[i] = REQUESTS.index(ROUTINES[type(action)])
             else:
                 part = table.memory[i]
-                memory = part.stop - part.start
-                lengths = self.percept_size, self.control_size, self.message_size, memory
+                widths = self.percept_size, self.control_size, self.message_size
                 self.own.append((i, action.num_parameters, part))
-                self.computed.append(Computed(name, action, Sizes(*lengths)))
+                sizes = Sizes(*widths, part.stop - part.start)
+                self.computed.append(Computed(name, action, sizes))
         self.register_buffer("kind", program.kind)
         self.register_buffer("heads", program.heads)
         self.register_buffer("values", program.parameters.detach().float())
@@ -151,11 +144,7 @@ class SkillStep(nn.Module):
         return self._entered(head, torch.zeros_like(head), torch.zeros_like(head), caller, left)
 
     def _advance(self, place: Tensor, outcome: Tensor) -> Tensor:
-        """Along the edge of an outcome, out of skills that end with it and into those it leads to.
-
-        The same as `cgtorch.simulation.call_stack.advance` without shortcuts; who does not run
-        stays.
-        """
+        """As `cgtorch.simulation.call_stack.advance`, without shortcuts; who does not run stays."""
         caller, left = place[:, STACK:].split(self.depth, 1)
         level = place[:, LEVEL]
         head = self.heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
@@ -224,10 +213,7 @@ class SkillStep(nn.Module):
         return torch.where(thinks[:, None], self._advance(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Arguments of a first step where all that is perceived is zero.
-
-        They are a percept (D,), an outcome (), and `place` (place_size,) and `mind` (mind_size,).
-        """
+        """Arguments of a first step where all that is perceived is zero."""
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),

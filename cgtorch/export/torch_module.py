@@ -35,9 +35,7 @@ def to_module(skill: Skill) -> bytes:
 def exported(skill: Skill) -> ExportedProgram:
     """The skill's step as torch.export sees it, without the lines of source that it comes from.
 
-    Raises:
-        ActionError: an action does more than compute, or what torch.export cannot follow.
-        SettingsError: torch is too old.
+    ActionError where torch.export cannot follow an action, SettingsError where torch is too old.
     """
     if not hasattr(torch, "while_loop"):
         raise SettingsError(f"torch {torch.__version__} cannot export loops; install a newer one")

@@ -19,25 +19,19 @@ Result = Mapping[str, Any]
 
 
 def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
-    """The stages and the test on all kinds of scenarios, as a table for a terminal.
+    """The results of stages in order, and the last test on all kinds of scenarios, for a terminal.
 
-    Args:
-        results: of each stage in order, as stored in its result.json; what is missing or null
-            becomes a dash. The last line is that of the last stage that was tested on all.
-        domain: what the run is about; without a column of what others report if there is nothing.
+    What is missing or null becomes a dash. Where others report nothing of the domain there is no
+    column for them.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
 
     table = Table(
-        title=domain.solved[1],
-        title_justify="left",
-        header_style="bold",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
+        title=domain.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
+        pad_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
     texts = ["stage", "scenarios", WRAPS, *([domain.publisher] if domain.published else [])]
     for name in (*texts, "W kept", "fresh", "nodes", "gens", "time"):
         # In a narrow terminal results wrap; no number is cut.

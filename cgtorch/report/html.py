@@ -46,16 +46,15 @@ def templates(package: str) -> jinja2.Environment:
 
 
 def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Markup:
-    """A figure as an `svg` element for the middle of an HTML page.
+    """A figure made under `STYLE`, its texts printable, as an `svg` element of an HTML page.
 
     Every colour becomes a CSS variable that is called after it, such as `var(--c-1c1f24, #1c1f24)`,
     so that the page can have another in the dark. On a narrow screen it shrinks, but not so far
     that nobody can read it.
 
     Args:
-        figure: made under `STYLE`, its texts printable; its background is left out.
-        key: what tells its identifiers from those of other pictures on the page: letters, digits
-            and hyphens.
+        figure: its background is left out.
+        key: tells its identifiers from those of other pictures: letters, digits and hyphens.
         label: what it shows, for who cannot see it.
         scale: pixels on the page for each that the figure has at 96 an inch.
     """
@@ -92,9 +91,9 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
 
 
 def _rename(root: etree._Element, key: str) -> None:
-    """Give identifiers that are referred to a name of this picture, and colours theirs.
+    """Give colours names, and identifiers that are referred to those of this picture.
 
-    Others are those of matplotlib, which go, and those of artists, which become `data-part`.
+    Of the others matplotlib's go, and those of artists become `data-part`.
     """
     used = set()
     for element in root.iter(etree.Element):

@@ -46,8 +46,7 @@ class Rows:
 def in_rows(nodes: Sequence[str], start: str, edges: Sequence[Edge]) -> Rows:
     """Rows for a graph whose nodes can all be reached from `start`; loops are left out.
 
-    Edges whose head is none of the nodes are ends. What leads upwards is told by an order of the
-    nodes; tried are depth first and breadth first.
+    Edges to what is no node are ends. Orders depth first and breadth first are tried.
     """
     graph = nx.DiGraph((e.tail, e.head) for e in edges if e.head in nodes)
     graph.add_node(start)

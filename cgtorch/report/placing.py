@@ -97,10 +97,9 @@ def place(
 
 
 def _columns(rows: Rows, extent: Mapping[int, tuple[float, float]]) -> dict[int, float]:
-    """The x of each item: lines as straight as can be, and clear of what stands beside them.
+    """The x of each item, clear of its neighbours, where pieces go least far sideways.
 
-    Minimized is how far pieces go sideways, the linear program of Gansner et al. (1993, A technique
-    for drawing directed graphs, section 4.2).
+    It is the linear program of Gansner et al. (1993, A technique for drawing directed graphs, 4.2).
     """
     from scipy.optimize import linprog
     from scipy.sparse import block_array, coo_array, eye_array

@@ -13,17 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.improvement.events import (
-    Event,
-    EvolutionRecalled,
-    FreshTested,
-    GenerationDone,
-    JournalDamaged,
-    ModelsFitted,
-    SkillAccepted,
-    StageStarted,
-    WorldTested,
-)
+from cgtorch.improvement import events
 from cgtorch.report.estimate import Estimate, as_time, stage_number
 from cgtorch.report.event_messages import few_kept, message_of
 
@@ -45,8 +35,8 @@ class ProgressDisplay:
         self._live: Live | None = None
         self._began = time.monotonic()
         self._estimate = Estimate()
-        self._stage: StageStarted | None = None
-        self._generation: GenerationDone | None = None
+        self._stage: events.StageStarted | None = None
+        self._generation: events.GenerationDone | None = None
         self._world = ""
         # Scenarios of candidates' groups that are solved in the search and in the world.
         self._solved = self._kept = 0
@@ -69,29 +59,30 @@ class ProgressDisplay:
             self._live.stop()
             self._live = None
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: events.Event) -> None:
         """Show what an event says."""
         message = message_of(event)
-        if isinstance(event, GenerationDone):
-            self._generation = event
-            self._estimate.generation_done(event)
-        elif isinstance(event, EvolutionRecalled | JournalDamaged | FreshTested):
-            self.say(message)
-        elif isinstance(event, StageStarted):
-            self._stage, self._generation, self._world = event, None, ""
-            self._estimate.stage_started(event)
-            self._plain(message)
-        elif isinstance(event, ModelsFitted):
-            # What Γ and C are worth before all learning on is a result and stays.
-            (self.say if event.summary.first else self._plain)(message)
-        elif isinstance(event, WorldTested):
-            self._estimate.evolution_over()
-            self._world = message
-            self._plain(message)
-            self._compare(event.promised or 0, event.kept or 0)
-        elif isinstance(event, SkillAccepted):
-            self._estimate.stage_over()
-            self.say(message, style="green")
+        match event:
+            case events.GenerationDone():
+                self._generation = event
+                self._estimate.generation_done(event)
+            case events.EvolutionRecalled() | events.JournalDamaged() | events.FreshTested():
+                self.say(message)
+            case events.StageStarted():
+                self._stage, self._generation, self._world = event, None, ""
+                self._estimate.stage_started(event)
+                self._plain(message)
+            case events.ModelsFitted():
+                # What Γ and C are worth before all learning on is a result and stays.
+                (self.say if event.summary.first else self._plain)(message)
+            case events.WorldTested():
+                self._estimate.evolution_over()
+                self._world = message
+                self._plain(message)
+                self._compare(event.promised or 0, event.kept or 0)
+            case events.SkillAccepted():
+                self._estimate.stage_over()
+                self.say(message, style="green")
 
     def _compare(self, solved: int, kept: int) -> None:
         """Say once that the world keeps little of what the search solves."""
@@ -152,7 +143,7 @@ def _line(*parts: str | Text | tuple[str, str]) -> Text:
     return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
 
 
-def _bar(event: GenerationDone, left: float) -> Table:
+def _bar(event: events.GenerationDone, left: float) -> Table:
     """How far an evolution has come, with the most seconds it can still take."""
     done = event.generation.number + 1
     grid = Table.grid(padding=(0, 1))
@@ -167,7 +158,7 @@ def _bar(event: GenerationDone, left: float) -> Table:
     return grid
 
 
-def _numbers(event: GenerationDone, speed: float | None) -> Text:
+def _numbers(event: events.GenerationDone, speed: float | None) -> Text:
     generation = event.generation
     counts = generation.fitness[generation.fitness > WORTHLESS]
     best = f"{generation.best:.3f}" if generation.best > WORTHLESS else "–"

@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import torch
+from torch import Tensor
+
 from cgtorch.ground.errors import RunError
 
 if TYPE_CHECKING:
@@ -20,31 +23,24 @@ class Records:
     """An event file that is being written."""
 
     def __init__(
-        self,
-        folder: Path | str,
-        settings: Mapping[str, object],
-        metrics: Sequence[str],
-        first_step: int,
+        self, folder: Path | str, settings: Mapping[str, object], metrics: Sequence[str], first: int
     ):
         """Open the file and write hyper-parameters, and of which tags the HPARAMS tab tells.
 
-        What is no number, truth value or text is written as its text. What earlier files hold from
-        the first step on is hidden by TensorBoard; what is before it is not written again.
-
-        Raises:
-            RunError: the folder cannot be written.
+        What earlier files hold from the first step on is hidden by TensorBoard; what is before it
+        is not written again. RunError if the folder cannot be written.
         """
         from torch.utils.tensorboard import SummaryWriter
         from torch.utils.tensorboard.summary import hparams
 
         try:
-            self._writer = SummaryWriter(str(folder), purge_step=first_step or None, flush_secs=10)
+            self._writer = SummaryWriter(str(folder), purge_step=first or None, flush_secs=10)
         except OSError as e:
             reason = e.strerror or str(e)
             raise RunError(
                 f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
             ) from e
-        self._first = first_step
+        self._first = first
         self._waiting: list[tuple[Mapping[str, float], int, float]] = []
         plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
                  for k, v in settings.items()}  # fmt: skip
@@ -58,8 +54,8 @@ class Records:
     def scalars(self, values: Mapping[str, float], step: int) -> None:
         """Write scalars as one record, which is far cheaper than one for each.
 
-        Records that come one after the other in less than `SOON` are written together: what goes
-        on between two generations leaves little of TensorBoard's code in the CPU's caches.
+        Records that come in less than `SOON` are written together: what goes on between two
+        generations leaves little of TensorBoard's code in the CPU's caches.
         """
         if step < self._first:
             return
@@ -107,3 +103,33 @@ class Records:
         for values, step, when in waiting:
             entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
             self._writer.file_writer.add_summary(Summary(value=entries), step, when)
+
+
+def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
+    """A histogram for each of S tags of finite values (P, S), P at least 1, in one record.
+
+    Bins are of equal widths from the least to the greatest value; where all of a column is one
+    value, they are around it, 1 wide together. TensorBoard's own, one by one, take longer than a
+    generation.
+    """
+    from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
+
+    values = values.double()
+    least, greatest = values.amin(0), values.amax(0)
+    alike = 0.5 * (greatest == least)
+    low, width = least - alike, greatest - least + 2 * alike
+    place = ((values - low) / width * bins).long().clamp_max(bins - 1)
+    place += bins * torch.arange(len(tags))
+    counts = torch.bincount(place.flatten(), minlength=bins * len(tags)).view(-1, bins)
+    steps = torch.arange(bins + 1, dtype=torch.double)
+    limits = torch.addcmul(low[:, None], width[:, None], steps / bins)
+    about = torch.stack([least, greatest, values.sum(0), values.square().sum(0)], 1)
+    rows = zip(tags, about.tolist(), limits.tolist(), counts.tolist(), strict=True)
+    entries = []
+    for tag, (low_end, high_end, total, squares), limit, count in rows:
+        histogram = HistogramProto(
+            min=low_end, max=high_end, num=len(values), sum=total, sum_squares=squares,
+            bucket_limit=limit, bucket=[0, *count],  # none lies below the first limit
+        )  # fmt: skip
+        entries.append(Summary.Value(tag=tag, histo=histogram))
+    return Summary(value=entries)

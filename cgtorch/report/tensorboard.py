@@ -17,20 +17,9 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.graphs import NO_NODE, Graphs, Skill
-from cgtorch.improvement.events import (
-    AboutToKeep,
-    Event,
-    EvolutionRecalled,
-    FreshTested,
-    GenerationDone,
-    ModelsFitted,
-    SkillAccepted,
-    StageStarted,
-    WorldTested,
-)
+from cgtorch.improvement import events
 from cgtorch.report.graph_picture import draw_skill
-from cgtorch.report.histograms import histograms
-from cgtorch.report.records import Records
+from cgtorch.report.records import Records, histograms
 from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.svm import LearningCurve
 
@@ -58,17 +47,16 @@ class TensorBoardWatch:
         histogram_every: int = 20,
         picture_seconds: float = 60.0,
     ):
-        """Open a new event file.
+        """Open a new event file in a folder, which is made if it is missing.
 
         Args:
-            folder: of the event files; made if it is missing.
+            folder: of the event files.
             settings: hyper-parameters by name, as for `Records`.
             first_step: first models fitted (one step), generations evaluated and stages finished
                 so far, where a run goes on. What earlier files hold from this step on is hidden by
                 TensorBoard, and written again as it is told.
             recalled: generations among these that will be told to be recalled.
-            actions: what the nodes of evolved graphs do. Without it no graph is drawn before a
-                skill is accepted.
+            actions: of evolved graphs; without them none is drawn before a skill is accepted.
             draw_scenarios: draws what an accepted skill has solved (`Domain.draw_scenarios`).
             histogram_every: generations between histograms of one evolution.
             picture_seconds: least time between pictures of graphs that are not accepted yet.
@@ -84,38 +72,40 @@ class TensorBoardWatch:
         self._latest: tuple[str, Population] | None = None
         self._in_stage = False
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: events.Event) -> None:
         """Write what an event says."""
-        if isinstance(event, GenerationDone):
-            self._generation(event)
-            return
-        if isinstance(event, EvolutionRecalled):
-            self.step += event.generations
-            self._latest = event.candidate, event.champion
-            return
-        if isinstance(event, AboutToKeep):
-            self._records.flush()
-            return
+        match event:
+            case events.GenerationDone():
+                self._generation(event)
+                return
+            case events.EvolutionRecalled():
+                self.step += event.generations
+                self._latest = event.candidate, event.champion
+                return
+            case events.AboutToKeep():
+                self._records.flush()
+                return
         self._evolution_over()
-        if isinstance(event, StageStarted):
-            self.step += self._in_stage  # the stage before has ended
-            self._in_stage = True
-        elif isinstance(event, ModelsFitted):
-            self._models(event)
-        elif isinstance(event, WorldTested):
-            told = {
-                "world/solved_W": event.solved_w,
-                "world/solved_M": event.solved_m,
-                "world/kept": event.kept,
-                "world/promised": event.promised,
-            }
-            self._scalars({tag: value for tag, value in told.items() if value is not None})
-        elif isinstance(event, SkillAccepted):
-            self._accepted(event)
-        elif isinstance(event, FreshTested):
-            self._scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
-            if event.mean_return is not None:
-                self._scalars({"world/mean_return": event.mean_return})
+        match event:
+            case events.StageStarted():
+                self.step += self._in_stage  # the stage before has ended
+                self._in_stage = True
+            case events.ModelsFitted():
+                self._models(event)
+            case events.WorldTested():
+                told = {
+                    "world/solved_W": event.solved_w,
+                    "world/solved_M": event.solved_m,
+                    "world/kept": event.kept,
+                    "world/promised": event.promised,
+                }
+                self._scalars({tag: value for tag, value in told.items() if value is not None})
+            case events.SkillAccepted():
+                self._accepted(event)
+            case events.FreshTested():
+                self._scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
+                if event.mean_return is not None:
+                    self._scalars({"world/mean_return": event.mean_return})
 
     def close(self) -> None:
         """Draw what is still to be drawn, and finish the file."""
@@ -130,7 +120,7 @@ class TensorBoardWatch:
         """Close the file."""
         self.close()
 
-    def _generation(self, event: GenerationDone) -> None:
+    def _generation(self, event: events.GenerationDone) -> None:
         if self._latest is not None and self._latest[0] != event.candidate:
             self._evolution_over()
         generation = event.generation
@@ -166,7 +156,7 @@ class TensorBoardWatch:
         self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
         self._last_picture = time.monotonic()
 
-    def _models(self, event: ModelsFitted) -> None:
+    def _models(self, event: events.ModelsFitted) -> None:
         self._scalars({"models/fit_seconds": event.seconds})
         summary = event.summary
         self._scalars(summary.scalars)
@@ -192,7 +182,7 @@ class TensorBoardWatch:
                         tag = f"{name}/learning_curve/{kind}"
                         writer.add_scalar(tag, sum(folds) / len(folds), size)
 
-    def _accepted(self, event: SkillAccepted[Any]) -> None:
+    def _accepted(self, event: events.SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
         self._picture("graph/best", draw_skill(event.skill))
         if self._draw_scenarios is not None:

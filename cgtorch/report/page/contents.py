@@ -58,11 +58,7 @@ class Contents:
 
 
 def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Contents:
-    """Read a run, as `open_run` does; nothing is tried or computed again.
-
-    Raises:
-        CgtorchError: there is no run, or a file of it is damaged.
-    """
+    """Read a run, as `open_run` does; nothing is tried or computed again."""
     run = open_run(folder, trusted, domain)
     index = {line["name"]: line for line in read_index(folder)}
     summary = folder / "summary.json"

@@ -5,9 +5,8 @@ from statistics import fmean
 from typing import Any
 
 from markupsafe import Markup
-from matplotlib import rc_context
 
-from cgtorch.report.html import STYLE, inline_svg
+from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents
 from cgtorch.report.page.event_files import Told
 from cgtorch.report.page.plots import Curve, draw_learning
@@ -21,21 +20,15 @@ SCORES = {
 
 
 def model_quality(contents: Contents) -> dict[str, Any]:
-    """From the reports of the models where the run has them, else from its event files.
-
-    Rows are those of the errors of Γ by coordinate, cross-validated, and of the fresh tests of Γ
-    and C beside the best that is possible; what is not known has none.
-    """
+    """From the reports of the models where the run has them, else from its event files."""
     fitted, told = contents.fitted, contents.told
     learning, reliability = Markup(""), Markup("")
-    with rc_context(STYLE):
-        if curves := _curves(contents):
-            figure = draw_learning(curves)
-            learning = inline_svg(figure, "learning", "Learning curves of the models")
-        if fitted is not None and fitted.classifier.reliability:
-            bins = fitted.classifier.reliability
-            figure = draw_reliability(bins, title="C", of="held-out labels")
-            reliability = inline_svg(figure, "reliability", "Reliability diagram of C")
+    if curves := _curves(contents):
+        figure = draw_learning(curves)
+        learning = inline_svg(figure, "learning", "Learning curves of the models")
+    if fitted is not None and (bins := fitted.classifier.reliability):
+        figure = draw_reliability(bins, title="C", of="held-out labels")
+        reliability = inline_svg(figure, "reliability", "Reliability diagram of C")
     tests = contents.run.domain.fresh_tests
     return {
         "fitted": fitted,

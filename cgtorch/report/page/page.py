@@ -29,13 +29,8 @@ PACKAGE = "cgtorch.report.page"
 def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
-    Args:
-        folder: of the run, which may be unfinished.
-        trusted: actions of its own that may be imported, as in `cgtorch.runs.run.open_run`.
-        domain: likewise.
-
-    Returns:
-        The page as UTF-8; of the same run always the same bytes.
+    It is UTF-8, and of the same run always the same bytes. The folder's run may be unfinished; what
+    is `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`.
 
     Raises:
         CgtorchError: there is no run, or a file of it is damaged.
@@ -43,8 +38,9 @@ def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = 
     contents = read_contents(folder, trusted, domain)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
     template = templates(PACKAGE).get_template("page.html")
-    page = template.render(_context(contents), style=Markup(style))  # noqa: S704  our own file
-    return page.encode()
+    with rc_context(STYLE):
+        context = _context(contents)
+    return template.render(context, style=Markup(style)).encode()  # noqa: S704  our own file
 
 
 def _context(contents: Contents) -> dict[str, Any]:
@@ -113,8 +109,7 @@ def _success(contents: Contents) -> Markup:
     words = ("fresh scenarios of the stage", "all kinds of scenarios")
     if contents.run.rounds:
         words = ("fresh scenarios", "those that decide, if it came to that")
-    with rc_context(STYLE):
-        figure = draw_success(shares, others, *words, line)
+    figure = draw_success(shares, others, *words, line)
     return inline_svg(figure, "success", "Share of scenarios solved, by stage")
 
 
@@ -122,9 +117,8 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     course = course_of(contents)
     if course is None:
         return {"fitness": "", "rates": "", "logged": 0}
-    with rc_context(STYLE):
-        fitness = draw_fitness(contents.told, course, contents.run.domain.rewarded)
-        rates = draw_rates(contents.told, course)
+    fitness = draw_fitness(contents.told, course, contents.run.domain.rewarded)
+    rates = draw_rates(contents.told, course)
     label = "Fitness, share that is worth nothing, and nodes over generations"
     return {
         "fitness": inline_svg(fitness, "fitness", label),

@@ -2,19 +2,17 @@
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.interval import wilson
 from cgtorch.report.figures import FAINT, GOOD, INK, LINE, PAPER, plain_figure
 from cgtorch.report.page.course import Course
 from cgtorch.report.page.event_files import Told
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 WIDTH = 8.4  # inches
 RATES = {
@@ -34,7 +32,7 @@ Shares = Sequence[tuple[str, int, int]]
 
 def draw_success(
     shares: Shares, others: Shares, label: str, other: str, published: tuple[str, float] | None
-) -> "Figure":
+) -> Figure:
     """Success by stage, and on other scenarios, with 95 % confidence intervals.
 
     The share of all scenarios that somebody has reported is a line.
@@ -68,11 +66,10 @@ def draw_success(
     return figure
 
 
-def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
+def draw_fitness(told: Told, course: Course, rewarded: bool) -> Figure:
     """Fitness over generations, above the share that is worth nothing and graph sizes.
 
-    A line is an evolution; where it ends its candidate is tried in the world. In a world with
-    rewards fitness is the mean return of episodes.
+    A line is an evolution; in a world with rewards fitness is the mean return of episodes.
     """
     worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = plain_figure(WIDTH, 5.4, (2.2, 1, 1))
@@ -99,11 +96,8 @@ def draw_fitness(told: Told, course: Course, rewarded: bool) -> "Figure":
     return figure
 
 
-def draw_rates(told: Told, course: Course) -> "Figure | None":
-    """The strategy parameters of eq. 2 over generations: mean and the middle 80 %.
-
-    None if no event file holds any.
-    """
+def draw_rates(told: Told, course: Course) -> Figure | None:
+    """The strategy parameters of eq. 2 over generations: mean and middle 80 %; None without any."""
     rates = {name: told.histograms.get(f"strategy/{name}", ()) for name in STRATEGY}
     if not any(rates.values()):
         return None
@@ -125,7 +119,7 @@ Curve = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 """Name of the score, rows learnt from, scores on these and on rows held out."""
 
 
-def draw_learning(curves: Sequence[Curve]) -> "Figure":
+def draw_learning(curves: Sequence[Curve]) -> Figure:
     """Learning curves, one below the other."""
     figure, grid = plain_figure(5.2, 3.1 * len(curves), [1] * len(curves), share_x=False)
     for axes, (name, sizes, train, test) in zip(grid, curves, strict=True):
@@ -140,7 +134,7 @@ def draw_learning(curves: Sequence[Curve]) -> "Figure":
     return figure
 
 
-def _stages(axes: "Axes", course: Course, named: bool) -> None:
+def _stages(axes: Axes, course: Course, named: bool) -> None:
     """Where stages end, and what they are called."""
     last = len(course.steps)
     axes.set_xlim(0.5, last + 0.5)
@@ -158,6 +152,6 @@ def _percent(value: float, place: Any = None) -> str:
     return f"{100 * value:.0f} %"
 
 
-def _legend(axes: "Axes") -> None:
+def _legend(axes: Axes) -> None:
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize=8.5)

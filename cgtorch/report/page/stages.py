@@ -5,14 +5,13 @@ from typing import Any
 
 import torch
 from markupsafe import Markup
-from matplotlib import rc_context
 from torch import Tensor
 
 from cgtorch.domains.domain import Domain, Published
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import printable
 from cgtorch.report.graph_picture import draw_clusters
-from cgtorch.report.html import STYLE, inline_svg
+from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents, Stage
 
 NONE = Markup("")
@@ -74,12 +73,11 @@ def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup
     everything = stage.solved.joined(stage.missed)
     good = torch.arange(solved + missed) < solved
     targets = _among(everything, None if kind is None else domain.tests(kind))
-    with rc_context(STYLE):
-        figure = domain.draw_scenarios(everything, good, targets)
-        if figure is None:
-            return NONE, words
-        for axes in figure.axes[:1]:
-            axes.set_title("")  # which the caption says
+    figure = domain.draw_scenarios(everything, good, targets)
+    if figure is None:
+        return NONE, words
+    for axes in figure.axes[:1]:
+        axes.set_title("")  # which the caption says
     words += ", the tests of this stage marked" if targets.any() else ""
     words += f"; {figure.get_label()}" if figure.get_label() else ""
     return inline_svg(figure, f"{stage.name}-map", words), words
@@ -98,13 +96,11 @@ def _among(scenarios: Any, tests: Any) -> Tensor:
 
 def _graph_of(stage: Stage, clusters: list[Cluster]) -> tuple[Markup, str]:
     """The skill's graph like the paper's figures."""
-    with rc_context(STYLE):
-        figure = draw_clusters(clusters)
     nodes, inner = stage.skill.num_nodes, len(clusters) - 1
     start = printable(clusters[0].nodes[clusters[0].start].label)
     words = f"{stage.skill.name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {start}"
     words += f", and {inner} skill{'s' if inner != 1 else ''} within" if inner else ""
-    return inline_svg(figure, f"{stage.name}-graph", f"Graph of {words}"), words
+    return inline_svg(draw_clusters(clusters), f"{stage.name}-graph", f"Graph of {words}"), words
 
 
 def _panel(cluster: Cluster) -> tuple[str, str, list[tuple[str, str, str]]]:
