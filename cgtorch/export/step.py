@@ -213,7 +213,7 @@ class SkillStep(nn.Module):
         return torch.where(thinks[:, None], self._advance(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Arguments of a first step where all that is perceived is zero."""
+        """A first step's percept (D,), outcome (), place (place_size,) and mind (mind_size,)."""
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),
