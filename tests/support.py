@@ -13,7 +13,7 @@ from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
-from cgtorch.improvement.journal import Journal
+from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.simulation import ModelEnvironment

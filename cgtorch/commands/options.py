@@ -122,8 +122,7 @@ def number_option(
 def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """On a terminal, show on one live line what is waited for, how long, and how much is done.
 
-    Yields:
-        What is told how much more of the `total` has been done.
+    What it yields is told how much more of the `total` has been done.
     """
     from rich.console import Console
     from rich.progress import (

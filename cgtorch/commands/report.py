@@ -26,12 +26,7 @@ Examples:
 @options.force_option
 @options.common_options
 def command(
-    run: Path,
-    output: Path,
-    domain: str | None,
-    actions: tuple[str, ...],
-    force: bool,
-    quiet: bool,
+    run: Path, output: Path, domain: str | None, actions: tuple[str, ...], force: bool, quiet: bool
 ) -> None:
     """Write one HTML page about a run that needs no other file, no script and no network.
 

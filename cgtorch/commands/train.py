@@ -11,11 +11,7 @@ import click
 from cgtorch.commands import completion
 from cgtorch.commands.command import importing, options_of, run_command
 from cgtorch.commands.domain_command import DomainCommand
-from cgtorch.commands.options import (
-    common_options,
-    epilog,
-    number_option,
-)
+from cgtorch.commands.options import common_options, epilog, number_option
 from cgtorch.domains.registry import check_options, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal

@@ -108,12 +108,7 @@ def device_of(name: str) -> torch.device:
 
 
 def _asked(run: Run, wish: Wish) -> Wish:
-    """The wish with the stage and goal that the run was begun for where none is given.
-
-    Raises:
-        SettingsError: there is no such stage, or a goal is given for one.
-        RunError: the run can have no further stage.
-    """
+    """The wish with the stage and goal that the run was begun for where none is given."""
     before = goes_on_to(run)
     stage, goal = _stage(run, wish, before), wish.goal
     if wish.stage is None and isinstance(before.get("goal"), dict):
@@ -127,7 +122,7 @@ def _asked(run: Run, wish: Wish) -> Wish:
 
 
 def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
-    """The stage to make, given what the run was begun for; errors as of `_asked`."""
+    """The stage to make, given what the run was begun for; SettingsError if a goal is for none."""
     stage = wish.stage
     if stage is None:
         stage = str(before.get("stage") or type(run.domain.settings).usual_stage)

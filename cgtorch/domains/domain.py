@@ -27,9 +27,9 @@ from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset, Environment, Rewarded, ScenarioBatch
 from cgtorch.environment.fields import Field
+from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping
-from cgtorch.improvement.model_summary import ModelSummary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

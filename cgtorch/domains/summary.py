@@ -2,7 +2,7 @@
 
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.reports import TransitionReport
-from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.improvement.events import ModelSummary
 from cgtorch.svm import Acceptance
 
 SHOWN = 6  # numbers of a percept whose errors are told in a line

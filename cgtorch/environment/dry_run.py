@@ -97,11 +97,7 @@ def expect_lanes(
 
 
 def check_environment(environment: Environment, device: torch.device | str = "cpu") -> None:
-    """Try every method of an environment, which runs on `device`, on two of its scenarios.
-
-    Raises:
-        WorldError: naming the method and what is wrong with what it returned.
-    """
+    """Try each method of an environment on two of its scenarios; WorldError if one is wrong."""
     name = type(environment).__name__
     _check_size(environment, "num_scenarios")
     scenario = two_rows(environment.num_scenarios, device)

@@ -22,11 +22,9 @@ class ScenarioBatch:
     """
 
     def __len__(self) -> int:
-        """The number of scenarios, B."""
         return len(getattr(self, fields(self)[0].name))
 
     def __getitem__(self, index: Tensor | slice) -> Self:
-        """The scenarios at `index`."""
         return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def joined(self, *more: Self) -> Self:
@@ -62,7 +60,6 @@ class Lanes:
     step: Tensor
 
     def __len__(self) -> int:
-        """The number of lanes."""
         return self.percept.shape[0]
 
     def rows(self, index: Tensor) -> Self:

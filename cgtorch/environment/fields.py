@@ -35,7 +35,6 @@ class Field:
     kind: str = "number"
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if self.kind not in KINDS:
             raise DomainError(
                 f"field {self.name!r} is of kind {self.kind!r}; use one of {', '.join(KINDS)}"

@@ -54,11 +54,8 @@ def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tupl
 def uniform(seed: Tensor, who: str, count: Tensor, size: int) -> Tensor:
     """(n, size) float32 random numbers in [0, 1), multiples of 2⁻²⁴; rows are independent.
 
-    Args:
-        seed: (n,) long, of each row's scenario.
-        who: draws; another name gives other numbers.
-        count: (n,) long, how often it has drawn for that scenario.
-        size: numbers of a row.
+    They belong to the seed (n,) of each row's scenario, the name of `who` draws, and the `count`
+    (n,) of how often it has drawn for that scenario.
     """
     name = zlib.crc32(who.encode())
     key = (seed & WORD)[:, None], ((seed >> 32) & WORD ^ name)[:, None]

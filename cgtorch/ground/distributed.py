@@ -58,10 +58,8 @@ def name_of_start(store: Store, rank: int, size: int) -> str:
     addresses among it, so ranks of now would look for those of then and never meet
     (https://github.com/pytorch/pytorch/issues/135712). How often it has restarted is no name, as
     each machine counts for itself. So every rank makes a word up, and all are agreed as soon as
-    each has seen the words of all others: words from before are not seen by everyone.
-
-    Raises:
-        torch.distributed.DistStoreError: a rank has not come within the time torch allows.
+    each has seen the words of all others: words from before are not seen by everyone. Where a rank
+    does not come within the time that torch allows, this is torch's DistStoreError.
     """
     latest = time.monotonic() + default_pg_timeout.total_seconds()
     store.set(f"word of {rank}", uuid.uuid4().hex)

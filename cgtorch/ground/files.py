@@ -20,6 +20,15 @@ MAX_JSON_BYTES = 64 * 2**20
 _LENGTH = 8  # bytes of a safetensors file that say how long its JSON is
 
 
+@contextmanager
+def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
+    """An `error` for whatever keeps the system from writing a file or folder."""
+    try:
+        yield
+    except (OSError, ValueError) as e:
+        raise error(f"cannot write {str(path)!r} ({_reason(e)}); check the folder and disk") from e
+
+
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
     """Write a file so that at any moment it holds either its old content or all of the new.
 
@@ -27,7 +36,7 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
     """
     path = Path(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
-    try:
+    with writing(path, error):
         try:
             with temporary.open("xb") as file:
                 file.write(data)
@@ -36,8 +45,6 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except (OSError, ValueError) as e:
-        raise error(f"cannot write {str(path)!r} ({_reason(e)}); check the folder and disk") from e
 
 
 def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunError) -> None:
@@ -82,10 +89,7 @@ def read_json(
     raw = read_bytes(path, max_bytes, error)
     try:
         return json.loads(
-            raw.decode(),
-            parse_constant=_refuse,
-            parse_float=_finite,
-            object_pairs_hook=_unique,
+            raw.decode(), parse_constant=_refuse, parse_float=_finite, object_pairs_hook=_unique
         )
     except (ValueError, RecursionError) as e:
         raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
@@ -96,16 +100,11 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """A folder that appears under its name with all its files, or not at all."""
     partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        try:
+        with writing(path):
             partial_path.mkdir()
-        except (OSError, ValueError) as e:
-            reason = e.strerror if isinstance(e, OSError) else e
-            raise RunError(f"cannot write {str(path)!r} ({reason}); check the folder") from e
         yield partial_path
-        try:
+        with writing(path):
             partial_path.replace(path)
-        except OSError as e:
-            raise RunError(f"cannot write {str(path)!r} ({e.strerror}); check the folder") from e
     finally:
         shutil.rmtree(partial_path, ignore_errors=True)
 
@@ -124,11 +123,7 @@ def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, 
 
 
 def tensors_of(data: bytes) -> dict[str, "Tensor"]:
-    """The tensors of a safetensors file, whatever its bytes are.
-
-    Raises:
-        ValueError: They are not those of such a file, or it has a type or shape that torch lacks.
-    """
+    """The tensors of a safetensors file; ValueError if its bytes are none that torch can load."""
     from safetensors import SafetensorError
     from safetensors.torch import load  # which imports torch
 

@@ -31,17 +31,11 @@ def in_processes(
     processes: int,
     done: Callable[[Result], None] | None = None,
 ) -> list[Result]:
-    """The results of work(0) ... work(times - 1), in this order.
+    """The results of work(0) ... work(times - 1), in this order; the first are begun first.
 
-    Args:
-        work: Must not draw from a generator that it shares; its results are sent by pickle.
-        times: How often to call it; the first are begun first.
-        processes: One, or a system that cannot fork, calls it here, as a forked process does.
-        done: Called here with each result as it comes.
-
-    Raises:
-        DataError: A process was killed, as a rule for want of memory.
-        Exception: Whatever `work` raised.
+    The work must not draw from a generator that it shares; its results are sent by pickle, and
+    `done` is called with each as it comes. With one process, on a system that cannot fork, and in a
+    forked process, it is called here. DataError if a process was killed, or what `work` raised.
     """
     results: dict[int, Result] = {}
 
@@ -50,11 +44,8 @@ def in_processes(
         if done is not None:
             done(result)
 
-    if (
-        _forked
-        or min(processes, times) < 2
-        or "fork" not in multiprocessing.get_all_start_methods()
-    ):
+    forks = not _forked and "fork" in multiprocessing.get_all_start_methods()
+    if not forks or min(processes, times) < 2:
         for number in range(times):
             keep(number, work(number))
         return list(results.values())

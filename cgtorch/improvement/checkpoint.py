@@ -1,4 +1,10 @@
-"""Checkpoints: where an evolution stands, as tensors, and how it goes on from there."""
+"""Journals: how a stage that was interrupted goes on as if nothing had happened.
+
+Everything here depends on seeds alone, so a stage that is made again does the same again. A journal
+holds what its long steps came to, in their order, each with the state of the random numbers after
+it. Made again, the stage reads them instead of computing them, and goes on computing where the
+journal ends. Of an evolution there is, too, a checkpoint: where it stood a while ago, as tensors.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,6 +39,30 @@ class Checkpoint:
     apart: bool = False
 
 
+class Journal:
+    """What a stage has done so far, told in the order in which it was done; this one keeps nothing.
+
+    `cgtorch.runs.journal.FileJournal` keeps it in files.
+    """
+
+    def recall(self, step: str) -> dict[str, Tensor] | None:
+        """What the next step came to; None if it has not ended yet.
+
+        The stage asks for its steps in the order it took them; RunError if another one came next.
+        """
+        return None
+
+    def record(self, step: str, result: dict[str, Tensor]) -> None:
+        """Keep what a step that was not recalled has come to."""
+
+    def recall_checkpoint(self, step: str) -> Checkpoint | None:
+        """Where the next step stood when it was interrupted; None if that was not kept."""
+        return None
+
+    def record_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
+        """Keep where a step stands, unless that was kept a moment ago; all ranks call it."""
+
+
 def found_tensors(found: Found) -> dict[str, Tensor]:
     """What `found_from` reads again."""
     return {
@@ -59,10 +89,7 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
 
 
 def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkpoint:
-    """What `found_from` and `islands_from` read again.
-
-    The islands are those of `count` that this rank holds, with the generation evaluated next.
-    """
+    """What is found, and of `count` islands those that this rank holds, to be evaluated next."""
     # Looked at now: what is kept when a step is interrupted is written after more was drawn.
     held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
     own = held[min(held)]  # for its names and types, where the part is another rank's
@@ -83,12 +110,9 @@ def island_tensors(island: Island) -> dict[str, Tensor]:
 def islands_from(
     checkpoint: Checkpoint, actions: ActionSet, generator: Generator, count: int
 ) -> list[Island]:
-    """Of `count` islands those that this rank holds, from where they stood.
+    """Of `count` islands those that this rank holds, from where they stood; RunError if damaged.
 
     The generator is set to what the first island's was, and is that island's, if it is held.
-
-    Raises:
-        RunError: there are other tensors in it than `checkpoint_of` has put there.
     """
     if len(checkpoint.parts) != count:
         raise RunError(

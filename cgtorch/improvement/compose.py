@@ -9,11 +9,7 @@ from cgtorch.ground.errors import ActionError
 
 
 def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
-    """The index and module of the set's branching network.
-
-    Raises:
-        ActionError: there is none.
-    """
+    """The index and module of the set's branching network; ActionError if there is none."""
     for i, action in enumerate(actions.actions):
         if isinstance(action, BranchingNN):
             return i, action
@@ -21,11 +17,7 @@ def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
 
 
 def compose(
-    name: str,
-    members: list[Skill],
-    branches: Tensor,
-    actions: ActionSet,
-    max_transitions: int,
+    name: str, members: list[Skill], branches: Tensor, actions: ActionSet, max_transitions: int
 ) -> Skill:
     """A skill that branches to one of its members, each a frozen sub-skill.
 

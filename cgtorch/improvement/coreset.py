@@ -12,12 +12,9 @@ from torch import Tensor
 def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
     """Scenarios that are spread over all that the robot sees at first (Gonzalez 1985).
 
-    The first is kept, then again and again the one that is farthest from all that are kept, which
-    is at most twice as far from them as with the best choice of as many.
-
-    Args:
-        percepts: (B, D) first percepts (m).
-        size: how many to keep at most, at least 1; of the same percept, only one is kept.
+    Of first percepts (B, D) in m, the first is kept, then again and again the one that is farthest
+    from all that are kept, up to `size` of them: it is at most twice as far from them as with the
+    best choice of as many. Of the same percept, only one is kept.
 
     Returns:
         (n,) long, the rows that are kept, ascending, and the distance (m) within which every other

@@ -1,15 +1,16 @@
 """What happens during improvement, for whoever watches: display, TensorBoard, ledger."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Generic, TypeAlias
 
 from torch import Tensor
 
-from cgtorch.evolution import Generation, Population
+from cgtorch.evolution import Generation
 from cgtorch.graphs import Skill
 from cgtorch.improvement.interfaces import S
-from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.improvement.stopping import Found
+from cgtorch.svm import LearningCurve
 
 
 class Event:
@@ -31,6 +32,25 @@ class StageStarted(Event):
 
 
 @dataclass(frozen=True)
+class ModelSummary:
+    """What watchers are told of Γ and C.
+
+    Attributes:
+        text: one line for a display.
+        scalars: numbers by their tag in TensorBoard.
+        curves: learning curves by the name of the model.
+        reliability: mean probability, frequency of success and rows of bins of C's probability.
+        first: whether these are the first models of a run.
+    """
+
+    text: str
+    scalars: Mapping[str, float] = field(default_factory=dict)
+    curves: Mapping[str, LearningCurve | None] = field(default_factory=dict)
+    reliability: tuple[tuple[float, float, int], ...] = ()
+    first: bool = False
+
+
+@dataclass(frozen=True)
 class ModelsFitted(Event):
     """Γ and C were trained, in `seconds`."""
 
@@ -40,40 +60,37 @@ class ModelsFitted(Event):
 
 
 @dataclass(frozen=True)
-class GenerationDone(Event):
-    """A generation was evaluated in the models.
-
-    It belongs to the evolution of `candidate`, which ends after `limit` generations at the latest.
-    `solved_w` and `solved_m` are what the best individual solves of the scenarios it is evolved
-    on, `size_w` and `size_m` how many these are; `seconds` is what the generation took.
-    """
+class CandidateTested(Event):
+    """A candidate solves `solved_w` of the `size_w` scenarios of W, and the same of M."""
 
     stage: str
     candidate: str
-    generation: Generation
-    limit: int
     solved_w: int
     size_w: int
     solved_m: int
     size_m: int
+
+
+@dataclass(frozen=True)
+class GenerationDone(CandidateTested):
+    """A generation was evaluated in the models, on the scenarios that `candidate` is evolved on.
+
+    The counts are those of its best individual; it took `seconds`. The evolution ends after `limit`
+    generations at the latest.
+    """
+
+    generation: Generation
+    limit: int
     seconds: float
 
 
 @dataclass(frozen=True)
 class EvolutionRecalled(Event):
-    """The first `generations` of an evolution are known from before an interruption.
-
-    They executed `transitions` actions in the models and took `seconds`; `champion` is the best
-    individual of them, as a population of one, and `best` its fitness.
-    """
+    """What an evolution has `found` is known from before an interruption."""
 
     stage: str
     candidate: str
-    generations: int
-    transitions: int
-    seconds: float
-    champion: Population
-    best: float
+    found: Found
 
 
 @dataclass(frozen=True)
@@ -90,18 +107,12 @@ class JournalDamaged(Event):
 
 
 @dataclass(frozen=True)
-class WorldTested(Event):
-    """A candidate was tried in the world: what it solves of W and of M.
+class WorldTested(CandidateTested):
+    """A candidate was tried in the world.
 
     Of the group it was evolved on, it solved `promised` in the models and `kept` in the world.
     """
 
-    stage: str
-    candidate: str
-    solved_w: int
-    size_w: int
-    solved_m: int
-    size_m: int
     kept: int | None = None
     promised: int | None = None
 
@@ -140,3 +151,9 @@ class FreshTested(Event):
 
 
 Watch: TypeAlias = Callable[[Event], None]
+
+
+def solved_of(succeeded: Tensor, keep: Tensor) -> tuple[int, int, int, int]:
+    """What `succeeded` (B,) of W, the scenarios to `keep` (B,), and how many these are; of M."""
+    w, m = succeeded[keep], succeeded[~keep]
+    return int(w.sum()), len(w), int(m.sum()), len(m)

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.team import initial_state, learned, tell_tested
+from cgtorch.improvement.team import initial_state, learned
 from cgtorch.improvement.trial import attempt
 
 
@@ -42,7 +42,8 @@ def grow(
         champion, _ = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds)
         candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
         trial = attempt(setup, candidate, state.scenarios)
-        tell_tested(stage, state, candidate.name, trial.succeeded)
+        counts = solved_of(trial.succeeded, state.keep)
+        stage.watch(WorldTested(stage.name, candidate.name, *counts))
         if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():
             skill = accepted = candidate
             keep = solved = trial.succeeded
@@ -53,9 +54,4 @@ def grow(
         return replace(progress, knowledge=knowledge)
     result = state.scenarios, solved, state.keep, state.targets
     stage.watch(SkillAccepted(stage.name, accepted, *result, time.perf_counter() - began))
-    return Progress(
-        skill=accepted,
-        solved=state.scenarios[solved.nonzero()[:, 0]],
-        missed=state.scenarios[(~solved).nonzero()[:, 0]],
-        knowledge=knowledge,
-    )
+    return Progress(accepted, state.scenarios[solved], state.scenarios[~solved], knowledge)

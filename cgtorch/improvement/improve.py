@@ -23,8 +23,8 @@ from cgtorch.improvement.team import (
     compose_team,
     initial_state,
     recruit,
+    try_all,
     with_fresh,
-    with_members,
 )
 from cgtorch.improvement.trial import attempt, first_percepts
 
@@ -59,7 +59,17 @@ def improve(
         if composed is None:
             break
         skill, succeeded = composed
-        stage.watch(_accepted(stage, state, skill, succeeded, time.perf_counter() - began))
+        yes = torch.ones(len(state.rest), dtype=torch.bool)
+        event = SkillAccepted(
+            stage.name,
+            skill,
+            state.scenarios.joined(state.rest),
+            torch.cat([succeeded, yes]),
+            torch.cat([state.keep, yes]),
+            torch.cat([state.targets, ~yes]),
+            time.perf_counter() - began,
+        )
+        stage.watch(event)
         fresh = draw(stage.generator)
         solved = torch.cat([succeeded, attempt(setup, skill, fresh).succeeded])
         state = with_fresh(setup, state, solved, fresh)
@@ -74,8 +84,8 @@ def improve(
     return replace(
         progress,
         skill=skill,
-        solved=state.scenarios[state.keep.nonzero()[:, 0]].joined(state.rest),
-        missed=state.scenarios[(~state.keep).nonzero()[:, 0]],
+        solved=state.scenarios[state.keep].joined(state.rest),
+        missed=state.scenarios[~state.keep],
     )
 
 
@@ -85,11 +95,16 @@ def _begun(stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor
     rows, _ = cover(first_percepts(setup.world_of(solved)), setup.core)
     kept = torch.zeros(len(solved), dtype=torch.bool)
     kept[rows] = True
-    start, rest = replace(progress, solved=solved[rows]), solved[(~kept).nonzero()[:, 0]]
-    state = initial_state(stage, start, scenarios, targets, rest)
+    start = replace(progress, solved=solved[rows])
+    state = initial_state(stage, start, scenarios, targets)
+    state = replace(state, rest=solved[~kept])
     if progress.skill is None:
         return state
-    return with_members(setup, state, progress.skill, progress.members)
+    rate = state.keep.float()  # W is what the earlier skill succeeds on
+    rate[~state.keep], _ = try_all(setup, progress.skill, state.scenarios[~state.keep])
+    rates = [rate, *(try_all(setup, m, state.scenarios)[0] for m in progress.members)]
+    members = (progress.skill, *progress.members)
+    return replace(state, members=members, rates=torch.stack(rates, 1))
 
 
 def _compose(
@@ -107,25 +122,9 @@ def _compose(
         if held.all():
             return state, composed
         keep = torch.cat([state.keep, torch.ones(int((~held).sum()), dtype=torch.bool)])
-        lost, rest = (state.rest[rows.nonzero()[:, 0]] for rows in (~held, held))
-        state = replace(with_fresh(stage.setup, state, keep, lost), rest=rest)
+        state = with_fresh(stage.setup, state, keep, state.rest[~held])
+        state = replace(state, rest=state.rest[held])
     return state, None
-
-
-def _accepted(
-    stage: Stage[S], state: StageState[S], skill: Skill, succeeded: Tensor, seconds: float
-) -> SkillAccepted[S]:
-    """The event of a new skill, which succeeds on all of the rest, too."""
-    yes = torch.ones(len(state.rest), dtype=torch.bool)
-    return SkillAccepted(
-        stage.name,
-        skill,
-        state.scenarios.joined(state.rest),
-        torch.cat([succeeded, yes]),
-        torch.cat([state.keep, yes]),
-        torch.cat([state.targets, ~yes]),
-        seconds,
-    )
 
 
 def _recruit_all(stage: Stage[S], state: StageState[S]) -> StageState[S]:

@@ -11,11 +11,10 @@ from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import Watch
+from cgtorch.improvement.checkpoint import Journal
+from cgtorch.improvement.events import ModelSummary, Watch
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping, Imagine, Learn, Models, S
-from cgtorch.improvement.journal import Journal
-from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.stopping import Budget
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Environment
-from cgtorch.evolution import Generation, Population, evolve
+from cgtorch.evolution import Population, evolve
 from cgtorch.graphs import widened
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.checkpoint import (
@@ -18,7 +18,7 @@ from cgtorch.improvement.checkpoint import (
     islands_from,
     restore,
 )
-from cgtorch.improvement.events import EvolutionRecalled, GenerationDone
+from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, solved_of
 from cgtorch.improvement.setup import Stage
 from cgtorch.improvement.stopping import Found
 
@@ -34,11 +34,8 @@ def evolve_candidate(
     """Evolve until all scenarios are solved in the models and the fitness has settled.
 
     The environment of B scenarios runs on the setup's device; `keep` (B,) bool and `seeds` are
-    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again.
-
-    Returns:
-        The best individual, as a population of one with `EvolutionSettings.capacity` slots, and
-        (B,) bool what it solves in the models.
+    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again. Returned are
+    the best individual, a population of one, and (B,) bool what it solves in the models.
     """
     setup, generator, step = stage.setup, stage.generator, f"evolution {name}"
     settings, journal = setup.evolution, setup.journal
@@ -46,13 +43,13 @@ def evolve_candidate(
     found, islands = None, None
     if known := journal.recall(step):
         found = found_from(known, setup.actions, len(keep))
-        stage.watch(_recalled(stage.name, name, found))
+        stage.watch(EvolutionRecalled(stage.name, name, found))
         restore(generator, known)
         return _roomy(found.champion, settings.capacity), found.solved
     if checkpoint := journal.recall_checkpoint(step):
         found = found_from(checkpoint.about, setup.actions, len(keep))
         islands = islands_from(checkpoint, setup.actions, generator, settings.islands)
-        stage.watch(_recalled(stage.name, name, found))
+        stage.watch(EvolutionRecalled(stage.name, name, found))
     began = time.perf_counter()
     for generation in evolve(
         environment,
@@ -67,9 +64,10 @@ def evolve_candidate(
         found = found or Found(generation.champion, keep, -inf)
         checkpoint = checkpoint_of(found, generation.islands, settings.islands)
         journal.record_checkpoint(step, checkpoint)
-        now = time.perf_counter()
-        stage.watch(_done(stage, name, generation, keep, now - began))
-        found, began = found.after(generation, now - began), now
+        seconds, counts = time.perf_counter() - began, solved_of(generation.succeeded, keep)
+        done = generation, setup.budget.generations, seconds
+        stage.watch(GenerationDone(stage.name, name, *counts, *done))
+        found, began = found.after(generation, seconds), began + seconds
         if found.ends(setup.budget):
             break
     assert found is not None  # noqa: S101  the loop body has run
@@ -81,25 +79,3 @@ def evolve_candidate(
 
 def _roomy(individual: Population, capacity: int) -> Population:
     return Population(widened(individual.graphs, capacity), individual.strategy)
-
-
-def _recalled(stage: str, name: str, found: Found) -> EvolutionRecalled:
-    counts = found.generations, found.transitions, found.seconds
-    return EvolutionRecalled(stage, name, *counts, found.champion, found.best)
-
-
-def _done(
-    stage: Stage[Any], name: str, generation: Generation, keep: Tensor, seconds: float
-) -> GenerationDone:
-    solved = generation.succeeded
-    return GenerationDone(
-        stage.name,
-        name,
-        generation,
-        stage.setup.budget.generations,
-        solved_w=int(solved[keep].sum()),
-        size_w=int(keep.sum()),
-        solved_m=int(solved[~keep].sum()),
-        size_m=int((~keep).sum()),
-        seconds=seconds,
-    )

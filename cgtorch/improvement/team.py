@@ -12,7 +12,7 @@ from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
-from cgtorch.improvement.events import ModelsFitted, WorldTested
+from cgtorch.improvement.events import ModelsFitted, WorldTested, solved_of
 from cgtorch.improvement.gating import train_branches
 from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup, Stage
@@ -56,40 +56,24 @@ class StageState(Generic[S]):
 
 
 def initial_state(
-    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, rest: S | None = None
+    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor
 ) -> StageState[S]:
-    """The state of a stage that begins with W and more scenarios, without any members.
-
-    Raises:
-        WorldError: the world, tried on two of them, breaks its interface.
-    """
+    """The state of a stage without members; WorldError if its world breaks the interface."""
     everything = progress.solved.joined(scenarios)
     keep = torch.arange(len(everything)) < len(progress.solved)
-    mask = torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets])
     world = stage.setup.world_of(everything)
     check_environment(world)
     return StageState(
         everything,
         keep,
-        mask,
+        torch.cat([torch.zeros(len(progress.solved), dtype=torch.bool), targets]),
         first_percepts(world),
-        everything[:0] if rest is None else rest,
+        everything[:0],
         progress.knowledge,
         members=(),
         rates=torch.zeros(len(everything), 0),
         population=progress.specialists,
     )
-
-
-def with_members(
-    setup: Setup[S], state: StageState[S], skill: Skill, others: tuple[Skill, ...]
-) -> StageState[S]:
-    """The state with the earlier skill and those within it that may be used."""
-    rate = state.keep.float()  # W is what it succeeds on
-    new = (~state.keep).nonzero()[:, 0]
-    rate[new], _ = try_all(setup, skill, state.scenarios[new])
-    rates = [try_all(setup, member, state.scenarios)[0] for member in others]
-    return replace(state, members=(skill, *others), rates=torch.stack([rate, *rates], 1))
 
 
 def with_fresh(setup: Setup[S], state: StageState[S], solved: Tensor, fresh: S) -> StageState[S]:
@@ -106,16 +90,13 @@ def with_fresh(setup: Setup[S], state: StageState[S], solved: Tensor, fresh: S) 
 
 
 def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Dataset]:
-    """How surely a skill solves each scenario, and what was experienced.
+    """(B,) share of runs that succeed, 0 where the first one fails, and what was experienced.
 
-    Where it succeeds it is tried again under other noise, `setup.trials` times in all.
-
-    Returns:
-        (B,) share of the runs that succeeded, 0 where the first one failed, and the experience.
+    Where a skill succeeds it is tried again under other noise, `setup.trials` times in all.
     """
     trial = attempt(setup, skill, scenarios)
     rate, experience = trial.succeeded.float(), trial.experience
-    rows = trial.succeeded.nonzero()[:, 0]
+    rows = trial.succeeded
     for copy in range(1, setup.trials):
         trial = attempt(setup, skill, scenarios[rows].with_noise(copy))
         rate[rows] += trial.succeeded.float()
@@ -143,18 +124,13 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
     )
     seeds = state.hints or state.population
     champion, solved = evolve_candidate(stage, name, environment, seeds=seeds)
-    champion = shrunk(
-        champion,
-        setup.actions,
-        environment,
-        setup.max_transitions,
-        setup.evolution.fitness,
-        setup.device,
-    )
+    how = setup.max_transitions, setup.evolution.fitness, setup.device
+    champion = shrunk(champion, setup.actions, environment, *how)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, state.scenarios)
     kept, promised = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
-    tell_tested(stage, state, name, rate == 1, kept, promised)
+    counts = solved_of(rate == 1, state.keep)
+    stage.watch(WorldTested(stage.name, name, *counts, kept, promised))
     state = replace(state, hints=None, tried=tried)
     if (rate[missed] == 1).any():
         state = replace(
@@ -184,15 +160,11 @@ def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
 def compose_team(
     stage: Stage[S], state: StageState[S], progress: Progress[S]
 ) -> tuple[Skill, Tensor] | None:
-    """The smallest team that solves what all of it solve, under trained branches.
+    """The smallest team that solves what all of it solve, and what it solves (B,) in the world.
 
     Where `progress` has members, teams without the earlier skill are tried first, so that skills
-    do not nest deeper with every stage; and first of all one of no more than `FEW`. The world
-    decides on each, as on any other, by all of W.
-
-    Returns:
-        The skill and (B,) bool what it solves in the world on the recorded noise, or None if in
-        no try it solves all of W and at least one other scenario (eq. 1).
+    do not nest deeper with every stage; and first of all one of no more than `FEW`. None if no team
+    under trained branches solves all of W and at least one other scenario (eq. 1).
     """
     solves, nobody = state.rates == 1, torch.zeros(len(state.members), dtype=torch.bool)
     teams = []
@@ -223,22 +195,8 @@ def _composed(
         )
         skill = compose(stage.name, members, parameters, setup.actions, setup.max_transitions)
         succeeded = attempt(setup, skill, state.scenarios).succeeded
-        tell_tested(stage, state, stage.name, succeeded)
+        stage.watch(WorldTested(stage.name, stage.name, *solved_of(succeeded, state.keep)))
         if succeeded[state.keep].all() and succeeded[~state.keep].any():
             return skill, succeeded
         weight = torch.where(succeeded, weight, 3 * weight)
     return None
-
-
-def tell_tested(
-    stage: Stage[Any],
-    state: StageState[Any],
-    name: str,
-    succeeded: Tensor,
-    kept: int | None = None,
-    promised: int | None = None,
-) -> None:
-    """Tell what a candidate `succeeded` (B,) on in the world."""
-    w, m = succeeded[state.keep], succeeded[~state.keep]
-    counts = int(w.sum()), len(w), int(m.sum()), len(m)
-    stage.watch(WorldTested(stage.name, name, *counts, kept, promised))

@@ -8,7 +8,7 @@ and of W when it is met by other noise (`w_other_noise` in the ledger). A specia
 solving a scenario only if it does so under `Setup.trials` draws of noise.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -38,19 +38,13 @@ class Trial:
     returns: Tensor | None = None
 
 
-def try_skill(skill: Skill, world: Environment) -> Trial:
-    """Run a skill once on every scenario, and keep what it experiences."""
+def try_skill(skill: Skill, world: Environment, record: bool = True) -> Trial:
+    """Run a skill once on every scenario; `record` its experience, a lot of long episodes."""
     recording = Recording(world)
-    trial = run_skill(skill, recording)
-    return replace(trial, experience=Dataset(*recording.experience()))
-
-
-def run_skill(skill: Skill, world: Environment) -> Trial:
-    """The same without keeping anything: long episodes are a lot to keep."""
-    runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
-    nothing = Dataset(*Recording(world).experience())
+    place = recording if record else world
+    runs = rollout(skill.graph, skill.actions, place, max_transitions=skill.max_transitions)
     returns = None if runs.returns is None else runs.returns[0]
-    return Trial(runs.succeeded[0], runs.transitions[0], nothing, returns)
+    return Trial(runs.succeeded[0], runs.transitions[0], Dataset(*recording.experience()), returns)
 
 
 def first_percepts(world: Environment) -> Tensor:
@@ -59,16 +53,12 @@ def first_percepts(world: Environment) -> Tensor:
 
 
 def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
-    """What `try_skill` gives in the world of these scenarios, from the setup's journal if it can.
-
-    Raises:
-        RunError: the journal knows something else of it.
-    """
+    """What `try_skill` gives on scenarios, from the journal if it can; RunError if it disagrees."""
     step, world = f"trial of {skill.name}", setup.world_of(scenarios)
     known = setup.journal.recall(step)
     if known is not None:
         return trial_from(known, len(scenarios), world.percept_size)
-    trial = run_skill(skill, world) if setup.learn is None else try_skill(skill, world)
+    trial = try_skill(skill, world, record=setup.learn is not None)
     setup.journal.record(step, trial_tensors(trial))
     return trial
 
@@ -80,17 +70,10 @@ def trial_tensors(trial: Trial) -> dict[str, Tensor]:
 
 
 def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
-    """A trial of B scenarios with percepts (B, D) from a journal's tensors.
-
-    Raises:
-        RunError: they are not what `trial_tensors` gives.
-    """
+    """A trial of B scenarios from `trial_tensors`; RunError if they are of something else."""
     try:
-        trial = Trial(
-            tensors["solved"],
-            tensors["transitions"],
-            Dataset(*(tensors[f.name] for f in fields(Dataset))),
-        )
+        experience = Dataset(*(tensors[f.name] for f in fields(Dataset)))
+        trial = Trial(tensors["solved"], tensors["transitions"], experience)
     except KeyError as e:
         raise RunError(f"the journal's trial of a skill lacks {e}; remove the journal") from e
     counts = trial.succeeded.shape == trial.transitions.shape == (scenarios,)

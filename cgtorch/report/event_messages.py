@@ -16,7 +16,7 @@ def message_of(event: events.Event) -> str:
                 f"{event.size_w} scenarios to keep (W), {event.size_m} to solve"
             )
         case events.EvolutionRecalled():
-            return f"{event.candidate}: {event.generations} generations are known from before"
+            return f"{event.candidate}: {event.found.generations} generations are known from before"
         case events.JournalDamaged():
             files = ", ".join(event.files)
             return f"{event.stage}: damaged, so what it held is done again: {files}"

@@ -79,8 +79,8 @@ class TensorBoardWatch:
                 self._generation(event)
                 return
             case events.EvolutionRecalled():
-                self.step += event.generations
-                self._latest = event.candidate, event.champion
+                self.step += event.found.generations
+                self._latest = event.candidate, event.found.champion
                 return
             case events.AboutToKeep():
                 self._records.flush()

@@ -42,7 +42,6 @@ class Goal:
     rounds: int = option(30, "With --stage auto, the most rounds of a run.")
 
     def __post_init__(self) -> None:
-        """Check every value."""
         check_options(self)
 
     @property

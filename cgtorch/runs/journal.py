@@ -27,11 +27,10 @@ from torch import Tensor
 
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
+from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes, writing
 from cgtorch.ground.version import __version__
-from cgtorch.improvement.checkpoint import Checkpoint
+from cgtorch.improvement.checkpoint import Checkpoint, Journal
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
-from cgtorch.improvement.journal import Journal
 
 FOLDER = "journal"
 MAX_BYTES = 2**30
@@ -54,12 +53,9 @@ class FileJournal(Journal):
         before_writing: Callable[[], None] = lambda: None,
         seconds: float = SECONDS,
     ):
-        """Read what there is in a folder, which is made as soon as there is something to keep.
+        """Read a folder, which is made as soon as there is something to keep.
 
-        Args:
-            folder: of the stage's journal.
-            before_writing: called before what was done is kept.
-            seconds: least time between two checkpoints.
+        `before_writing` is called before that; between two checkpoints are at least `seconds`.
         """
         self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
         self.damaged: list[Path] = []
@@ -111,7 +107,6 @@ class FileJournal(Journal):
             self._write_checkpoint(step, checkpoint)
 
     def __enter__(self) -> Self:
-        """The journal itself."""
         return self
 
     def __exit__(
@@ -162,10 +157,8 @@ class FileJournal(Journal):
         if not ranks.first():
             return ""
         self._before_writing()
-        try:
+        with writing(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as e:
-            raise RunError(f"cannot write {str(self._folder)!r} ({e.strerror}); check it") from e
         plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
         about = {**about, "version": __version__}
         about["sha256"] = checksum(plain, about)

@@ -26,7 +26,7 @@ from cgtorch.environment import ScenarioBatch
 from cgtorch.graphs import Skill
 from cgtorch.graphs.files import skill_from_dict, skill_to_dict
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import read_versioned, write_bytes, write_json
+from cgtorch.ground.files import read_versioned, write_bytes, write_json, writing
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.storage import is_count, is_share, scenarios_from_list, scenarios_to_list
@@ -95,14 +95,11 @@ def entry_of(
         was.append(torch.full((len(fresh),), WAS.index("new")))
         succeeded.append(torch.full((len(fresh),), solved))
     name = None if parent is None else parent.name
-    everything = parts[0].joined(*parts[1:])
-    return Entry(
-        accepted.skill, name, everything, torch.cat(was), torch.cat(succeeded), other_noise
-    )
+    tried = parts[0].joined(*parts[1:]), torch.cat(was), torch.cat(succeeded)
+    return Entry(accepted.skill, name, *tried, other_noise)
 
 
 def _keys(scenarios: ScenarioBatch) -> list[str]:
-    """What tells scenarios apart."""
     return [json.dumps(row) for row in scenarios_to_list(scenarios)]
 
 
@@ -110,15 +107,11 @@ def enter(folder: Path, entry: Entry) -> None:
     """Write a skill into the ledger of the run in `folder`, first the skill, then the index.
 
     An entry of the same name, as of a stage that was interrupted and is made again, is replaced.
-
-    Raises:
-        RunError: a file cannot be written, or the index is damaged.
+    RunError if a file cannot be written, or the index is damaged.
     """
     ledger = folder / FOLDER
-    try:
+    with writing(ledger):
         ledger.mkdir(exist_ok=True)
-    except OSError as e:
-        raise RunError(f"cannot write {str(ledger)!r} ({e.strerror}); check the folder") from e
     columns = entry.was.tolist(), entry.succeeded.tolist(), scenarios_to_list(entry.scenarios)
     rows = [{"was": WAS[w], "succeeded": s, **row} for w, s, row in zip(*columns, strict=True)]
     head = {"format": FORMAT, "version": VERSION, **entry.summary}
@@ -134,10 +127,7 @@ def enter(folder: Path, entry: Entry) -> None:
 def read_index(folder: Path) -> list[dict[str, Any]]:
     """The history of the run in `folder`: the summary of every skill, the first accepted first.
 
-    A run that has accepted nothing, or was made before there were ledgers, has an empty one.
-
-    Raises:
-        RunError: the index is damaged.
+    That of a run that has accepted nothing is empty. RunError if the index is damaged.
     """
     path = folder / FOLDER / "index.json"
     if not path.is_file():
@@ -151,9 +141,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
 def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch) -> Entry:
     """A skill of the ledger with its evidence; `like` are scenarios of the run's kind, or none.
 
-    Raises:
-        RunError: the ledger lacks it, or its file is damaged.
-        GraphError: the file does not describe a skill.
+    RunError if the ledger lacks it or it is damaged, GraphError if the file describes no skill.
     """
     if name not in (names := [s["name"] for s in read_index(folder)]):
         known = f"one of {', '.join(names)}" if names else "another run; this one has no ledger"

@@ -18,7 +18,7 @@ from typing import Any
 from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.files import read_json, write_json
+from cgtorch.ground.files import read_json, write_json, writing
 from cgtorch.runs.journal import FOLDER
 from cgtorch.runs.run import AUTO, Run, round_name, versions
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields
@@ -76,11 +76,7 @@ def fixed_settings(run: Run) -> dict[str, str]:
 
 
 def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
-    """The run's settings with those that are to be taken over.
-
-    Raises:
-        SettingsError: one cannot be taken over, or has a value that cannot work.
-    """
+    """The run's settings with `overrides`; SettingsError if one cannot be, or cannot work."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in overrides.items():
         if name in fixed and _differs(value, known[name]):
@@ -96,9 +92,6 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
 
     A journal that was begun under other settings or by another cgtorch is set aside. That comes
     first: whatever stops this in between, the stage is at most made again under the old settings.
-
-    Raises:
-        RunError: the run cannot be read or written.
     """
     about = read_json(run.folder / "run.json")
     old, new = to_plain(run.settings), to_plain(settings)
@@ -112,12 +105,15 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
     if not isinstance(history, list):
         raise RunError(f"history in {str(run.folder / 'run.json')!r} is no list; restore the file")
     stale = set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
-    aside = _free(run) if stale else None
+    names = (f"{ASIDE}/{i}" for i in itertools.count(1))
+    aside = next(name for name in names if not (run.folder / name).exists()) if stale else None
     ranks.wait()  # all have read before anyone writes
     if ranks.first():
         entry: dict[str, Any] = {"before": before, "changed": {k: [*v] for k, v in changed.items()}}
         if aside is not None:
-            _set_aside(run, aside)
+            with writing(run.folder / ASIDE):
+                (run.folder / ASIDE).mkdir(exist_ok=True)
+                (run.folder / FOLDER).rename(run.folder / aside)
             entry["set_aside"] = aside
         now = {**about, **current, "settings": new, "history": [*history, entry]}
         write_json(run.folder / "run.json", now)
@@ -131,21 +127,6 @@ def _next(run: Run, stage: str) -> str:
     if stage == AUTO or run.rounds or not missing:
         return round_name(len(run.rounds) + 1)
     return missing[0]
-
-
-def _free(run: Run) -> str:
-    names = (f"{ASIDE}/{i}" for i in itertools.count(1))
-    return next(name for name in names if not (run.folder / name).exists())
-
-
-def _set_aside(run: Run, name: str) -> None:
-    try:
-        (run.folder / ASIDE).mkdir(exist_ok=True)
-        (run.folder / FOLDER).rename(run.folder / name)
-    except OSError as e:
-        raise RunError(
-            f"cannot set the journal of {str(run.folder)!r} aside ({e.strerror}); check the folder"
-        ) from e
 
 
 def goes_on_to(run: Run) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from cgtorch.domains.registry import (
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
-from cgtorch.ground.files import read_versioned, whole_folder, write_json
+from cgtorch.ground.files import read_versioned, whole_folder, write_json, writing
 from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
@@ -141,10 +141,8 @@ def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None)
 def write_run(run: Run) -> None:
     """Write the folder of a planned run; RunError if it cannot be written."""
     folder = run.folder
-    try:
+    with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise RunError(f"cannot write run {str(folder)!r} ({e.strerror}); choose another") from e
     about = {
         "format": FORMAT,
         "version": VERSION,

@@ -80,7 +80,6 @@ class RunSettings:
     )
 
     def __post_init__(self) -> None:
-        """Check every value."""
         check_options(self)
 
 

@@ -68,11 +68,7 @@ def chosen_skill(
 
 
 def stored_domain(path: Path) -> str | None:
-    """The name of the domain of a run's folder or a stage's in it; None if there is no run.
-
-    Raises:
-        RunError: the run is of another version, or damaged.
-    """
+    """The domain's name of a run's or stage's folder; None without run, RunError if damaged."""
     for folder in (path, path.absolute().parent):
         if (folder / "run.json").is_file():
             return from_plain(RunSettings, read_about(folder).get("settings")).domain
@@ -84,10 +80,7 @@ def last_skill(
 ) -> tuple[Run, Skill]:
     """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
 
-    `trusted` and `domain` are those of `open_run`.
-
-    Raises:
-        RunError: there is no run, or no skill in it yet.
+    `trusted` and `domain` are those of `open_run`. RunError if there is no run or no skill yet.
     """
     if (path / "run.json").is_file():
         run = open_run(path, trusted, domain)
@@ -101,18 +94,12 @@ def last_skill(
 
 
 def lone_skill(
-    path: Path,
-    names: Sequence[str] = (),
-    kind: str | None = None,
-    domain: str = RunSettings.domain,
+    path: Path, names: Sequence[str] = (), kind: str | None = None, domain: str = RunSettings.domain
 ) -> tuple[Domain[Any], str, Skill]:
-    """The skill of a file that stands for itself, its domain, and the kind of its scenarios.
+    """The domain, kind of scenarios and skill of a file that stands for itself.
 
-    The arguments are those of `chosen_skill`.
-
-    Raises:
-        GraphError: the file cannot be read or describes no skill, for no variant of the domain.
-        ActionError: an action is not known.
+    GraphError if it describes no skill, for no variant of the domain; ActionError if an action is
+    not known.
     """
     made = make_domain(domain)
     kind = made.usual_kind if kind is None else kind

@@ -1,10 +1,10 @@
-"""Datasets, scenarios, populations and results as files: safetensors and JSON, never code."""
+"""Where a run stands after a stage, as files: safetensors and JSON, never code."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import safetensors.torch
 import torch
@@ -17,14 +17,15 @@ from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset, ScenarioBatch
 from cgtorch.evolution import Population, population_from
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Graphs, load_skill, save_skill
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
+from cgtorch.improvement.setup import Progress
+from cgtorch.runs.run import Run
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
 MAX_BYTES = 2**30
-T = TypeVar("T", Dataset, Graphs)
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 """What makes unfitted models, by the name of their class; see `Domain.unfitted`."""
 
@@ -36,11 +37,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) 
 
 
 def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
-    """Read named tensors.
-
-    Raises:
-        RunError: the file is missing, damaged, too large, or holds other tensors.
-    """
+    """Read tensors; RunError if the file is missing, damaged, too large, or has other names."""
     data = read_bytes(path, MAX_BYTES)
     try:
         found = tensors_of(data)
@@ -50,11 +47,6 @@ def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
         odd = sorted(names ^ set(found))[0]
         raise RunError(f"{str(path)!r} lacks or has tensor {odd!r}; is it of this version?")
     return found
-
-
-def save_dataset(path: Path, dataset: Dataset, notes: dict[str, str]) -> None:
-    """Write a dataset with notes on how it was collected."""
-    save_tensors(path, vars(dataset), notes)
 
 
 def load_dataset(path: Path) -> Dataset:
@@ -75,39 +67,27 @@ def holds_models(folder: Path) -> bool:
 
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
     """Write data, Γ and C into a folder."""
-    save_dataset(folder / "data.safetensors", knowledge.dataset, notes)
+    save_tensors(folder / "data.safetensors", vars(knowledge.dataset), notes)
     said = [a.reason for a in knowledge.acceptances or ()]
     learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
-    save_dataset(folder / "aside.safetensors", knowledge.aside, {**notes, **learned})
+    save_tensors(folder / "aside.safetensors", vars(knowledge.aside), {**notes, **learned})
     save_model(folder / GAMMA, knowledge.gamma, knowledge.gamma_report)
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
 
-@dataclass(frozen=True)
-class Models:
-    """Γ and C with what their fits found."""
-
-    gamma: TransitionModel
-    classifier: SuccessClassifier
-    gamma_report: TransitionReport
-    classifier_report: SuccessReport
+Models: TypeAlias = tuple[TransitionModel, SuccessClassifier, TransitionReport, SuccessReport]
+"""Γ and C with what their fits found."""
 
 
 def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
     """Read what `save_knowledge` wrote.
 
-    Raises:
-        RunError: a file holds another kind of model, or a report that is none.
-        ModelError: a model file is damaged.
+    ModelError if a model file is damaged, RunError if it is another model's or has no report.
     """
-    models = load_models(folder, unfitted)
+    gamma, classifier, report, second = load_models(folder, unfitted)
     data = load_dataset(folder / "data.safetensors")
     aside = load_dataset(folder / "aside.safetensors")
-    swift = swift_gamma(models.gamma, data)
-    return Knowledge(
-        data, models.gamma, swift, models.classifier, models.gamma_report,
-        models.classifier_report, aside,
-    )  # fmt: skip
+    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, report, second, aside)
 
 
 def load_models(folder: Path, unfitted: Unfitted) -> Models:
@@ -123,7 +103,7 @@ def load_models(folder: Path, unfitted: Unfitted) -> Models:
         report = SuccessReport(**{**_fields(second_report), "choice": choice})
     except (TypeError, KeyError, RecursionError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
-    return Models(gamma, classifier, gamma_report, report)
+    return gamma, classifier, gamma_report, report
 
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:
@@ -139,11 +119,6 @@ def _frozen(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _frozen(one) for name, one in value.items()}
     return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
-
-
-def save_population(path: Path, population: Population) -> None:
-    """Write graphs and strategies."""
-    save_tensors(path, {**vars(population.graphs), "strategy": population.strategy}, {})
 
 
 def load_population(path: Path, actions: ActionSet) -> Population:
@@ -198,11 +173,9 @@ def is_share(value: Any) -> bool:
 
 
 def _is_score(value: Any) -> bool:
-    return is_share(value) and isinstance(value.get("scenarios"), str) and _is_mean(value)
-
-
-def _is_mean(score: dict[str, Any]) -> bool:
-    mean = score.get("mean_return")
+    if not is_share(value) or not isinstance(value.get("scenarios"), str):
+        return False
+    mean = value.get("mean_return")
     return mean is None or (type(mean) in (int, float) and math.isfinite(mean))
 
 
@@ -215,8 +188,7 @@ def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
 def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioBatch:
     """Scenarios like others, of which there may be none, from what `scenarios_to_list` gave.
 
-    Raises:
-        RunError: an entry lacks a field, or its numbers are not of the right kind and count.
+    RunError if an entry lacks a field, or its numbers are not of the right kind and count.
     """
     if not isinstance(data, list):
         raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
@@ -256,19 +228,42 @@ def _check_numbers(values: Any, shape: Sequence[int], dtype: torch.dtype, what: 
         raise RunError(f"{what} is {values!r:.60}; give whole numbers")
 
 
-def save_scenarios(path: Path, parts: dict[str, ScenarioBatch]) -> None:
-    """Write named batches of scenarios, such as W and M."""
-    write_json(path, {name: scenarios_to_list(s) for name, s in parts.items()})
+def save_scenarios(path: Path, solved: ScenarioBatch, missed: ScenarioBatch) -> None:
+    """Write W and M."""
+    write_json(path, {"W": scenarios_to_list(solved), "M": scenarios_to_list(missed)})
 
 
-def load_scenarios(
-    path: Path, names: tuple[str, ...], like: ScenarioBatch
-) -> tuple[ScenarioBatch, ...]:
-    """Read the batches called `names`; RunError if one is missing or damaged."""
-    data = read_json(path)
+def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]:
+    """Read W and M; RunError if one is missing or damaged."""
+    data, names = read_json(path), ("W", "M")
     for name in names:
         if not isinstance(data, dict) or name not in data:
             raise RunError(f"{str(path)!r} lacks {name!r}; restore the file")
     return tuple(
         scenarios_from_list(data[name], like, f"{name} in {str(path)!r}") for name in names
     )
+
+
+def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
+    """Write all that the next stage needs into a folder."""
+    if progress.skill is not None:
+        save_skill(folder / "skill.json", progress.skill)
+    save_scenarios(folder / "scenarios.json", progress.solved, progress.missed)
+    if progress.knowledge is not None:
+        save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
+    if (population := progress.specialists) is not None:
+        tensors = {**vars(population.graphs), "strategy": population.strategy}
+        save_tensors(folder / "specialists.safetensors", tensors, {})
+
+
+def load_progress(run: Run, folder: Path) -> Progress[Any]:
+    """Read what `save_progress` wrote."""
+    solved, missed = load_scenarios(folder / "scenarios.json", run.like())
+    knowledge = load_knowledge(folder, run.domain.unfitted()) if run.learns else None
+    progress = Progress(None, solved, missed, knowledge)
+    if (folder / "skill.json").is_file():
+        progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
+    if (folder / "specialists.safetensors").is_file():
+        population = load_population(folder / "specialists.safetensors", run.actions)
+        progress = replace(progress, specialists=population)
+    return progress

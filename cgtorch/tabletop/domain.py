@@ -20,8 +20,8 @@ from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes, write_bytes
+from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
-from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions

@@ -19,17 +19,9 @@ from cgtorch.ground.files import write_json
 from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import FreshTested, StageStarted
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.goal import (
-    DECISIVE_EPISODES,
-    EPISODES,
-    Goal,
-    holds,
-    mean_holds,
-    worth_deciding,
-)
+from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
 from cgtorch.runs.run import Run, round_name
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.storage import load_result
+from cgtorch.runs.storage import load_progress, load_result
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.initial_models import initial_progress
@@ -213,11 +205,6 @@ def act(
 
 def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
     """W and M with what succeeded and what failed."""
-    solved, missed = (
-        score.scenarios[rows.nonzero()[:, 0]] for rows in (score.succeeded, ~score.succeeded)
-    )
-    return replace(
-        progress,
-        solved=progress.solved.joined(solved),
-        missed=progress.missed.joined(missed),
-    )
+    solved = progress.solved.joined(score.scenarios[score.succeeded])
+    missed = progress.missed.joined(score.scenarios[~score.succeeded])
+    return replace(progress, solved=solved, missed=missed)

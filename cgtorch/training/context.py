@@ -17,8 +17,8 @@ from cgtorch.evolution import (
     lexicase,
     tournament,
 )
+from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import Watch
-from cgtorch.improvement.journal import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import SECONDS

@@ -13,7 +13,7 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.robust_success import robust_success
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.trial import first_percepts, run_skill
+from cgtorch.improvement.trial import first_percepts, try_skill
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
 OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
@@ -37,8 +37,7 @@ class Score:
     def of(self, rows: Tensor) -> "Score":
         """The score on some of the scenarios, a mask (B,)."""
         returns = None if self.returns is None else self.returns[rows]
-        some = self.scenarios[rows.nonzero()[:, 0]]
-        return Score(some, self.succeeded[rows], returns)
+        return Score(self.scenarios[rows], self.succeeded[rows], returns)
 
     @property
     def tried(self) -> int:
@@ -71,7 +70,7 @@ def joined(scores: list[Score]) -> Score:
 
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
     """How a skill does on scenarios."""
-    trial = run_skill(skill, domain.world(scenarios))
+    trial = try_skill(skill, domain.world(scenarios), record=False)
     return Score(scenarios, trial.succeeded, trial.returns)
 
 

@@ -12,7 +12,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import ModelsFitted
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.stage_files import load_progress, save_progress
+from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.training.context import Training
 
 OWN = 40  # the generator of what C is judged by, derived like an island's

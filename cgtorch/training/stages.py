@@ -32,24 +32,6 @@ class Exercise:
     draw: Draw[Any]
 
 
-def stages_up_to(domain: Domain[Any], stage: str) -> tuple[str, ...]:
-    """All stages that lead to one, itself included; SettingsError if it is unknown."""
-    names = tuple(domain.stages)
-    if stage not in names:
-        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*names, AUTO))}")
-    return names[: names.index(stage) + 1]
-
-
-def check_stages(run: Run) -> None:
-    """SettingsError unless a run's scenarios are those that the domain's stages are about."""
-    if run.kind != run.domain.usual_kind:
-        first, last = (list(run.domain.stages)[i] for i in (0, -1))
-        raise SettingsError(
-            f"stages {first} to {last} are about {run.domain.usual_kind} scenarios, not "
-            f"{run.kind}; use --stage {AUTO}"
-        )
-
-
 def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
     """All stages up to one, of a run that has them or can still make them.
 
@@ -57,8 +39,15 @@ def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
         SettingsError: no such stage, or the run is about scenarios that have none.
         RunError: the run has gone on in rounds.
     """
-    names = stages_up_to(run.domain, stage)
-    check_stages(run)
+    every, usual = tuple(run.domain.stages), run.domain.usual_kind
+    if stage not in every:
+        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*every, AUTO))}")
+    if run.kind != usual:
+        raise SettingsError(
+            f"stages {every[0]} to {every[-1]} are about {usual} scenarios, not {run.kind}; use "
+            f"--stage {AUTO}"
+        )
+    names = every[: every.index(stage) + 1]
     if run.rounds and not set(names) <= set(run.stages):
         raise RunError(
             f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "

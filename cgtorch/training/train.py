@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from torch import Generator
 
-from cgtorch.evolution import Population
+from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
@@ -23,11 +23,11 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Stage
+from cgtorch.improvement.stopping import Found
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.run import Run
-from cgtorch.runs.stage_files import load_progress, save_progress
-from cgtorch.runs.storage import load_result
+from cgtorch.runs.storage import load_progress, load_result, save_progress
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.training.initial_models import initial_progress
@@ -60,21 +60,18 @@ class Tally:
     def count(self, event: Event) -> None:
         """Take note of what an event says."""
         if isinstance(event, GenerationDone):
-            self.generations += 1
-            self.transitions += event.generation.transitions
-            self.searching += event.seconds
-            self._compare(event.generation.champion, event.generation.best)
+            self._add(1, event.generation, event.seconds)
         elif isinstance(event, EvolutionRecalled):
-            self.generations += event.generations
-            self.transitions += event.transitions
-            self.searching += event.seconds
-            self._compare(event.champion, event.best)
+            self._add(event.found.generations, event.found, event.found.seconds)
         elif isinstance(event, SkillAccepted):
             self.accepted = event
 
-    def _compare(self, champion: Population, fitness: float) -> None:
-        if fitness > self.best:
-            self.champion, self.best = champion, fitness
+    def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
+        self.generations += generations
+        self.transitions += found.transitions
+        self.searching += seconds
+        if found.best > self.best:
+            self.champion, self.best = found.champion, found.best
 
     def result(self, before: Progress[Any], skill: Skill, seconds: float) -> dict[str, Any]:
         """What the results of stages and of rounds tell alike, given where theirs began."""

@@ -107,7 +107,7 @@ def test_what_is_recalled_is_not_computed(
     assert same(found, wanted)
     assert not history(again)
     recalled = [e for e in again if isinstance(e, EvolutionRecalled)]
-    assert sum(e.generations for e in recalled) == len(history(told))
+    assert sum(e.found.generations for e in recalled) == len(history(told))
     others = [type(e) for e in again if not isinstance(e, EvolutionRecalled)]
     assert others == [type(e) for e in told if not isinstance(e, GenerationDone)]
 

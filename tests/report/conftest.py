@@ -18,11 +18,11 @@ from cgtorch.improvement.events import (
     FreshTested,
     GenerationDone,
     ModelsFitted,
+    ModelSummary,
     SkillAccepted,
     StageStarted,
     WorldTested,
 )
-from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.improvement.setup import Stage
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget

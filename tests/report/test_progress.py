@@ -14,11 +14,11 @@ from cgtorch.improvement.events import (
     Event,
     GenerationDone,
     ModelsFitted,
+    ModelSummary,
     SkillAccepted,
     StageStarted,
     WorldTested,
 )
-from cgtorch.improvement.model_summary import ModelSummary
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
 from cgtorch.report.event_messages import message_of

@@ -29,6 +29,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
+from cgtorch.improvement.stopping import Found
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
 from cgtorch.svm import Acceptance
@@ -248,7 +249,8 @@ def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Pa
     champion = generations[7].generation.champion
     again(events[0])
     again(world)
-    again(EvolutionRecalled("S1", generations[0].candidate, 8, 1, 1.0, champion, 0.5))
+    found = Found(champion, torch.zeros(0, dtype=torch.bool), 0.5, generations=8)
+    again(EvolutionRecalled("S1", generations[0].candidate, found))
     for event in [*generations[8:15], events[-1]]:
         again(event)
     for event in [*generations[10:15], events[-1]]:

@@ -17,8 +17,13 @@ from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report import final_table
 from cgtorch.runs.run import Run, open_run
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.storage import load_population, load_result, load_tensors, save_tensors
+from cgtorch.runs.storage import (
+    load_population,
+    load_progress,
+    load_result,
+    load_tensors,
+    save_tensors,
+)
 from cgtorch.training.train import finished_generations
 
 FILES = [

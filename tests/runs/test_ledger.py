@@ -17,7 +17,7 @@ from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.ledger import WAS, enter, read_entry, read_index
 from cgtorch.runs.run import open_run
-from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_progress
 from cgtorch.training.evaluate import under_other_noise
 
 W, M, NEW = range(len(WAS))

@@ -14,11 +14,12 @@ from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.run import open_run
-from cgtorch.runs.stage_files import load_progress, save_progress
 from cgtorch.runs.storage import (
     load_dataset,
+    load_progress,
     load_scenarios,
     load_tensors,
+    save_progress,
     save_scenarios,
     save_tensors,
     scenarios_from_list,
@@ -158,13 +159,14 @@ def test_what_are_no_scenarios(bad: object) -> None:
 
 def test_a_batch_of_scenarios_that_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "scenarios.json"
-    save_scenarios(path, {"W": scenarios_from_list([GOOD], LIKE, "here")})
-    assert len(load_scenarios(path, ("W",), LIKE)[0]) == 1
+    save_scenarios(path, scenarios_from_list([GOOD], LIKE, "here"), LIKE)
+    assert [len(batch) for batch in load_scenarios(path, LIKE)] == [1, 0]
+    path.write_text(json.dumps({"W": json.loads(path.read_text())["W"]}))
     with pytest.raises(RunError, match="lacks 'M'"):
-        load_scenarios(path, ("W", "M"), LIKE)
+        load_scenarios(path, LIKE)
     path.write_text("3")
     with pytest.raises(RunError, match="lacks 'W'"):
-        load_scenarios(path, ("W",), LIKE)
+        load_scenarios(path, LIKE)
 
 
 def test_tensor_files(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.run import create_run, open_run
 from cgtorch.runs.skills import last_skill, lone_skill
-from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_progress
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.training.context import Training
 from cgtorch.training.train import NotImprovedError, train

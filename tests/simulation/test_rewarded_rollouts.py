@@ -19,7 +19,7 @@ from walking import walking_actions as walking
 from cgtorch.actions import ActionSet, Detect
 from cgtorch.environment import Environment, Lanes, Rewarded
 from cgtorch.graphs import Graphs, Skill, SubSkill
-from cgtorch.improvement.trial import run_skill, try_skill
+from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import (
     MAX_STEPS,
     Recording,
@@ -208,7 +208,7 @@ def test_a_recording_of_a_world_without_rewards_gives_none() -> None:
 def test_trials_tell_returns_with_and_without_experience() -> None:
     place, actions = path(4, 10), walking()
     skill = Skill("walk", chain(actions, "Aim", "Step", speed=-0.1), actions, max_transitions=40)
-    trials = try_skill(skill, place), run_skill(skill, place)
+    trials = try_skill(skill, place), try_skill(skill, place, record=False)
     for trial in trials:
         assert trial.returns is not None
         assert trial.returns.isfinite().all()
@@ -216,7 +216,7 @@ def test_trials_tell_returns_with_and_without_experience() -> None:
     assert torch.equal(*[t.returns for t in trials if t.returns is not None])
     assert len(trials[0].experience.percept) > 10
     assert len(trials[1].experience.percept) == len(trials[1].experience.tested) == 0
-    assert run_skill(skill, Path(place.scenarios)).returns is None
+    assert try_skill(skill, Path(place.scenarios), record=False).returns is None
 
 
 def test_as_many_actions_as_the_limits_of_all_levels_allow() -> None:

@@ -19,8 +19,7 @@ from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, create_run, open_run
 from cgtorch.runs.skills import last_skill
-from cgtorch.runs.stage_files import load_progress
-from cgtorch.runs.storage import load_result
+from cgtorch.runs.storage import load_progress, load_result
 from cgtorch.training.auto import act, reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import check_percepts

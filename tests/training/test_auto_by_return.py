@@ -12,7 +12,7 @@ from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, create_run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.skills import last_skill
-from cgtorch.runs.stage_files import load_progress
+from cgtorch.runs.storage import load_progress
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 

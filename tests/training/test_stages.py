@@ -14,7 +14,7 @@ from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.world import random_scenarios, stage_scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
-from cgtorch.training.stages import check_stages, exercise, stage_generator, stages_up_to
+from cgtorch.training.stages import exercise, stage_generator, stages_to_make
 
 RUN = Run(Path("none"), RunSettings(), TABLE, paper_actions())
 STAGES = TABLE.stages
@@ -23,7 +23,7 @@ NONE = stage_scenarios("near", 0)
 
 def test_stages_in_order() -> None:
     assert STAGES == {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
-    assert [stages_up_to(TABLE, s) for s in STAGES] == [
+    assert [stages_to_make(RUN, s) for s in STAGES] == [
         ("S0",), ("S0", "S1"), ("S0", "S1", "S2"), ("S0", "S1", "S2", "S3"),
     ]  # fmt: skip
 
@@ -31,15 +31,15 @@ def test_stages_in_order() -> None:
 @pytest.mark.parametrize("bad", ["S4", "s0", "", "S0 ", "near", "../S0", "auto", "auto-1"])
 def test_unknown_stages(bad: str) -> None:
     with pytest.raises(SettingsError, match=r"unknown stage .*; use one of S0, S1, S2, S3"):
-        stages_up_to(TABLE, bad)
+        stages_to_make(RUN, bad)
 
 
 def test_only_the_papers_table_has_stages() -> None:
     for scenarios in ("auto", "perimeter"):
-        check_stages(replace(RUN, settings=RunSettings(scenarios=scenarios)))
+        assert stages_to_make(replace(RUN, settings=RunSettings(scenarios=scenarios)), "S0")
     for other in ("general", "general-clutter"):
         with pytest.raises(SettingsError, match=f"not {other}; use --stage auto"):
-            check_stages(replace(RUN, settings=RunSettings(scenarios=other)))
+            stages_to_make(replace(RUN, settings=RunSettings(scenarios=other)), "S0")
 
 
 @pytest.mark.parametrize("stage", STAGES)

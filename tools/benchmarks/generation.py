@@ -153,7 +153,7 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
 
 def _event(generation: Generation) -> GenerationDone:
     solved, count = int(generation.succeeded.sum()), len(generation.succeeded)
-    return GenerationDone("S0", "S0", generation, 150, 0, 0, solved, count, 1.0)
+    return GenerationDone("S0", "S0", 0, 0, solved, count, generation, 150, 1.0)
 
 
 @contextmanager

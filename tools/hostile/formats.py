@@ -40,9 +40,8 @@ from cgtorch.runs.storage import (
     load_population,
     load_result,
     load_scenarios,
-    save_dataset,
-    save_population,
     save_scenarios,
+    save_tensors,
 )
 from cgtorch.svm import load_model_and_report, save_model
 from cgtorch.tabletop.domain import Tabletop
@@ -94,8 +93,8 @@ def prepare(folder: Path) -> ActionSet:
     data = load_dataset(stage / "data.safetensors")
     gamma = gamma.compacted(16, data.percept[:200], data.control[:200])
     save_model(stage / "gamma.safetensors", gamma, report)
-    save_dataset(stage / "aside.safetensors", _few(data), {"seed": "2"})
-    save_dataset(stage / "data.safetensors", _few(data), {"seed": "2"})
+    for name in ("aside", "data"):
+        save_tensors(stage / f"{name}.safetensors", vars(_few(data)), {"seed": "2"})
     return open_run(folder).actions
 
 
@@ -105,21 +104,21 @@ def _few(data: Dataset) -> Dataset:
 
 def _scenarios(folder: Path, actions: ActionSet) -> list[bytes]:
     path, found = folder / "x.json", []
-    solved, missed = load_scenarios(REFERENCE / "S0" / "scenarios.json", ("W", "M"), LIKE)
+    solved, missed = load_scenarios(REFERENCE / "S0" / "scenarios.json", LIKE)
     clutter = draw_of("general-clutter")(6, Generator().manual_seed(0))
     for one, other in ((solved[:8], missed[:4]), (clutter, clutter[:0])):
-        save_scenarios(path, {"W": one, "M": other})
+        save_scenarios(path, one, other)
         found.append(path.read_bytes())
     return found
 
 
 def _read_scenarios(folder: Path, actions: ActionSet) -> object:
     """Scenarios without obstacles, as those of the run, or with them."""
-    path, names = folder / "S0" / "scenarios.json", ("W", "M")
+    path = folder / "S0" / "scenarios.json"
     try:
-        return load_scenarios(path, names, LIKE)
+        return load_scenarios(path, LIKE)
     except RunError:
-        return load_scenarios(path, names, LIKE_CLUTTER)
+        return load_scenarios(path, LIKE_CLUTTER)
 
 
 def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
@@ -128,7 +127,9 @@ def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
 
 
 def _populations(folder: Path, actions: ActionSet) -> list[bytes]:
-    save_population(folder / "x.safetensors", _population(actions))
+    population = _population(actions)
+    tensors = {**vars(population.graphs), "strategy": population.strategy}
+    save_tensors(folder / "x.safetensors", tensors, {})
     return [(folder / "x.safetensors").read_bytes()]
 
 

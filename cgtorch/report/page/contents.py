@@ -88,7 +88,7 @@ def _an_object(path: Path) -> dict[str, Any]:
 
 def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
     folder = run.folder / name
-    solved, missed = load_scenarios(folder / "scenarios.json", ("W", "M"), run.like())
+    solved, missed = load_scenarios(folder / "scenarios.json", run.like())
     skill = load_skill(folder / "skill.json", run.actions)
     return Stage(name, load_result(folder / "result.json"), skill, solved, missed, accepted)
 
@@ -98,8 +98,7 @@ def _fitted(run: Run) -> Fitted | None:
     for name in (*reversed(run.stages), START):
         folder = run.folder / name
         if (folder / GAMMA).is_file() and (folder / CLASSIFIER).is_file():
-            models = load_models(folder, run.domain.unfitted())
-            gamma, classifier = models.gamma_report, models.classifier_report
+            _, _, gamma, classifier = load_models(folder, run.domain.unfitted())
             if not (_sound_gamma(gamma) and _sound_classifier(classifier)):
                 raise RunError(f"a report of the models in {str(folder)!r} is damaged; restore it")
             return Fitted(name, gamma, classifier)

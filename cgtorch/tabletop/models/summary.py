@@ -7,7 +7,7 @@ from torch import Generator
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import rows_of, scalars_of, summary_of
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.improvement.model_summary import ModelSummary
+from cgtorch.improvement.events import ModelSummary
 from cgtorch.tabletop.data import Scenes
 from cgtorch.tabletop.models.success_quality import (
     FreshLabels,

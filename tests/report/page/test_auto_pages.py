@@ -24,12 +24,10 @@ def auto_run(folder: Path, scenarios: str, count: int) -> Run:
     graphs = random_graphs(3, 1, run.actions)
     skill = Skill("auto-1", graphs, run.actions)
     score = act(run, skill, count, seeded(0), enough=count)
-    solved, missed = (
-        score.scenarios[rows.nonzero()[:, 0]] for rows in (score.succeeded, ~score.succeeded)
-    )
+    solved, missed = (score.scenarios[rows] for rows in (score.succeeded, ~score.succeeded))
     (folder / "auto-1").mkdir()
     save_skill(folder / "auto-1" / "skill.json", skill)
-    save_scenarios(folder / "auto-1" / "scenarios.json", {"W": solved, "M": missed})
+    save_scenarios(folder / "auto-1" / "scenarios.json", solved, missed)
     tested = {"scenarios": scenarios, "tried": score.tried, "succeeded": score.successes}
     numbers = dict.fromkeys(
         ("targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded",

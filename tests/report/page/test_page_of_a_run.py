@@ -190,7 +190,7 @@ def test_a_stage_stands_beside_the_paper(page: html.HtmlElement, name: str) -> N
 
 @pytest.mark.parametrize("name", STAGES)
 def test_a_map_shows_all_that_was_tried(page: html.HtmlElement, name: str) -> None:
-    solved, missed = load_scenarios(REFERENCE / name / "scenarios.json", ("W", "M"), RUN.like())
+    solved, missed = load_scenarios(REFERENCE / name / "scenarios.json", RUN.like())
     picture = next(e for e in part(page, name).iter("svg") if "from above" in e.get("aria-label"))
     marks = {e.get("data-part"): len([*e.iter("use")]) for e in picture.iter("g")}
     assert marks["reached"] == len(solved)
@@ -266,22 +266,21 @@ def test_evolution_counts_the_generations(page: html.HtmlElement) -> None:
 
 
 def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None:
-    models = load_models(REFERENCE / "S3", RUN.domain.unfitted())
+    _, _, report, labels = load_models(REFERENCE / "S3", RUN.domain.unfitted())
     _, *rows = table(page, "Γ in cross-validation")
-    report = models.gamma_report
     for row, name, error, rigid in zip(
         rows, report.coordinates, report.error, report.baseline_error, strict=True
     ):
         assert row == [name, f"{100 * error:.2f} cm", f"{100 * rigid:.2f} cm"]
     found = facts(page.get_element_by_id("models"))
-    right = models.classifier_report.balanced_accuracy
+    right = labels.balanced_accuracy
     assert found["C: balanced accuracy, cross-validated"] == f"{right:.1%}"
     assert [row[0] for row in table(page, "C on fresh labels")[1:]] == [
         "near the object, any side and heading",
         "anywhere around the table",
         "just across the boundary of what can be grasped",
     ]
-    count = sum(n for _, _, n in models.classifier_report.reliability)
+    count = sum(n for _, _, n in labels.reliability)
     assert f"C on {count} held-out labels" in words(page.get_element_by_id("models"))
 
 
