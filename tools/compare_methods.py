@@ -33,9 +33,8 @@ from cgtorch.runs.run import Run, create_run, open_run, round_name
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
-from cgtorch.training.context import Training
+from cgtorch.training.context import Training, initial_progress
 from cgtorch.training.evaluate import evaluate_skill
-from cgtorch.training.initial_models import initial_progress
 from cgtorch.training.stages import exercise, stage_generator
 from cgtorch.training.train import NotImprovedError, train
 

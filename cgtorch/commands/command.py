@@ -1,47 +1,17 @@
-"""What all commands share: options from a dataclass, and errors of one line."""
+"""What all commands share: quick imports, and errors of one line."""
 
 import gc
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
-from types import FrameType, MappingProxyType
-from typing import Any, NoReturn, TypeVar
+from types import FrameType
+from typing import NoReturn
 
 import click
 
-from cgtorch.commands.completion import Completer, one_of
 from cgtorch.ground.errors import CgtorchError
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def options_of(
-    settings: type,
-    skip: Sequence[str] = (),
-    defaults: Mapping[str, Any] = MappingProxyType({}),
-    complete: Mapping[str, Completer] = MappingProxyType({}),
-) -> list[click.Option]:
-    """One option per field of a dataclass of options (`cgtorch.domains.settings`) but some.
-
-    `defaults` are in place of those of the fields, and shells `complete` those without choices.
-    """
-    choices = {f.name: f.metadata["choices"] for f in fields(settings)}
-    completers = {**complete, **{name: one_of(words) for name, words in choices.items() if words}}
-    return [
-        click.Option(
-            [f"--{f.name.replace('_', '-')}", f.name],
-            type=type(f.default),
-            default=defaults.get(f.name, f.default),
-            show_default=f.default != "",
-            help=f.metadata["help"],
-            shell_complete=completers.get(f.name),
-        )
-        for f in fields(settings)
-        if f.name not in skip
-    ]
 
 
 def import_from_here(specs: Sequence[str]) -> None:
@@ -52,10 +22,7 @@ def import_from_here(specs: Sequence[str]) -> None:
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """For imports that take a second, a sixth of it collecting garbage that is none.
-
-    What has been loaded stays, so it is not looked at afterwards either.
-    """
+    """For imports that take a second, a sixth of it collecting garbage; what is loaded stays."""
     gc.disable()
     try:
         yield
@@ -65,10 +32,7 @@ def importing() -> Iterator[None]:
 
 
 def run_command(command: click.Command) -> None:
-    """Run a command and exit: 0 done, 1 it could not be achieved, 2 bad input.
-
-    Bad input ends in one line on stderr that says what and what to do.
-    """
+    """Run a command and exit: 0 done, 1 not achieved, 2 bad input, with one line on stderr."""
     name = command.name or "cgtorch"
     # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
     previous, threading.excepthook = threading.excepthook, _report_thread

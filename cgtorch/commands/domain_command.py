@@ -30,26 +30,20 @@ class DomainCommand(click.Command):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """See `click.Command.get_params`."""
-        known = super().get_params(ctx)
-        spec = ctx.meta.get(DOMAIN, RunSettings.domain)
+        known, made = super().get_params(ctx), f"{DOMAIN}.options"
         try:
-            return [*known[:-1], *self._options(ctx, spec), known[-1]]
+            if made not in ctx.meta:
+                ctx.meta[made] = self._add(ctx.meta.get(DOMAIN, RunSettings.domain))
         except CgtorchError as e:
             if ctx.resilient_parsing:
                 return known
             raise click.UsageError(str(e)) from e
-
-    def _options(self, ctx: click.Context, spec: str) -> list[click.Option]:
-        made: list[click.Option] | None = ctx.meta.get(f"{DOMAIN}.options")
-        if made is None:
-            ctx.meta[f"{DOMAIN}.options"] = made = self._add(spec)
-        return made
+        return [*known[:-1], *ctx.meta[made], known[-1]]
 
 
 def domain_named(args: list[str]) -> str:
     """The domain that words of a command line are about: named, or that of the run named."""
-    spec = _value(args, "--domain")
-    run = _value(args, "--resume")
+    spec, run = _value(args, "--domain"), _value(args, "--resume")
     if spec is None and run is not None:
         try:
             spec = read_json(Path(run) / "run.json")["settings"]["domain"]

@@ -1,7 +1,7 @@
 """`cgtorch-train`: evolve a skill for a domain, in stages or until a goal is met."""
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import Field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,13 @@ from typing import Any
 import click
 
 from cgtorch.commands import completion
-from cgtorch.commands.command import importing, options_of, run_command
+from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.domain_command import DomainCommand
 from cgtorch.commands.options import common_options, epilog, number_option
 from cgtorch.domains.registry import check_options, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import NAMES, RunSettings, defaults_of
+from cgtorch.runs.settings import NAMES, RunSettings, defaults_of, option_of
 
 AUTO = "auto"
 EXAMPLES = """\b
@@ -40,12 +40,23 @@ def _options(spec: str) -> list[click.Option]:
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
-    skip, complete = ("actions", "domain"), {"scenarios": completion.kinds_of_domain}
-    return [
-        *options_of(Goal),
-        *options_of(RunSettings, skip, defaults_of(own), complete),
-        *options_of(own, ("environment", "target_return")),
-    ]
+    skip, defaults = ("actions", "domain", "environment", "target_return"), defaults_of(own)
+    every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
+    return [_option(f, defaults.get(f.name, f.default)) for f in every if f.name not in skip]
+
+
+def _option(f: Field[Any], default: Any) -> click.Option:
+    """The option of a field that `cgtorch.domains.settings.option` has made."""
+    choices = f.metadata["choices"]
+    kinds = completion.kinds_of_domain if f.name == "scenarios" else None
+    return click.Option(
+        [option_of(f.name), f.name],
+        type=type(f.default),
+        default=default,
+        show_default=f.default != "",
+        help=f.metadata["help"],
+        shell_complete=completion.one_of(choices) if choices else kinds,
+    )
 
 
 @click.command("cgtorch-train", cls=DomainCommand, add=_options, epilog=epilog(EXAMPLES))

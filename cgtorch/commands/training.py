@@ -39,14 +39,9 @@ from cgtorch.training.train import finished_generations, train
 class Wish:
     """What is asked of `cgtorch-train` besides settings.
 
-    Attributes:
-        stage: the last stage to make, "auto" to go on until the goal is met, or None for what the
-            run was begun for, or its domain's usual one.
-        goal: of "auto".
-        goal_given: what of the goal was given, by name.
-        device: where populations are evaluated.
-        quiet: print the final table only.
-        checkpoint_seconds: between two notes of where an evolution stands.
+    The last `stage` to make is "auto" to go on until the goal is met, and None for what the run was
+    begun for, or its domain's usual one. `goal_given` names what of the goal was given; between two
+    notes of where an evolution stands are `checkpoint_seconds`.
     """
 
     stage: str | None

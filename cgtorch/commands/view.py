@@ -4,7 +4,7 @@ from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +14,7 @@ from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
+    from cgtorch.runs.skills import Chosen
     from cgtorch.tabletop.viewer.choice import Candidate
 
 EXAMPLES = """\b
@@ -67,33 +68,30 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
     torch.set_num_threads(1)
     with options.waiting(f"loading {path}", rest["quiet"]):
-        offer = _offer(path, rest["name"], rest["actions"], scenarios)
-    draw_of(offer.kind)  # there must be such scenarios
-    candidates, against, other = dict(offer.candidates), None, rest["against"]
+        chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios)
+    draw_of(chosen.kind)  # there must be such scenarios
+    against, other = None, rest["against"]
     if other is not None:
-        more = _offer(other, None, rest["actions"], scenarios)
-        taken = candidates if more.folder != offer.folder else ()
-        names = {n: f"{n} of {other}" if n in taken else n for n in more.candidates}
-        against = names[more.chosen]
-        candidates = {names[n]: c for n, c in more.candidates.items()} | candidates
-    wish = Wish(offer.chosen, against, offer.kind, count, seed)
+        another, more = _offer(other, None, rest["actions"], scenarios)
+        taken = candidates if _folder(other, another) != _folder(path, chosen) else ()
+        names = {n: f"{n} of {other}" if n in taken else n for n in more}
+        against = names[another.skill.name]
+        candidates = {names[n]: c for n, c in more.items()} | candidates
+    wish = Wish(chosen.skill.name, against, chosen.kind, count, seed)
     page, address = open_page(candidates, wish, rest["host"], rest["port"])
     with suppress(KeyboardInterrupt):
-        click.echo(f"{offer.chosen} at work: {address} (Ctrl-C ends it)")
+        click.echo(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
         play_for_ever(page)
 
 
-class Offer(NamedTuple):
-    """What a path stands for: where it is, its skill's name, its scenarios, and all its skills."""
-
-    folder: Path
-    chosen: str
-    kind: str
-    candidates: dict[str, "Candidate"]
+def _folder(path: Path, chosen: "Chosen") -> Path:
+    return (path if chosen.run is None else chosen.run.folder).resolve()
 
 
-def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None) -> Offer:
-    """The skills of a run, or the skill of a file."""
+def _offer(
+    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None
+) -> tuple["Chosen", dict[str, "Candidate"]]:
+    """The skill that a path stands for, and all skills of its run."""
     from cgtorch.domains.registry import TABLETOP
     from cgtorch.runs.ledger import read_entry, read_index
     from cgtorch.runs.skills import chosen_skill, stored_domain
@@ -113,9 +111,7 @@ def _offer(path: Path, name: str | None, actions: tuple[str, ...], scenarios: st
         names = [line["name"] for line in read_index(run.folder)]
         entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
         skills = entries | skills
-    found = {n: Candidate(s, domain) for n, s in skills.items()}
-    folder = path if run is None else run.folder
-    return Offer(folder.resolve(), chosen.skill.name, chosen.kind, found)
+    return chosen, {n: Candidate(s, domain) for n, s in skills.items()}
 
 
 main = partial(run_command, command)

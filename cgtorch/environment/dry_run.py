@@ -1,8 +1,7 @@
 """Dry runs: what others plug in is tried on two rows at the door, where errors can say what it is.
 
-Actions (`cgtorch.actions.check_action`), Γ and C (`cgtorch.simulation.ModelEnvironment`) and whole
-environments (`check_environment`) are checked once, before anything long begins. Each error names
-the method, what it returned, and what it should have.
+That is done once, before anything long begins, with actions, Γ and C, and whole environments. Each
+error names the method, what it returned, and what it should have.
 """
 
 from collections.abc import Callable, Sequence
@@ -105,7 +104,8 @@ def check_environment(environment: Environment, device: torch.device | str = "cp
     state, percept = expect_pair(WorldError, f"{name}.start", "states, percepts", first)
     for attribute in ("percept_size", "control_size"):  # which may be found out by a start
         _check_size(environment, attribute)
-    floats = percept.dtype if _is_float(percept) else torch.float32
+    given = isinstance(percept, Tensor) and percept.is_floating_point()
+    floats = percept.dtype if given else torch.float32
     shape = (ROWS, environment.percept_size)
     expect(WorldError, f"{name}.start", "percepts", percept, shape, floats)
     if not isinstance(state, Tensor) or state.dim() != 2 or len(state) != ROWS:
@@ -132,7 +132,3 @@ def _check_size(environment: Environment, attribute: str) -> None:
     value = returned(WorldError, f"{name}.{attribute}", getattr, environment, attribute, None)
     if not isinstance(value, int) or value < 1:
         raise WorldError(f"{name}: {attribute} is {value!r:.40}; give a whole number from 1 on")
-
-
-def _is_float(value: object) -> bool:
-    return isinstance(value, Tensor) and value.is_floating_point()

@@ -1,8 +1,7 @@
 """What a running skill starts from, sees, and acts in: scenarios, lanes, environments.
 
 A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes, and
-every place a skill can run in (the learned models Γ and C, the tabletop world, a user's own
-domain) is an `Environment`. Both are plain data and pure functions: a step returns new lanes.
+every place a skill can run in, models or worlds, is an `Environment`: a step returns new lanes.
 """
 
 from dataclasses import dataclass, fields, replace

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cache
+from itertools import pairwise
 from typing import TypeVar
 
 import torch
@@ -156,11 +157,10 @@ def wait() -> None:
         torch.distributed.barrier()
 
 
-def share(rows: int, group: Group | None = None, index: int | None = None) -> slice:
-    """The part of so many rows that a rank of a group has, this one if not given, in order."""
+def share(rows: int, group: Group | None = None) -> slice:
+    """The part of so many rows that this rank has of a group's, in order."""
     group = group or all_ranks()
-    index = group.index if index is None else index
-    return slice(index * rows // group.size, (index + 1) * rows // group.size)
+    return slice(group.index * rows // group.size, (group.index + 1) * rows // group.size)
 
 
 def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
@@ -168,8 +168,8 @@ def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
     group = group or all_ranks()
     if group.size == 1:
         return part
-    shares = [share(rows, group, index) for index in range(group.size)]
-    return _all_gather(part, [each.stop - each.start for each in shares], group.handle)
+    ends = [index * rows // group.size for index in range(group.size + 1)]
+    return _all_gather(part, [end - begin for begin, end in pairwise(ends)], group.handle)
 
 
 def all_reduce(number: int, group: Group | None = None) -> int:

@@ -24,14 +24,11 @@ from cgtorch.improvement.stopping import Found
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a long step stands.
+    """What a long step has come to so far, and what it goes on from.
 
-    Attributes:
-        about: what it has come to so far.
-        parts: each gives a part of what it goes on from, which may be large, when it is called.
-            All ranks call those that they call in the same order; what is kept is what the first
-            one gets.
-        apart: whether parts are held by several ranks, so that no rank has all without the others.
+    Each of the parts gives, when it is called, a part of that, which may be large. All ranks call
+    those that they call in the same order; what is kept is what the first one gets. Where they are
+    held `apart`, no rank has all without the others.
     """
 
     about: dict[str, Tensor]

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.team import (
@@ -36,15 +36,9 @@ def improve(
 ) -> Progress[S]:
     """Divide, evolve and compose, and again with what fails on fresh scenarios.
 
-    Args:
-        stage: what to work with.
-        progress: where the earlier stages ended.
-        scenarios: what the new skill shall solve.
-        targets: their bool mask of the stage's own test placements.
-        draw: gives fresh scenarios to test an accepted skill on.
-
-    Returns:
-        The new skill with what it solves and misses; the old one where eq. 1 could not be met.
+    A new skill goes on from where earlier stages ended, and shall solve the scenarios, of which
+    `targets` (B,) bool are the stage's own tests. It comes with what it solves and misses; where
+    eq. 1 could not be met, the old one does.
     """
     began, setup = time.perf_counter(), stage.setup
     state, accepted = _begun(stage, progress, scenarios, targets), None

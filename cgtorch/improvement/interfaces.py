@@ -1,8 +1,4 @@
-"""What improvement asks of a domain: scenarios, where to search, and how models learn.
-
-With a world that holds given scenarios and the actions of its skills that is all of it. A `Domain`
-(`cgtorch.domains`) gives all of these.
-"""
+"""What improvement asks of a `Domain`: scenarios, where to search, and how models learn."""
 
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar

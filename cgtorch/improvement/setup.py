@@ -18,10 +18,6 @@ from cgtorch.improvement.interfaces import Grouping, Imagine, Learn, Models, S
 from cgtorch.improvement.stopping import Budget
 
 
-def _has_learned(models: Models) -> ModelSummary:
-    return ModelSummary("the models have learned")
-
-
 @dataclass(frozen=True)
 class Setup(Generic[S]):
     """What improvement works with and never changes.
@@ -53,7 +49,7 @@ class Setup(Generic[S]):
     world_of: Callable[[S], Environment]
     imagine: Imagine[S]
     learn: Learn | None = None
-    describe: Callable[[Models], ModelSummary] = _has_learned
+    describe: Callable[[Models], ModelSummary] = lambda _: ModelSummary("the models have learned")
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
     budget: Budget = field(default_factory=Budget)
     attempts: int = 24
@@ -71,14 +67,7 @@ class Setup(Generic[S]):
 
 @dataclass(frozen=True)
 class Stage(Generic[S]):
-    """What one stage works with, from its beginning to its end.
-
-    Attributes:
-        setup: what all stages work with.
-        name: of the stage and of the skill that it makes.
-        generator: of all random choices.
-        watch: told what happens.
-    """
+    """What one stage works with; its name is that of the skill that it makes, too."""
 
     setup: Setup[S]
     name: str

@@ -43,8 +43,7 @@ _PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
 class FileJournal(Journal):
     """A `Journal` in a folder; as a context manager it keeps at the end where a step stands.
 
-    Attributes:
-        damaged: files that could not be read, and are not counted.
+    What could not be read, and is not counted, is in `damaged`.
     """
 
     def __init__(
@@ -112,10 +111,7 @@ class FileJournal(Journal):
     def __exit__(
         self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Where the stage ends early, keep where it stands; where it is finished, forget it.
-
-        Who ends early does so alone, so what other ranks hold cannot be had any more.
-        """
+        # Who ends early does so alone, so what other ranks hold cannot be had any more.
         unwritten = self._unwritten
         if kind is None:
             if ranks.first():
@@ -232,10 +228,7 @@ def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) 
 
 
 def forget(folder: Path, name: str) -> None:
-    """Remove the journal of a stage that the run in `folder` has; the first rank does it.
-
-    Who is killed after the stage was written and before its journal was removed leaves one.
-    """
+    """Remove the journal of a finished stage, if whoever made it was killed before that."""
     if ranks.first() and (folder / FOLDER / name).is_dir():
         _forget(folder / FOLDER / name)
 

@@ -83,10 +83,7 @@ def entry_of(
     after: Progress[Any],
     other_noise: dict[str, int] | None = None,
 ) -> Entry:
-    """The entry of a skill that was just accepted and has improved its parent.
-
-    Scenarios that are only in the W or M of `after`, where the stage ended, were new.
-    """
+    """The entry of a skill that improved its parent; what only W and M of `after` hold is new."""
     known = set(_keys(accepted.scenarios))
     parts, was, succeeded = [accepted.scenarios], [(~accepted.keep).long()], [accepted.succeeded]
     for scenarios, solved in ((after.solved, True), (after.missed, False)):

@@ -21,31 +21,23 @@ from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import read_json, write_json, writing
 from cgtorch.runs.journal import FOLDER
 from cgtorch.runs.run import AUTO, Run, round_name, versions
-from cgtorch.runs.settings import NAMES, RunSettings, all_fields
+from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 
 ASIDE = "set-aside"
 
 
 @dataclass(frozen=True)
 class TakenOver:
-    """What a run goes on with.
+    """A run with its settings of now, and `before` which stage or round it goes on with them.
 
-    Attributes:
-        run: with its settings of now.
-        changed: what differs from before, old and new, by name: settings, cgtorch, torch.
-        before: the stage or round that is made next.
-        set_aside: where its journal is now, within the run; None if there was none to set aside.
+    `changed` is what differs, old and new, by name: settings, cgtorch, torch. If its journal was to
+    be set aside, `set_aside` is where that is within the run.
     """
 
     run: Run
     changed: Mapping[str, tuple[Any, Any]]
     before: str
     set_aside: str | None
-
-
-def option_of(name: str) -> str:
-    """A setting as the command line calls it."""
-    return f"--{name.replace('_', '-')}"
 
 
 def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
@@ -59,7 +51,7 @@ def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
             raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
         raise SettingsError(
             f"{about}; {how}, or take it over with --resume {run.folder} --override "
-            f"{name.replace('_', '-')}={value}"
+            f"{option_of(name)[2:]}={value}"
         )
 
 

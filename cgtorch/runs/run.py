@@ -45,14 +45,7 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class Run:
-    """An open run.
-
-    Attributes:
-        folder: where it is.
-        settings: what it is made with.
-        domain: what it is about.
-        actions: the primitive actions.
-    """
+    """An open run: where it is, what it is made with and about, and the primitive actions."""
 
     folder: Path
     settings: RunSettings

@@ -95,3 +95,8 @@ def defaults_of(domain_settings: type[DomainSettings]) -> dict[str, Any]:
 def all_fields(domain_settings: type[DomainSettings]) -> tuple[Any, ...]:
     """The fields of a run's settings and of its domain's."""
     return (*fields(RunSettings), *fields(domain_settings))
+
+
+def option_of(name: str) -> str:
+    """A setting as the command line calls it."""
+    return f"--{name.replace('_', '-')}"

@@ -18,14 +18,9 @@ from cgtorch.runs.settings import RunSettings
 
 @dataclass(frozen=True)
 class Chosen:
-    """A skill with what it is to be tried on.
+    """A skill with the domain and kind of the scenarios that it is to be tried on.
 
-    Attributes:
-        skill: the skill.
-        domain: what it is for.
-        kind: of the scenarios that it is tried on.
-        run: that it is of; None of a file that stands for itself.
-        stage: folder of the stage that made it; None if that is not known.
+    The run is None where a file stands for itself, the stage's folder where it is not known.
     """
 
     skill: Skill
@@ -42,7 +37,7 @@ def chosen_skill(
     kind: str | None,
     domain: str | None = None,
 ) -> Chosen:
-    """The skill that a path stands for.
+    """The skill that a path stands for; CgtorchError if there is none, or it cannot be read.
 
     Args:
         path: of a run, which stands for its last skill, of a stage in it, or of a skill file.
@@ -50,9 +45,6 @@ def chosen_skill(
         actions: further actions that may be imported.
         kind: of scenarios; what the run is about, or the usual one of the domain, if not given.
         domain: what a file is for, or the run's if that is code that may be imported.
-
-    Raises:
-        CgtorchError: there is none, or it cannot be read.
     """
     if path.is_file():
         made, kind, skill = lone_skill(path, actions, kind, domain or RunSettings.domain)

@@ -108,7 +108,7 @@ def load_models(folder: Path, unfitted: Unfitted) -> Models:
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:
     """The fields of a report: JSON's lists as tuples, and the learning curve, if it has one."""
-    found = {name: _frozen(value) for name, value in report.items()}
+    found: dict[str, Any] = _frozen(report)
     if found.get("learning_curve") is not None:
         found["learning_curve"] = LearningCurve(**found["learning_curve"])
     return found

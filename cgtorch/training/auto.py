@@ -22,9 +22,8 @@ from cgtorch.improvement.setup import Progress
 from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
 from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.storage import load_progress, load_result
-from cgtorch.training.context import Training
+from cgtorch.training.context import Training, initial_progress
 from cgtorch.training.evaluate import Score, joined, try_on
-from cgtorch.training.initial_models import initial_progress
 from cgtorch.training.stages import Exercise, stage_generator
 from cgtorch.training.train import Made, Tally, counts, make_stage
 
@@ -36,18 +35,16 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     """Improve in rounds until the goal holds or what may be spent is spent.
 
     A run that has stages or rounds goes on from its last one. `goal.minutes` are those of this
-    call, `goal.rounds` all the run's; a round that has begun is finished.
-
-    Returns:
-        The result of every stage and round, as in its result.json.
+    call, `goal.rounds` all the run's; a round that has begun is finished. Returned is the result of
+    every stage and round, as in its result.json.
 
     Raises:
         NotImprovedError: a round ended and there is still no skill at all.
         RunError: a file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
-    progress = load_progress(run, run.folder / run.stages[-1]) if run.stages else None
-    progress = progress or initial_progress(training)
+    last = run.folder / run.stages[-1] if run.stages else None
+    progress = load_progress(run, last) if last else initial_progress(training)
     results = [load_result(run.folder / name / "result.json") for name in run.stages]
     first, made = len(results) - len(run.rounds), len(run.rounds)
     while (
@@ -97,8 +94,12 @@ def _round(
     training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
-        if run.domain.rewarded and tally.accepted is None and not len(after.solved):
-            after = _with_the_fittest(training, name, after, tally)
+        fittest, unsolved = tally.champion, tally.accepted is None and not len(after.solved)
+        if run.domain.rewarded and unsolved and fittest is not None and tally.best >= WORTHLESS:
+            # Eq. 1 has nothing to say before anything is solved; the next round goes on from here.
+            graph, transitions = merged(fittest.graphs), run.settings.max_transitions
+            best = Skill(name, graph, run.actions, transitions)
+            after = replace(after, skill=best, specialists=fittest)
         skill = after.skill
         if skill is None:
             return None
@@ -127,21 +128,6 @@ def _round(
     return make_stage(training, name, progress, task, generator, test)
 
 
-def _with_the_fittest(
-    training: Training, name: str, progress: Progress[Any], tally: Tally
-) -> Progress[Any]:
-    """Where rewards are given and nothing is solved yet, the fittest individual is the skill.
-
-    Eq. 1 has nothing to say before anything is solved, and the next round goes on from here.
-    """
-    if tally.champion is None or tally.best < WORTHLESS:
-        return progress
-    run, champion = training.run, tally.champion
-    graph = merged(champion.graphs)
-    skill = Skill(name, graph, run.actions, run.settings.max_transitions)
-    return replace(progress, skill=skill, specialists=champion)
-
-
 def _tested(
     training: Training,
     goal: Goal,
@@ -150,11 +136,9 @@ def _tested(
     progress: Progress[Any],
     generator: Generator,
 ) -> tuple[Progress[Any], list[Score], bool]:
-    """Try a round's skill on fresh scenarios, all of which join W or M.
+    """Try a round's skill on fresh scenarios, which join W or M: the tests, and if the goal holds.
 
-    Returns:
-        Where the round ends; how the skill did in the test before the one that decides and, if that
-        was worth it, in that one; and whether the goal holds.
+    There is a second test, which decides, if the first makes it worth it.
     """
     domain, scores = training.run.domain, list[Score]()
     if domain.rewarded:  # what counts is the mean of the returns
@@ -174,32 +158,25 @@ def _tested(
                 break
         elif not worth_deciding(goal, *counted):
             break
-    if len(scores) == 1:
-        return progress, scores, False
     if domain.rewarded:
-        returns = scores[1].returns
-        return progress, scores, returns is not None and mean_holds(returns.tolist(), target)
-    return progress, scores, holds(goal, scores[1].successes, scores[1].tried, decisions + 1)
+        met = score.returns is not None and mean_holds(score.returns.tolist(), target)
+    else:
+        met = holds(goal, *counted, decisions + 1)
+    return progress, scores, len(scores) == 2 and met
 
 
 def act(
     run: Run, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
 ) -> Score:
-    """Try a skill on at most so many fresh scenarios, batch by batch, until `enough` were missed.
-
-    Without a skill everything is missed.
-    """
+    """A skill on up to `most` fresh scenarios, until `enough` are missed; all are without one."""
     domain: Domain[Any] = run.domain
     parts = list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
         sum(p.tried - p.successes for p in parts) < enough
     ):
         fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
-        if skill is None:
-            nobody = torch.zeros(len(fresh), dtype=torch.bool)
-            parts.append(Score(fresh, nobody))
-        else:
-            parts.append(try_on(skill, domain, fresh))
+        nothing = Score(fresh, torch.zeros(len(fresh), dtype=torch.bool))
+        parts.append(nothing if skill is None else try_on(skill, domain, fresh))
     return joined(parts)
 
 

@@ -1,14 +1,17 @@
-"""What a training works with from its beginning to its end."""
+"""What a training works with, and what it knows before its first stage."""
 
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import torch
+from torch import Generator
 
-from cgtorch.domains.knowledge import learn
+from cgtorch.domains.knowledge import fit_models, learn
 from cgtorch.domains.summary import summary_of
+from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Environment
 from cgtorch.evolution import (
     EvolutionSettings,
@@ -17,27 +20,29 @@ from cgtorch.evolution import (
     lexicase,
     tournament,
 )
+from cgtorch.evolution.islands import generator_of
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.events import Watch
-from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.events import ModelsFitted, Watch
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.run import Run
+from cgtorch.runs.storage import load_progress, save_progress
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 """Makes a context in which a long step runs under a message."""
+
+OWN = 40  # the generator of what C is judged by, derived like an island's
 
 
 @dataclass(frozen=True)
 class Training:
     """What a training works with.
 
-    Attributes:
-        run: an open run.
-        watch: told what happens.
-        working: makes a context in which a long step runs under a message.
-        device: where populations are evaluated.
-        checkpoint_seconds: least time between two notes of where an evolution stands.
+    Populations are evaluated on the device, and between two notes of where an evolution stands are
+    at least `checkpoint_seconds`.
     """
 
     run: Run
@@ -97,3 +102,41 @@ def evolution_settings(run: Run) -> EvolutionSettings:
         islands=s.islands,
         migration=s.migration,
     )
+
+
+def initial_progress(training: Training) -> Progress[Any]:
+    """Data, labels, Γ and C before the first stage (section V), made once and kept in the run.
+
+    A run whose skills are evolved in the world itself has none. What can be done side by side is,
+    where compiled code may use more than one thread.
+    """
+    run, working = training.run, training.working
+    nothing = run.like()
+    if not run.learns:
+        return Progress(None, nothing, nothing, None)
+    start = run.folder / "start"
+    if start.is_dir():
+        return load_progress(run, start)
+    settings, domain, kind = run.settings, run.domain, run.kind
+    generator = Generator().manual_seed(settings.seed)
+    with working("acting at random and testing success"):
+        dataset = domain.explore(kind, settings.transitions, settings.labels, generator)
+    own = generator_of(generator, OWN)
+
+    def fresh(gamma: TransitionModel) -> Any:
+        return domain.try_transition(kind, gamma, settings.labels, generator)
+
+    began = time.perf_counter()
+    with working("fitting both models, trying the transition model"):
+        # Several ranks share out work in the world, which forked processes cannot.
+        alone = ranks.count() > 1
+        knowledge, found = fit_models(domain, dataset, settings.seed, fresh, alone)
+    seconds = time.perf_counter() - began
+    with working("trying the success classifier"):
+        summary = domain.summary(kind, knowledge, found, own)
+    training.watch(ModelsFitted("start", summary, seconds))
+    progress = Progress(None, nothing, nothing, knowledge)
+    if ranks.first():
+        with whole_folder(start) as folder:
+            save_progress(folder, progress, settings.seed)
+    return progress

@@ -22,13 +22,7 @@ FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the mem
 
 @dataclass(frozen=True)
 class Score:
-    """How a skill did.
-
-    Attributes:
-        scenarios: what it was tried on.
-        succeeded: (B,) bool.
-        returns: (B,) of its episodes; None where the world gives no rewards.
-    """
+    """How a skill did: `succeeded` (B,) bool, and `returns` (B,) where the world gives rewards."""
 
     scenarios: Any
     succeeded: Tensor
@@ -105,10 +99,9 @@ def evaluate_skill(
 def promise_kept(
     score: Score, skill: Skill, knowledge: Knowledge, domain: Domain[Any], seed: int
 ) -> Score | None:
-    """The score in the world of a skill where it succeeds in the models.
+    """The score in the world where models promise success (`cgtorch.domains.robust_success`).
 
-    That is under all errors sampled from the seed (`cgtorch.domains.robust_success`); None where
-    the models were learned from percepts of another length.
+    None where they were learned from percepts of another length.
     """
     percepts = first_percepts(domain.world(score.scenarios))
     if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
@@ -120,10 +113,7 @@ def promise_kept(
 def under_other_noise(
     skill: Skill, domain: Domain[Any], solved: Any, seed: int, most: int = OTHER_NOISE
 ) -> Score:
-    """How a skill does on what it solved, W, when it meets other noise than it did.
-
-    Of a larger W, `most` scenarios are chosen at random.
-    """
+    """How a skill does on what it solved, W, at most so many, when it meets other noise."""
     pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
     return try_on(skill, domain, solved[pick].with_noise(FRESH_COPY))
 

@@ -17,13 +17,10 @@ _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 
 @dataclass(frozen=True)
 class Exercise:
-    """What a stage is to solve.
+    """What a stage is to solve: so many tests of its own, then what failed before, then practice.
 
-    Attributes:
-        scenarios: the stage's tests, then what failed before, then practice.
-        targets: (B,) bool, the tests and what failed before.
-        tests: how many of these are the stage's own tests, which come first.
-        draw: draws fresh scenarios that an accepted skill is tested on.
+    `targets` (B,) bool are the tests and what failed before; `draw` gives fresh scenarios, on which
+    an accepted skill is tested.
     """
 
     scenarios: Any
@@ -35,9 +32,7 @@ class Exercise:
 def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
     """All stages up to one, of a run that has them or can still make them.
 
-    Raises:
-        SettingsError: no such stage, or the run is about scenarios that have none.
-        RunError: the run has gone on in rounds.
+    SettingsError if its scenarios have no such stage, RunError if it has gone on in rounds.
     """
     every, usual = tuple(run.domain.stages), run.domain.usual_kind
     if stage not in every:

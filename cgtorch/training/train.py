@@ -28,9 +28,8 @@ from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, load_result, save_progress
-from cgtorch.training.context import Training
+from cgtorch.training.context import Training, initial_progress
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
-from cgtorch.training.initial_models import initial_progress
 from cgtorch.training.stages import Exercise, exercise, stage_generator, stages_to_make
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
@@ -90,10 +89,7 @@ class Tally:
 
 
 def train(training: Training, stage: str) -> list[dict[str, Any]]:
-    """Make all stages up to one, except those the run has already.
-
-    Returns:
-        The result of every stage, as in its result.json.
+    """Make all stages up to one, except those the run has; the results as in each result.json.
 
     Raises:
         NotImprovedError: a stage ended without a skill that meets eq. 1.
@@ -161,14 +157,10 @@ def make_stage(
     generator: Generator,
     test: Callable[[Progress[Any], Tally], Made | None],
 ) -> Made:
-    """Make one stage or round and keep it in the run.
+    """Make one stage or round and keep it in the run; NotImprovedError if there is no skill.
 
     `test` tries its skill on fresh scenarios: from where it has come to and what that cost to where
     it ends and its result; None if there is no skill.
-
-    Raises:
-        NotImprovedError: there is no skill.
-        RunError: a file cannot be written or read.
     """
     run, tally = training.run, Tally()
 

@@ -11,8 +11,8 @@ from support import seeded
 from torch import Generator, Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.coreset import cover
 from cgtorch.improvement.events import GenerationDone, SkillAccepted
+from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.team import StageState, compose_team

@@ -7,9 +7,8 @@ from typing import Any
 
 from cgtorch.domains.registry import with_name
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.resume_settings import option_of
 from cgtorch.runs.run import AUTO, Run
-from cgtorch.runs.settings import all_fields, defaults_of
+from cgtorch.runs.settings import all_fields, defaults_of, option_of
 
 AGAIN = "runs/again"
 ENGINE, TORCH = "engine", "torch"
