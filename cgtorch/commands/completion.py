@@ -22,7 +22,6 @@ SHELLS = ("bash", "zsh", "fish")
 TRAINED = ("perimeter", "general", "general-clutter")
 SCENARIOS = ("near", "left", "right", "far", *TRAINED)
 STAGES = ("S0", "S1", "S2", "S3", "auto")
-DEVICES = ("auto", "cpu", "cuda")
 
 Completer: TypeAlias = Callable[[Context, Parameter, str], list[CompletionItem]]
 """What click asks with the words before and the beginning of one."""

@@ -60,7 +60,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
 
         from cgtorch.runs.ledger import read_index
         from cgtorch.runs.skills import chosen_skill
-        from cgtorch.runs.storage import holds_models, load_knowledge
+        from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
         from cgtorch.training.evaluate import evaluate_skill, promise_kept
 
     torch.set_num_threads(1)
@@ -73,7 +73,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         _draw(rest["picture"], score, chosen)
     own, promised, noise = _share(score.successes, score.tried), None, None
     if stage is not None and chosen.run is not None:
-        if holds_models(stage):
+        # A run may be passed on without its models.
+        if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
             knowledge = load_knowledge(stage, domain.unfitted())
             with options.waiting(f"asking the models what they promise of {skill.name}", quiet):
                 kept = promise_kept(score, skill, knowledge, domain, seed)
@@ -120,8 +121,7 @@ def _returns_as_text(score: "Score", target: float) -> str:
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:
     """A counted share with its interval, for programs."""
-    interval = list(wilson(succeeded, tried, 0.95))
-    rate = succeeded / max(1, tried)
+    rate, interval = succeeded / max(1, tried), list(wilson(succeeded, tried, 0.95))
     return {"tried": tried, "succeeded": succeeded, "rate": rate, "interval": interval}
 
 

@@ -14,12 +14,11 @@ from cgtorch.ground.errors import RunError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-EXIT_CODES = "Exit codes: 0 done; 1 the task failed or was interrupted; 2 bad input."
-
 
 def epilog(examples: str) -> str:
     """What ends the help of every command: its examples and what it exits with."""
-    return f"{examples.rstrip()}\n\n{EXIT_CODES}"
+    codes = "Exit codes: 0 done; 1 the task failed or was interrupted; 2 bad input."
+    return f"{examples.rstrip()}\n\n{codes}"
 
 
 def _print_script(context: click.Context, parameter: click.Parameter, shell: str | None) -> None:
@@ -59,7 +58,6 @@ def common_options(function: F) -> F:
 
 
 def _with_options(function: F, options: Sequence[Callable[[F], F]]) -> F:
-    """A function with options that are told in this order."""
     return reduce(lambda f, option: option(f), reversed(options), function)
 
 

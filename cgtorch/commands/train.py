@@ -93,7 +93,7 @@ def _option(f: Field[Any], default: Any) -> click.Option:
     "--device",
     default="auto",
     show_default=True,
-    shell_complete=completion.one_of(completion.DEVICES),
+    shell_complete=completion.one_of(("auto", "cpu", "cuda")),
     help="auto, cpu, cuda or cuda:N.",
 )
 @number_option(
@@ -117,12 +117,10 @@ def command(context: click.Context, /, **options: Any) -> None:
     with importing():
         from cgtorch.commands.training import Wish, begin, carry_on, device_of
         from cgtorch.ground.distributed import together
+        from cgtorch.runs.run import open_run
 
-    given = {
-        name
-        for name in options
-        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
-    }
+    default = click.core.ParameterSource.DEFAULT
+    given = {name for name in options if context.get_parameter_source(name) is not default}
     own = settings_class(context.meta[completion.DOMAIN])
     of_domain = {f.name for f in fields(own)}
     settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
@@ -131,7 +129,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     goal_given = frozenset(given & set(aims))
     if "target" in given and "target_return" in of_domain:
         wanted["target_return"] = aims.pop("target")
-    overrides = _overrides(context, options["override"])
+    overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
     wish = Wish(
         stage=options["stage"],
         goal=Goal(**aims),
@@ -145,7 +143,8 @@ def command(context: click.Context, /, **options: Any) -> None:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
         spec = options["domain"] if "domain" in given else None
         with together():
-            carry_on(options["resume"], options["actions"], spec, wanted, overrides, wish)
+            run = open_run(options["resume"], options["actions"], spec)
+            carry_on(run, wanted, overrides, wish)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
@@ -159,15 +158,14 @@ def command(context: click.Context, /, **options: Any) -> None:
         begin(folder, run_settings, domain_settings, wish)
 
 
-def _overrides(context: click.Context, words: Sequence[str]) -> dict[str, Any]:
+def _overrides(context: click.Context, known: set[str], words: Sequence[str]) -> dict[str, Any]:
     """Settings by name from NAME=VALUE, read as their own options read them."""
     options = {option.name: option for option in context.command.get_params(context)}
-    own = {f.name for f in fields(settings_class(context.meta[completion.DOMAIN]))}
     found = {}
     for word in words:
         name, _, text = word.partition("=")
         name = name.removeprefix("--").replace("-", "_")
-        if "=" not in word or name not in {*NAMES, *own} or name not in options:
+        if "=" not in word or name not in known or name not in options:
             raise SettingsError(
                 f"--override {word!r:.40} names no setting; give NAME=VALUE, such as population=600"
             )

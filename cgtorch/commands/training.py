@@ -1,9 +1,9 @@
 """What `cgtorch-train` does once its options are understood."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -70,19 +70,8 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
     _train(run, settings, wish)
 
 
-def carry_on(
-    folder: Path,
-    trusted: Sequence[str],
-    domain: str | None,
-    given: Mapping[str, Any],
-    overrides: Mapping[str, Any],
-    wish: Wish,
-) -> None:
-    """Go on with a run under its settings, which must be those given, but for the `overrides`.
-
-    Actions that are `trusted`, and a domain that is named, may be code of their own.
-    """
-    run = open_run(folder, trusted, domain)
+def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], wish: Wish) -> None:
+    """Go on with a run under its settings, which must be those given, but for the `overrides`."""
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")
@@ -102,8 +91,8 @@ def device_of(name: str) -> torch.device:
     return device
 
 
-def _asked(run: Run, wish: Wish) -> Wish:
-    """The wish with the stage and goal that the run was begun for where none is given."""
+def _asked(run: Run, wish: Wish) -> tuple[str, Goal]:
+    """The stage and goal that are wished for, or that the run was begun for where none is given."""
     before = goes_on_to(run)
     stage, goal = _stage(run, wish, before), wish.goal
     if wish.stage is None and isinstance(before.get("goal"), dict):
@@ -113,7 +102,7 @@ def _asked(run: Run, wish: Wish) -> Wish:
         except TypeError as e:
             raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
     remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
-    return replace(wish, stage=stage, goal=goal)
+    return stage, goal
 
 
 def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
@@ -134,8 +123,7 @@ def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
 def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     torch.set_num_threads(1)  # the tensors of a generation are too small to share
     native.use_threads(ranks.cores())
-    wish = _asked(run, wish)
-    stage, goal = str(wish.stage), wish.goal
+    stage, goal = _asked(run, wish)
     taken, auto = take_over(run, settings, stage), stage == AUTO
     run = taken.run
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:

@@ -88,12 +88,9 @@ def cores() -> int:
 
 @dataclass(frozen=True)
 class Group:
-    """A process group: ranks that share out rows among them.
+    """A process group: ranks that share out rows among them, and the index of this one.
 
-    Attributes:
-        index: of this rank among them.
-        size: how many there are.
-        handle: torch's; None for all ranks, or for one alone.
+    The handle is torch's; None for all ranks, or for one alone.
     """
 
     index: int
@@ -193,9 +190,9 @@ def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
 
 
 def ring_shift(mine: Tensor, parts: int) -> Tensor:
-    """For each part that this rank holds the row of the part before; the first has the last one's.
+    """For each part held, of so many, the row of the part before, given rows (held, ...) of these.
 
-    It is given one row for each part that this rank holds (held, ...), out of so many parts.
+    The first part has the row of the last.
     """
     holds, me = [held(parts, rank) for rank in range(count())], _index()
     # Of the ranks that hold a part, the first one sends it.
@@ -232,8 +229,7 @@ def _all_gather(
 def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
     """A part, out of so many, that some rank holds, on the first rank; to be called by all.
 
-    Ranks that do not hold it give any tensors of the same names, numbers of dimensions and types.
-    They get them back as they are, but for the first one.
+    Others give any tensors of the same names, numbers of dimensions and types, which they get back.
     """
     holder = next(rank for rank in range(count()) if part in held(parts, rank))
     if holder == 0 or _index() not in (0, holder):

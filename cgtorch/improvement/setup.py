@@ -23,13 +23,11 @@ class Setup(Generic[S]):
     """What improvement works with and never changes.
 
     Attributes:
-        actions: the primitive actions.
         world_of: makes the world of given scenarios.
         imagine: makes the environment that skills are evolved in.
         learn: teaches the models what was experienced in the world; None if there are none.
         describe: tells of models that have learned on.
-        evolution: settings of each evolution.
-        budget: when each evolution ends.
+        evolution: settings of each evolution, which ends with its `budget`.
         attempts: the most evolutions in one stage.
         idle: evolutions without a new member after which no more are tried.
         rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.

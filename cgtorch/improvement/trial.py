@@ -23,13 +23,10 @@ from cgtorch.simulation import Recording, rollout
 
 @dataclass(frozen=True)
 class Trial:
-    """What a skill did on B scenarios of a world.
+    """What a skill did on B scenarios of a world: (B,) bool what succeeded, (B,) actions executed.
 
-    Attributes:
-        succeeded: (B,) bool.
-        transitions: (B,) long, actions executed.
-        experience: the transitions and tests it went through, none if nobody learns from them.
-        returns: (B,) of its episodes; None where the world gives no rewards.
+    The experience is what it went through, nothing if nobody learns from it. There are `returns`
+    (B,) of its episodes where the world gives rewards.
     """
 
     succeeded: Tensor

@@ -60,11 +60,6 @@ def load_dataset(path: Path) -> Dataset:
     return data
 
 
-def holds_models(folder: Path) -> bool:
-    """Whether a folder of a run has Γ or C: a run may be passed on without them."""
-    return any((folder / name).exists() for name in (GAMMA, CLASSIFIER))
-
-
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
     """Write data, Γ and C into a folder."""
     save_tensors(folder / "data.safetensors", vars(knowledge.dataset), notes)
@@ -130,12 +125,10 @@ def load_population(path: Path, actions: ActionSet) -> Population:
         raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file") from e
 
 
-_WORDS = ("stage", "scenarios")
 _COUNTS = (
     "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded", "w_size",
     "w_lost", "nodes", "depth", "generations", "transitions",
 )  # fmt: skip
-_SCORES = ("fresh", "overall")
 
 
 def load_result(path: Path) -> dict[str, Any]:
@@ -145,9 +138,9 @@ def load_result(path: Path) -> dict[str, Any]:
         raise RunError(f"{str(path)!r} is no result of a stage; restore the file")
     seconds: Any = data.get("seconds")
     right = {
-        **{name: isinstance(data.get(name), str) for name in _WORDS},
+        **{name: isinstance(data.get(name), str) for name in ("stage", "scenarios")},
         **{name: is_count(data.get(name)) for name in _COUNTS},
-        **{name: _is_score(data.get(name)) for name in _SCORES},
+        **{name: _is_score(data.get(name)) for name in ("fresh", "overall")},
         "decisive": data.get("decisive") is None or _is_score(data["decisive"]),
         "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
     }
