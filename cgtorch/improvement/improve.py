@@ -3,8 +3,6 @@
 Growing one graph under a hard W stalls, so the default is to divide, evolve and compose: local
 groups of missed scenarios get specialists of their own, and branching nodes, trained by gradient,
 send each scenario to a member that solves it. `cgtorch.improvement.grow` is the paper's own way.
-
-Of a large W, members are tried on a coreset only. Whether eq. 1a holds is checked on all of W.
 """
 
 import time

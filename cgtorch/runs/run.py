@@ -122,10 +122,7 @@ def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None
 
 
 def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
-    """Begin a run in an empty or new folder; nothing is written unless all is in order.
-
-    Arguments and errors are those of `planned_run`.
-    """
+    """Begin a run as `planned_run` plans it; nothing is written unless all is in order."""
     run = planned_run(folder, settings, domain_settings)
     write_run(run)
     return run

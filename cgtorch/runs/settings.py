@@ -15,9 +15,7 @@ class RunSettings:
     """What decides the result of a run, besides its domain, and is stored in it.
 
     Once a run has begun, some can be taken over by name (`cgtorch.runs.resume_settings`).
-
-    Raises:
-        SettingsError: a value that cannot work.
+    SettingsError if a value cannot work.
     """
 
     domain: str = option(
