@@ -77,7 +77,7 @@ class SuccessClassifier(LearnedModel):
         """See `LearnedModel.checked`: percepts (n, D), and -1 and 1 for labels (n,)."""
         percept, label = rows
         seen = inputs.as_rows(percept, "percept")
-        inputs.check_memory(len(seen), self.machine.max_memory)
+        inputs.check_memory(len(seen))
         return seen, inputs.as_binary(label, len(seen))[1].to(seen)
 
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -103,7 +103,7 @@ class TransitionModel(LearnedModel):
     def checked(self, *rows: Any) -> tuple[Tensor, ...]:
         """See `LearnedModel.checked`."""
         percept, control, next_percept = rows
-        return transition_rows(percept, control, next_percept, self.machine.max_memory)
+        return transition_rows(percept, control, next_percept)
 
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """See `LearnedModel.learnable`."""
@@ -225,9 +225,7 @@ class KernelTransitionModel(TransitionModel):
         return {**super().shapes(features), "most": (features,), **own}
 
 
-def transition_rows(
-    percept: Any, control: Any, next_percept: Any, max_memory: int = inputs.MAX_MEMORY
-) -> tuple[Tensor, Tensor, Tensor]:
+def transition_rows(percept: Any, control: Any, next_percept: Any) -> tuple[Tensor, Tensor, Tensor]:
     """Percepts (n, D), controls (n, U), next percepts (n, D); see `LearnedModel.checked`."""
     p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(control, "control")
     q = inputs.as_rows(next_percept, "next_percept")
@@ -236,5 +234,5 @@ def transition_rows(
             f"percept, control and next percept have {len(p)}, {len(u)} and {len(q)} rows of "
             f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of D, U and D"
         )
-    inputs.check_memory(len(p), max_memory)
+    inputs.check_memory(len(p))
     return p, u, q

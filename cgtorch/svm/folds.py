@@ -1,12 +1,12 @@
 """Folds for cross-validation: a fold number for each row."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.svm import inputs
 from cgtorch.svm.problems import Targets
 
 
@@ -48,30 +48,12 @@ def stratified_folds(signs: Tensor, count: int, generator: torch.Generator) -> T
 
 
 def given_folds(folds: Any, rows: int) -> Tensor:
-    """Fold numbers (n,) from fold numbers, or (train, test) index pairs that cover all rows."""
-    try:
-        given = folds if hasattr(folds, "shape") else list(folds)
-        if isinstance(given, list) and given and isinstance(given[0], Sequence):
-            numbers = _from_pairs(given, rows)
-        else:
-            numbers = torch.as_tensor(given).cpu()
-    except (TypeError, ValueError, RuntimeError, IndexError) as error:
-        said = " ".join(str(error).split())[:120]
-        raise DataError(f"the given folds are no fold numbers or index pairs: {said}") from error
-    whole = numbers.shape == (rows,) and torch.equal(numbers.double(), numbers.long().double())
+    """Fold numbers (n,) from 0 on, of any whole numbers that were given."""
+    numbers = inputs.as_tensor(folds, "folds").cpu()
+    whole = numbers.shape == (rows,) and torch.equal(numbers, numbers.floor())
     if not whole or bool((numbers < 0).any()) or len(numbers.unique()) < 2:
         raise DataError(f"the given folds do not place each of {rows} rows in one of 2 or more")
     return numbers.unique(return_inverse=True)[1]
-
-
-def _from_pairs(folds: Sequence[Any], rows: int) -> Tensor:
-    """The number of the one pair whose test rows a row is among, -1 where there is not one (n,)."""
-    numbers, times = torch.full((rows,), -1), torch.zeros(rows)
-    for number, (_, test) in enumerate(folds):
-        index = torch.as_tensor(test)
-        numbers[index] = number
-        times[index] += 1
-    return numbers.masked_fill(times != 1, -1)
 
 
 def training_masks(folds: Tensor) -> Tensor:

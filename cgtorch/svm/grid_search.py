@@ -5,8 +5,7 @@ only fixes its held-out coefficients to 0, and their decision values come free a
 problems of each cost start from the solutions for the cost before.
 """
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,14 +17,10 @@ from cgtorch.ground.processes import in_processes
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.optimality import relative_gap
-from cgtorch.svm.problems import Problems, State, Targets, inside
+from cgtorch.svm.problems import Problems, State, Targets, inside, relative_gap
 from cgtorch.svm.scores import SCORES, named_score
 from cgtorch.svm.solver import ROUGH, solve
 from cgtorch.svm.threads import one_thread_each
-
-Progress = Callable[[int, int], None]
-"""Called with the number of cells done and of all cells."""
 
 
 @dataclass(frozen=True)
@@ -102,21 +97,19 @@ def grid_search(
     folds: Any = 5,
     seed: int | Generator = 0,
     scoring: str | None = None,
-    progress: Progress | None = None,
 ) -> GridResult:
     """Score every (gamma, epsilon, C) by cross-validation.
 
     Args:
-        model: An `SVC` or `SVR` whose kernel, class weights and memory limit are used.
+        model: An `SVC` or `SVR` whose settings are used where the grid has none.
         x: Rows (n, d).
         y: Labels (n,), or targets (n,) or (n, k).
         C: Costs to try.
         gamma: Kernel widths to try.
         epsilon: Tube widths to try, for `SVR`; the model's own if None.
-        folds: Number of folds, or fold numbers (n,), or (train, test) pairs.
+        folds: Number of folds, or fold numbers (n,).
         seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
-        progress: Called as the cells of a gamma are done with (done, all).
 
     Raises:
         DataError: Data that the model's `fit` would refuse, or too few rows for the folds.
@@ -136,7 +129,7 @@ def grid_search(
     torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
     task = _Task(model, rows, targets, masks, numbers, costs, tubes)
-    held_out, gap = _all_widths(task, widths, progress)
+    held_out, gap = _all_widths(task, widths)
     held_out = targets.restored(held_out)
     scores = torch.stack(
         [SCORES[scoring](held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
@@ -148,29 +141,21 @@ def grid_search(
     return GridResult(C_axis, gamma_axis, tube_axis, scores, held_out, gap, numbers, best)
 
 
-def _all_widths(
-    task: _Task, widths: Sequence[float], progress: Progress | None
-) -> tuple[Tensor, Tensor]:
+def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
     """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes.
 
     The largest gammas, which have most support vectors, go first, so that no process ends late.
     """
     order = sorted(range(len(widths)), key=lambda place: -widths[place])
-    each = len(task.tubes) * len(task.costs)
-    finished = itertools.count(each, each)
 
     def work(number: int) -> tuple[Tensor, Tensor]:
         return _solve_width(task, widths[order[number]], threads // processes)
 
-    def done(_: object) -> None:
-        if progress is not None:
-            progress(next(finished), each * len(widths))
-
     # The operations are short: torch's own threads would double the time.
     with one_thread_each() as threads:
-        most = task.model.max_memory // inputs.memory(len(task.rows))
+        most = inputs.MAX_MEMORY // inputs.memory(len(task.rows))
         processes = min(threads, len(widths), most) if task.rows.device.type == "cpu" else 1
-        found = in_processes(work, len(widths), processes, done)
+        found = in_processes(work, len(widths), processes)
     in_order = [found[order.index(place)] for place in range(len(widths))]
     held_out, gap = (torch.stack(part) for part in zip(*in_order, strict=True))
     return held_out, gap

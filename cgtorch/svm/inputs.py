@@ -14,7 +14,7 @@ from torch import Tensor
 from cgtorch.ground.errors import DataError, SettingsError
 
 MAX_MEMORY = 4 * 1024**3
-"""Bytes that a fit may use for kernel matrices unless told otherwise."""
+"""Bytes that a fit may use for kernel matrices."""
 
 
 def as_tensor(values: Any, name: str) -> Tensor:
@@ -85,13 +85,13 @@ def memory(rows: int) -> int:
     return 36 * rows * rows
 
 
-def check_memory(rows: int, limit: int) -> None:
-    """DataError where the kernel matrices of a fit would not fit in `limit` bytes."""
-    if (needed := memory(rows)) > limit:
-        most = int((limit / memory(1)) ** 0.5)
+def check_memory(rows: int) -> None:
+    """DataError where the kernel matrices of a fit would not fit in `MAX_MEMORY`."""
+    if (needed := memory(rows)) > MAX_MEMORY:
+        most = int((MAX_MEMORY / memory(1)) ** 0.5)
         raise DataError(
             f"{rows} rows would take {needed / 1e9:.1f} GB for kernel matrices and the limit is "
-            f"{limit / 1e9:.1f} GB; train on at most {most} rows or raise max_memory"
+            f"{MAX_MEMORY / 1e9:.1f} GB; train on at most {most} rows"
         )
 
 

@@ -4,41 +4,43 @@ A classifier is a regression of signs without a tube, in which a coefficient can
 of its row; so the two differ in their targets, the weights of rows, and what they say of values.
 """
 
-import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
-from cgtorch.ground.errors import DataError, ModelError, SettingsError
+from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.native import suits, threads
 from cgtorch.svm import inputs
 from cgtorch.svm.compiled import LOG2E, machine_values
-from cgtorch.svm.gram import Gram
-from cgtorch.svm.kernels import Kernel, make_kernel, resolve_gamma
-from cgtorch.svm.optimality import duality_gap
-from cgtorch.svm.problems import Problems, State, Targets, classification, regression
-from cgtorch.svm.rbf_predict import chunk_rows, fused_rbf
+from cgtorch.svm.gram import Gram, resolve_gamma
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    Targets,
+    classification,
+    duality_gap,
+    regression,
+)
+from cgtorch.svm.rbf_predict import fused_rbf
 from cgtorch.svm.solver import solve, start_at
+
+PerOutput: TypeAlias = float | Sequence[float]
 
 
 class KernelMachine(nn.Module, ABC):
-    """A function sum_j w_j K(x, c_j) + b with k outputs.
+    """A function sum_j w_j exp(-gamma |x - c_j|^2) + b with k outputs.
 
     The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
     `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
     gap of each output, `cost` (k,) its C, and what a subclass adds. Before `fit` they are empty.
 
-    The constructor of a subclass only stores its arguments (scikit-learn's convention).
-
     Args:
-        kernel: "rbf", "linear", "poly" or a callable (m, d), (n, d) -> (m, n).
-        gamma: Width parameter of "rbf" and "poly": "scale", "auto" or a positive number.
-        degree: Degree of "poly".
-        coef0: Constant of "poly".
-        max_memory: Bytes that kernel matrices may take.
+        C: Cost of a violation, one or one per output.
+        epsilon: Half width of the tube without loss, one or one per output.
+        gamma: Width parameter of the kernel: "scale" or a positive number.
     """
 
     centres: Tensor
@@ -52,15 +54,9 @@ class KernelMachine(nn.Module, ABC):
     scoring: ClassVar[str]
     """The score, of `cgtorch.svm.scores`, by which models are compared if no other is named."""
 
-    C: Any
-    epsilon: Any
-
-    def __init__(
-        self, kernel: str | Kernel, gamma: str | float, degree: int, coef0: float, max_memory: int
-    ) -> None:
+    def __init__(self, C: PerOutput, epsilon: PerOutput, gamma: str | float) -> None:
         super().__init__()
-        self.kernel, self.gamma, self.degree, self.coef0 = kernel, gamma, degree, coef0
-        self.max_memory = max_memory
+        self.C, self.epsilon, self.gamma = C, epsilon, gamma
         shapes = {"centres": (0, 0), "weights": (0, 1), "bias": (1,), "gap": (1,), "cost": (1,)}
         for name, shape in shapes.items():
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
@@ -72,11 +68,7 @@ class KernelMachine(nn.Module, ABC):
         """What is to be learnt of rows (n, d)."""
 
     @abstractmethod
-    def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
-        """Weights (P, n) of rows in the loss, 0 where masks (P, n) leave them out."""
-
-    @abstractmethod
-    def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
+    def own_state(self, targets: Targets) -> dict[str, Tensor]:
         """The buffers that a subclass adds, after a fit."""
 
     @property
@@ -90,8 +82,7 @@ class KernelMachine(nn.Module, ABC):
         With `warm`, the solver starts from the last fit, whose rows have to come first in x.
 
         Raises:
-            DataError: Wrong shapes, NaN, not two classes, too few rows for the folds, or more
-                rows than `max_memory` allows.
+            DataError: Wrong shapes, NaN, not two classes, or too many rows for the memory.
             SettingsError: A parameter cannot be used.
         """
         rows = self.training_rows(x)
@@ -100,12 +91,11 @@ class KernelMachine(nn.Module, ABC):
         problems = self.problems(targets, everything)
         gram, unit = self.gram(rows), targets.unit
         found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
-        state = self.own_state(gram, targets, found)
         self._keep(rows, found.beta * unit[:, None])
         self.bias, self.cost = found.bias * unit + targets.mean, problems.cap * unit
         self.gap = duality_gap(problems, found) * unit.square()
         self.gamma_value = torch.tensor(gram.gamma, dtype=rows.dtype, device=rows.device)
-        for name, value in state.items():
+        for name, value in self.own_state(targets).items():
             setattr(self, name, value.to(rows.device))
         return self
 
@@ -115,15 +105,15 @@ class KernelMachine(nn.Module, ABC):
         return self.fit(x, y, warm=True)
 
     def training_rows(self, x: Any) -> Tensor:
-        """Rows (n, d) in float64 that are finite and no more than `max_memory` allows."""
+        """Rows (n, d) in float64 that are finite and not too many for the memory."""
         rows = inputs.as_rows(x)
-        inputs.check_memory(len(rows), self.max_memory)
+        inputs.check_memory(len(rows))
         return rows
 
     def gram(self, rows: Tensor, gamma: float | None = None, most_threads: int = 0) -> Gram:
         """The kernel values among training rows (n, d), if given with another gamma or threads."""
         width = resolve_gamma(self.gamma if gamma is None else gamma, rows)
-        return Gram(self.kernel, rows, width, self.degree, self.coef0, most_threads or threads())
+        return Gram(rows, width, most_threads or threads())
 
     def problems(
         self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
@@ -137,10 +127,12 @@ class KernelMachine(nn.Module, ABC):
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
         tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
         cap, tube = (x.repeat_interleave(len(masks)) for x in (cap, tube / unit))
-        weight = self.row_weights(targets, masks).repeat(outputs, 1)
-        if targets.classes is not None:
-            return classification(targets.z[0], cap, weight)
-        return regression(targets.z.repeat_interleave(len(masks), 0), cap, tube, weight)
+        weight = masks.to(targets.z).repeat(outputs, 1)
+        if targets.classes is None:
+            return regression(targets.z.repeat_interleave(len(masks), 0), cap, tube, weight)
+        if any(bool((masks & (targets.z[0] == sign)).sum(1).min() == 0) for sign in (-1, 1)):
+            raise DataError("a training fold holds one class only; use fewer or stratified folds")
+        return classification(targets.z[0], cap, weight)
 
     def values(self, x: Tensor) -> Tensor:
         """Values (..., k) of rows x (..., d), in the type of the buffers.
@@ -152,10 +144,7 @@ class KernelMachine(nn.Module, ABC):
         return self._values(x, with_nearest=False)[0]
 
     def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Values (..., k), and for an RBF kernel the squared distance (...) to the nearest centre.
-
-        Both come from the same kernel evaluation. For other kernels the distance is 0.
-        """
+        """Values (..., k) and the squared distance (...) to the nearest centre, in one go."""
         values, exponent = self._values(x, with_nearest=True)
         distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
         return values, distance.reshape(x.shape[:-1])
@@ -168,38 +157,13 @@ class KernelMachine(nn.Module, ABC):
             given = x.shape[-1] if x.ndim else "no"
             raise DataError(f"a row has {given} features; the model was fitted on {features}")
         rows = x.reshape(-1, features).to(self.centres)
-        if self.kernel == "rbf":
-            compiled = machine_values(rows, *self._machine) if suits(rows, *self._machine) else None
-            values, nearest = compiled or fused_rbf(rows, *self._machine, with_nearest)
-        else:
-            kernel = make_kernel(self.kernel, float(self.gamma_value), self.degree, self.coef0)
-            parts = rows.split(chunk_rows(len(self.centres), rows.element_size()))
-            values = torch.cat([kernel(part, self.centres) @ self.weights for part in parts])
-            values, nearest = values + self.bias, rows.new_zeros(len(rows))
+        compiled = machine_values(rows, *self._machine) if suits(rows, *self._machine) else None
+        values, nearest = compiled or fused_rbf(rows, *self._machine, with_nearest)
         return values.reshape(*x.shape[:-1], values.shape[1]), nearest
 
     @property
     def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return self.centres, self.weights, self.bias, self.gamma_value
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The constructor's arguments by name, as scikit-learn's `clone` wants them."""
-        del deep
-        names = inspect.signature(type(self).__init__).parameters
-        return {name: getattr(self, name) for name in names if name != "self"}
-
-    def set_params(self, **params: Any) -> Self:
-        """Change constructor arguments by name; the next `fit` uses them.
-
-        Raises:
-            SettingsError: A name the constructor does not have.
-        """
-        known = self.get_params()
-        for name, value in params.items():
-            if name not in known:
-                raise SettingsError(f"{name!r} is no parameter; choose among {sorted(known)}")
-            setattr(self, name, value)
-        return self
 
     def _check_fitted(self) -> None:
         if not self.fitted:

@@ -14,8 +14,7 @@ Statuses are -2 and 2 on a bound, 0 at zero, and -1 and 1 free below and above z
 import torch
 from torch import Tensor
 
-from cgtorch.svm.optimality import violation
-from cgtorch.svm.problems import Problems, State, inside
+from cgtorch.svm.problems import Problems, State, inside, violation
 
 _STEPS = 12
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals

@@ -11,29 +11,29 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import SettingsError
+from cgtorch.svm.gram import rbf
 from cgtorch.svm.inputs import as_rows
-from cgtorch.svm.kernels import Kernel, make_kernel
 from cgtorch.svm.machine import KernelMachine
 
 Machine = TypeVar("Machine", bound=KernelMachine)
 
-_FLOOR = 1e-12  # of the largest diagonal element, below which the rest is rounding
+_FLOOR = 1e-12  # below which the rest is rounding
 _RIDGES = tuple(10.0**-power for power in range(1, 11))
 
 
-def pivots(kernel: Kernel, x: Tensor, count: int) -> Tensor:
+def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
     """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first.
 
     Each is the row with the largest rest on the diagonal.
     """
-    rest = torch.stack([kernel(row[None], row[None])[0, 0] for row in x])
-    factor, floor, chosen = rest.new_zeros(count, len(x)), _FLOOR * float(rest.max()), []
+    rest = x.new_ones(len(x))
+    factor, chosen = rest.new_zeros(count, len(x)), []
     for step in range(min(count, len(x))):
         pivot = int(rest.argmax())
         largest = float(rest[pivot])
-        if largest <= floor:
+        if largest <= _FLOOR:
             break
-        column = kernel(x[pivot : pivot + 1], x)[0]
+        column = rbf(x[pivot : pivot + 1], x, gamma)[0]
         row = torch.addmv(column, factor[:step].T, factor[:step, pivot], alpha=-1)
         factor[step] = row / largest**0.5
         rest = (rest - factor[step] ** 2).clamp_min_(0)
@@ -63,12 +63,11 @@ def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
     if centres < 1 or len(rows) < 8:
         raise SettingsError(f"compact needs 1 centre and 8 rows, not {centres} and {len(rows)}")
     kind = machine.centres.dtype
-    kernel = make_kernel(machine.kernel, float(machine.gamma_value), machine.degree, machine.coef0)
-    pool = machine.centres.double()
-    picked = pivots(kernel, pool, min(centres, len(pool)))
+    gamma, pool = float(machine.gamma_value), machine.centres.double()
+    picked = pivots(pool, gamma, min(centres, len(pool)))
     test = torch.arange(len(rows), device=rows.device) % 4 == 3
     smaller, best = None, torch.inf
-    design = torch.nn.functional.pad(kernel(rows[~test], pool[picked]), (0, 1), value=1.0)
+    design = torch.nn.functional.pad(rbf(rows[~test], pool[picked], gamma), (0, 1), value=1.0)
     with torch.no_grad():
         truth = machine.values(rows.to(kind)).double()
         for ridge in _RIDGES:

@@ -31,14 +31,8 @@ def neg_mean_absolute_error(value: Tensor, truth: Tensor) -> Tensor:
     return -(value - truth).abs().mean(-1)
 
 
-def neg_mean_squared_error(value: Tensor, truth: Tensor) -> Tensor:
-    """Minus the mean squared error over rows (..., n)."""
-    return -(value - truth).square().mean(-1)
-
-
 SCORES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
-    score.__name__: score
-    for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error, neg_mean_squared_error)
+    score.__name__: score for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error)
 }
 
 

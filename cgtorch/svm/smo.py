@@ -1,10 +1,10 @@
-"""Sequential minimal optimisation in plain NumPy: slow, but sure.
+"""Sequential minimal optimisation of dual problems: compiled (smo.c), and plain NumPy without.
 
 Fan, Chen & Lin, "Working set selection using second order information for training support
 vector machines", JMLR 6 (2005), WSS 2, on the doubled form of Chang & Lin (2011, eq. 11): each
 coefficient is the difference of two in [0, upper] and [0, -lower]. It converges for every
-positive semidefinite kernel from every feasible start. Compiled code does the same
-(`cgtorch.svm.compiled_smo`); this is what it is tested against, and what runs without a compiler.
+positive semidefinite kernel from every feasible start. Plain code is slow, but sure: compiled code
+is tested against it, and it runs where there is no compiler.
 """
 
 import numpy as np
@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.svm.optimality import relative_gap
-from cgtorch.svm.problems import Problems, State
+from cgtorch.native import function, structure
+from cgtorch.svm.problems import Problems, State, relative_gap
 
 GAP = 5e-3
 """Relative duality gap above which the tolerance falls."""
@@ -22,6 +22,37 @@ _FINER, _FINEST = 0.25, 1e-3  # of the tolerance, at a time and at most
 _TAU = 1e-12
 
 Array = NDArray[np.float64]
+
+
+def compiled_smo_steps(
+    matrix: Tensor, problems: Problems, start: State, tolerance: float, worth: float, threads: int
+) -> State | None:
+    """Take problems on until they are solved or have cost too much; None without a compiler.
+
+    Args:
+        matrix: A matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made; gradients
+            are in double precision all the same.
+        problems: P problems over n rows.
+        start: Where they stand, with feasible coefficients.
+        tolerance: Violation at which a problem is solved, as libsvm counts it.
+        worth: Kernel values that each may take; a thousand million take about a quarter second.
+        threads: How many share out the problems, which changes no result.
+    """
+    call = function("smo_problems", matrix.dtype)
+    if call is None:
+        return None
+    z = problems.z.contiguous()
+    found = State(
+        start.beta.clone(), start.product - z, start.bias.clone(), start.violation.clone()
+    )
+    task = structure("Problems", matrix.dtype)(
+        kernel=matrix, n=len(matrix), stride=matrix.shape[1], count=len(z),
+        z=z, lower=problems.lower, upper=problems.upper, epsilon=problems.epsilon,
+        tolerance=tolerance, gap=GAP, worth=worth, beta=found.beta, gradient=found.product,
+        bias=found.bias, violation=found.violation,
+    )  # fmt: skip
+    call(task, threads)
+    return State(found.beta, found.product + z, found.bias, found.violation)
 
 
 def smo_steps(

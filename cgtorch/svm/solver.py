@@ -12,12 +12,17 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import ModelError
-from cgtorch.svm.compiled_smo import compiled_smo_steps
 from cgtorch.svm.gram import Gram
-from cgtorch.svm.optimality import middle_bias, relative_gap
 from cgtorch.svm.polish import polish
-from cgtorch.svm.problems import Problems, State, at_zero, feasible
-from cgtorch.svm.smo import smo_steps
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    at_zero,
+    feasible,
+    middle_bias,
+    relative_gap,
+)
+from cgtorch.svm.smo import compiled_smo_steps, smo_steps
 
 EXACT = 1.25e-8
 """Violation of a final fit: a relative duality gap of about 1e-7."""

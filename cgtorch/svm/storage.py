@@ -27,7 +27,8 @@ Kinds: TypeAlias = Mapping[str, Callable[[], Model]]
 MACHINES: Kinds = {"SVC": SVC, "SVR": SVR}
 """What makes an unfitted machine, by the name of its class."""
 
-_MACHINE_SETTINGS = ("kernel", "degree", "coef0")
+_SETTINGS = {"kernel": "rbf", "degree": 3, "coef0": 0.0}
+"""What every file says of its kernel; machines with another one cannot be read."""
 _POSITIVE = ("gamma_value", "scale", "spread", "reach")
 _MAY_BE_INFINITE = ("platt", "gap")
 
@@ -50,20 +51,16 @@ def save_model(path: str | Path, model: Model, report: Any = None) -> None:
         report: A dataclass or JSON value to keep with it.
 
     Raises:
-        ModelError: The model is not fitted, its kernel is a callable, or the file cannot be
-            written.
+        ModelError: The model is not fitted, or the file cannot be written.
     """
-    machine = _machine(model)[1]
-    machine._check_fitted()
-    if not isinstance(machine.kernel, str):
-        raise ModelError("a model with a callable kernel cannot be saved; use a named kernel")
+    _machine(model)[1]._check_fitted()
     if is_dataclass(report) and not isinstance(report, type):
         report = asdict(report)
     header = {
         "format": "cgtorch-model",
         "version": VERSION,
         "kind": type(model).__name__,
-        "settings": {name: getattr(machine, name) for name in _MACHINE_SETTINGS},
+        "settings": _SETTINGS,
         "report": report,
     }
     state = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
@@ -96,14 +93,12 @@ def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Mo
             raise
         raise ModelError(f"model file {path} is damaged: {error}") from error
     model = kinds[header["kind"]]()
-    place, machine = _machine(model)
-    machine.set_params(**header["settings"])
     _check(path, model, state)
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
         raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
-    return model.to(state[f"{place}centres"].dtype).eval(), header.get("report")
+    return model.to(state[f"{_machine(model)[0]}centres"].dtype).eval(), header.get("report")
 
 
 def _header(path: Path, text: str | None, kinds: Kinds) -> dict[str, Any]:
@@ -118,19 +113,10 @@ def _header(path: Path, text: str | None, kinds: Kinds) -> dict[str, Any]:
         raise ModelError(
             f"model file {path} has version {header.get('version')!r}; this cgtorch reads {VERSION}"
         )
-    settings = header.get("settings")
-    if header.get("kind") not in kinds or not isinstance(settings, dict):
+    if header.get("kind") not in kinds:
         raise ModelError(f"model file {path} holds an unknown model {header.get('kind')!r}")
-    good = (
-        set(settings) == set(_MACHINE_SETTINGS)
-        and settings["kernel"] in ("rbf", "linear", "poly")
-        and type(settings["degree"]) is int
-        and 0 <= settings["degree"] <= 100
-        and type(settings["coef0"]) in (int, float)
-        and abs(settings["coef0"]) < 1e100
-    )
-    if not good:
-        raise ModelError(f"model file {path} has unusable settings {settings!r:.200}")
+    if header.get("settings") != _SETTINGS:
+        raise ModelError(f"model file {path} has unusable settings {header.get('settings')!r:.200}")
     return header
 
 

@@ -1,29 +1,21 @@
 """Epsilon-SVR with one or several outputs that share their centres."""
 
-from collections.abc import Sequence
 from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from cgtorch.svm import inputs
-from cgtorch.svm.gram import Gram
-from cgtorch.svm.kernels import Kernel
-from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.problems import State, Targets
+from cgtorch.svm.machine import KernelMachine, PerOutput
+from cgtorch.svm.problems import Targets
 
 
 class SVR(KernelMachine):
     """Support vector regression, the problem of libsvm's epsilon-SVR for every output.
 
     The outputs are solved together on one kernel matrix and predict from the union of their
-    support vectors. Besides the buffers of `KernelMachine`, where the other arguments are told, the
-    fitted state is `tube` (k,), the epsilon of each output, and `squeeze` (), whether it was fitted
-    on targets (n,).
-
-    Args:
-        C: Cost of a residual beyond the tube, one or one per output.
-        epsilon: Half width of the tube without loss, one or one per output.
+    support vectors. Besides the buffers of `KernelMachine`, where the arguments are told, there are
+    `tube` (k,), the epsilon of each output, and `squeeze` (), whether targets were given as (n,).
     """
 
     squeeze: Tensor
@@ -31,18 +23,9 @@ class SVR(KernelMachine):
     scoring = "r2"
 
     def __init__(
-        self,
-        C: float | Sequence[float] = 1.0,
-        *,
-        kernel: str | Kernel = "rbf",
-        gamma: str | float = "scale",
-        degree: int = 3,
-        coef0: float = 0.0,
-        epsilon: float | Sequence[float] = 0.1,
-        max_memory: int = inputs.MAX_MEMORY,
+        self, C: PerOutput = 1.0, *, gamma: str | float = "scale", epsilon: PerOutput = 0.1
     ) -> None:
-        super().__init__(kernel, gamma, degree, coef0, max_memory)
-        self.C, self.epsilon = C, epsilon
+        super().__init__(C, epsilon, gamma)
         self.register_buffer("squeeze", torch.tensor(True))
         self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
 
@@ -56,11 +39,7 @@ class SVR(KernelMachine):
         unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
         return Targets(y, (y - mean[:, None]) / unit[:, None], mean, unit, None, given.ndim == 1)
 
-    def row_weights(self, targets: Targets, masks: Tensor) -> Tensor:
-        """See `KernelMachine.row_weights`: all rows weigh the same."""
-        return masks.to(targets.y)
-
-    def own_state(self, gram: Gram, targets: Targets, found: State) -> dict[str, Tensor]:
+    def own_state(self, targets: Targets) -> dict[str, Tensor]:
         """See `KernelMachine.own_state`."""
         tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), inputs.not_negative)
         return {"tube": tube, "squeeze": torch.tensor(targets.single)}
@@ -84,9 +63,3 @@ class SVR(KernelMachine):
         """Predictions for rows x (..., d), numpy for numpy."""
         with torch.no_grad():
             return inputs.as_given(self(self._asked(x)), x)
-
-    def score(self, x: Any, y: Any) -> float:
-        """Mean over the outputs of R^2, the share of variance explained, on x (n, d), y."""
-        truth = inputs.as_tensor(y, "y")
-        error = (inputs.as_tensor(self.predict(x), "y").to(truth) - truth).square().sum(0)
-        return float((1 - error / (truth - truth.mean(0)).square().sum(0)).mean())

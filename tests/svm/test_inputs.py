@@ -8,11 +8,17 @@ import sklearn.svm
 import torch
 
 from cgtorch.ground.errors import DataError, ModelError, SettingsError
-from cgtorch.svm import SVC, SVR
+from cgtorch.svm import SVC, SVR, grid_search
 
 RNG = np.random.default_rng(0)
 X = RNG.standard_normal((40, 3))
 Y = (X[:, 0] > 0).astype(int)
+
+
+def with_probabilities(model):
+    """The machine with some Platt parameters."""
+    model.platt = torch.tensor([-1.5, 0.2]).double()
+    return model
 
 
 @pytest.mark.parametrize(
@@ -27,16 +33,11 @@ Y = (X[:, 0] > 0).astype(int)
         (SVR(), X[:0], Y[:0], DataError, "at least one row"),
         (SVR(), X[:, 0], Y, DataError, "shape"),
         (SVR(), np.array([["a"]]), Y, DataError, "not an array of numbers"),
-        (SVC(max_memory=10**4), X, Y, DataError, "GB"),
         (SVC(C=0), X, Y, SettingsError, "C is 0"),
         (SVR(C=[1.0, 2.0]), X, Y, SettingsError, "2 values for 1 outputs"),
         (SVR(epsilon=-1.0), X, Y, SettingsError, "epsilon is -1"),
         (SVC(gamma="huge"), X, Y, SettingsError, "huge"),
-        (SVC(kernel="magic"), X, Y, SettingsError, "magic"),
-        (SVC(class_weight="fair"), X, Y, SettingsError, "fair"),
-        (SVC(probability=True, folds=30), X, Y, DataError, "fewer than the 30 folds"),
-        (SVR(kernel=lambda a, b: a), X, Y, DataError, "the kernel returned shape"),
-        (SVR(kernel=lambda a, b: a @ b.T * np.nan), X, Y, DataError, "non-finite"),
+        (SVR(), X * 1e200, Y, DataError, "non-finite"),
         (SVR(), [], [], DataError, "at least one row"),
         (SVR(), X[:, :0], Y, DataError, "at least one row"),
         (SVR(), X * 1j, Y, DataError, "complex128"),
@@ -50,17 +51,6 @@ Y = (X[:, 0] > 0).astype(int)
         (SVC(gamma=None), X, Y, SettingsError, "gamma is None"),
         (SVC(C="much"), X, Y, SettingsError, "C is 'much'"),
         (SVC(C=np.nan), X, Y, SettingsError, "C is nan"),
-        (SVC(kernel="poly", degree=-1), X, Y, SettingsError, "degree is -1"),
-        (SVC(kernel="poly", coef0=np.inf), X, Y, SettingsError, "coef0 inf"),
-        (SVC(class_weight={0: -1.0}), X, Y, SettingsError, "class_weight is -1"),
-        (SVC(class_weight={7: 1.0}), X, Y, SettingsError, "no label in y"),
-        (SVC(seed="x"), X, Y, SettingsError, "seed is 'x'"),
-        (SVC(seed=2**70), X, Y, SettingsError, "63 bits"),
-        (SVC(probability=True, folds=1), X, Y, SettingsError, "folds is 1"),
-        (SVC(probability=True, folds=2.5), X, Y, DataError, "given folds"),
-        (SVC(probability=True, folds=[(0, [99])]), X, Y, DataError, "given folds"),
-        (SVC(probability=True, folds=np.arange(40) / 7), X, Y, DataError, "given folds"),
-        (SVC(probability=True, folds=(Y == 1).astype(int)), X, Y, DataError, "one class only"),
     ],
 )
 def test_bad_input_is_one_clear_error(model, x, y, error, says):
@@ -73,19 +63,19 @@ def test_bad_input_is_one_clear_error(model, x, y, error, says):
 def test_a_million_rows_are_refused_with_the_memory_they_would_take():
     rows = torch.zeros(1, 2).expand(1_000_000, 2)
     for model in (SVR(), SVC()):
-        with pytest.raises(DataError, match=r"1000000 rows would take 36000\.0 GB.*max_memory"):
+        with pytest.raises(
+            DataError, match=r"1000000 rows would take 36000\.0 GB.*at most 10922 rows"
+        ):
             model.fit(rows, torch.arange(1_000_000) % 2)
 
 
 def test_an_unfitted_model_says_so():
     with pytest.raises(ModelError, match="fit"):
         SVR()(torch.zeros(1, 3))
-    with pytest.raises(ModelError, match="probability=True"):
+    with pytest.raises(ModelError, match="no probabilities"):
         SVC().fit(X, Y)(torch.zeros(1, 3))
     with pytest.raises(DataError, match="2 features"):
         SVC().fit(X, Y).predict(X[:, :2])
-    with pytest.raises(SettingsError, match="no parameter"):
-        SVR().set_params(colour="red")
 
 
 def test_duplicates_and_constant_features_change_nothing():
@@ -151,9 +141,8 @@ def test_whole_numbers_and_truth_values_are_numbers(dtype):
 
 
 def test_a_single_row_can_be_asked_for_without_a_batch():
-    model = SVC(probability=True).fit(X, Y)
-    batch = model.predict_proba(X)
-    assert model.predict_proba(X[7]).tolist() == batch[7].tolist()
+    model = with_probabilities(SVC().fit(X, Y))
+    assert model(torch.tensor(X[7])).tolist() == model(torch.tensor(X))[7].tolist()
     assert model.predict(X[7]).shape == ()
     assert model(torch.tensor(X[7])).shape == ()
     with pytest.raises(DataError, match="no features"):
@@ -163,12 +152,11 @@ def test_a_single_row_can_be_asked_for_without_a_batch():
 
 
 def test_kinds_of_input_come_back_in_kind():
-    model = SVC(probability=True).fit(torch.tensor(X), torch.tensor(Y))
+    model = with_probabilities(SVC().fit(torch.tensor(X), torch.tensor(Y)))
     assert isinstance(model.predict(X), np.ndarray)
     assert isinstance(model.predict(torch.tensor(X)), torch.Tensor)
     assert set(model.predict(X).tolist()) == {0.0, 1.0}
     assert model(torch.tensor(X).reshape(4, 10, 3)).shape == (4, 10)
-    np.testing.assert_allclose(model.predict_proba(X).sum(1), 1)
     words = SVC().fit(X, np.where(Y > 0, 5, -2))
     assert words.classes.tolist() == [-2, 5]
 
@@ -176,17 +164,16 @@ def test_kinds_of_input_come_back_in_kind():
 def test_the_global_state_of_torch_is_left_alone():
     torch.manual_seed(3)
     before = torch.get_rng_state(), torch.get_num_threads(), torch.get_default_dtype()
-    SVC(probability=True).fit(X, Y)
+    grid_search(SVC(), X, Y, C=[1.0], gamma=[1.0])
     assert torch.equal(before[0], torch.get_rng_state())
     assert before[1:] == (torch.get_num_threads(), torch.get_default_dtype())
 
 
-@pytest.mark.parametrize("kernel", ["rbf", "poly", "linear"])
-def test_forward_is_differentiable(kernel):
-    model = SVR(2.0, kernel=kernel, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1]], 1))
+def test_forward_is_differentiable():
+    model = SVR(2.0, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1]], 1))
     x = torch.tensor(X[:4], requires_grad=True)
     assert torch.autograd.gradcheck(model, (x,))
-    chance = SVC(2.0, kernel=kernel, gamma=0.4, probability=True).fit(X, Y)
+    chance = with_probabilities(SVC(2.0, gamma=0.4).fit(X, Y))
     assert torch.autograd.gradcheck(chance, (x,))
 
 
@@ -203,7 +190,7 @@ def test_chunks_and_gradient_path_agree():
 
 
 def test_state_dict_is_complete():
-    model = SVC(probability=True).fit(X, Y)
+    model = with_probabilities(SVC().fit(X, Y))
     copy = SVC()
     copy.load_state_dict(model.state_dict())
     assert torch.equal(copy(torch.tensor(X)), model(torch.tensor(X)))

@@ -6,9 +6,16 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from cgtorch.svm.gram import Gram
-from cgtorch.svm.optimality import dual_objective, violation
 from cgtorch.svm.polish import polish
-from cgtorch.svm.problems import Problems, State, at_zero, classification, regression
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    at_zero,
+    classification,
+    dual_objective,
+    regression,
+    violation,
+)
 from cgtorch.svm.smo import smo_steps
 
 
@@ -21,7 +28,7 @@ def _problems(seed: int, cap: float, regress: bool) -> tuple[Tensor, Problems]:
     x = torch.randn(60, 4, dtype=torch.float64, generator=generator)
     z = (2 * x[:, 0]).sin() + 0.3 * x[:, 1]
     weight = (torch.arange(60) % 3 != torch.arange(3)[:, None]).double()
-    caps, kernel = torch.full((3,), cap, dtype=torch.float64), Gram("rbf", x, 0.5).matrix
+    caps, kernel = torch.full((3,), cap, dtype=torch.float64), Gram(x, 0.5).matrix
     if regress:
         return kernel, regression(z.expand(3, -1), caps, torch.full_like(caps, 0.05), weight)
     return kernel, classification(torch.where(z > 0, 1.0, -1.0).double(), caps, weight)
@@ -68,7 +75,7 @@ def test_what_is_hopeless_is_given_up_and_left_as_it_was() -> None:
     signs = torch.where(torch.rand(300, generator=generator) > 0.5, 1.0, -1.0).double()
     cap = torch.tensor([1000.0], dtype=torch.float64)
     problems = classification(signs, cap, torch.ones(1, 300, dtype=torch.float64))
-    kernel = Gram("rbf", x, 0.01).matrix
+    kernel = Gram(x, 0.01).matrix
     beta = torch.where(signs > 0, problems.upper, 0.0)
     start = _state(kernel, beta, torch.zeros(1, dtype=torch.float64)).take(0)
     before = start.beta.clone()
@@ -84,7 +91,7 @@ def test_many_free_and_few_free_coefficients_become_exact() -> None:
         (0.001, classification(torch.where(x[:, 0] > 0, 1.0, -1.0).double(), 512 * one, every)),
     )
     for gamma, problems in cases:
-        kernel = Gram("rbf", x, gamma).matrix
+        kernel = Gram(x, gamma).matrix
         rough = smo_steps(kernel, problems, at_zero(problems), 1e-2, 10**5)
         found = polish(kernel, problems.take(0), rough.take(0), 1e-7)
         assert found is not None

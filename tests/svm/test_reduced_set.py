@@ -5,7 +5,7 @@ import torch
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import SVR, compact
-from cgtorch.svm.kernels import make_kernel
+from cgtorch.svm.gram import rbf
 from cgtorch.svm.reduced_set import pivots
 
 
@@ -14,9 +14,9 @@ def _rows(count: int) -> torch.Tensor:
 
 
 def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
-    x, kernel = _rows(200), make_kernel("rbf", 0.05)
-    matrix = kernel(x, x)
-    chosen = pivots(kernel, x, 40).tolist()
+    x = _rows(200)
+    matrix = rbf(x, x, 0.05)
+    chosen = pivots(x, 0.05, 40).tolist()
     assert len(set(chosen)) == 40
     for count in range(1, 40):
         some = matrix[chosen[:count]]
@@ -28,7 +28,7 @@ def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
 
 def test_what_is_explained_already_is_not_chosen() -> None:
     x = _rows(10)[torch.arange(60) % 10]
-    assert len(pivots(make_kernel("rbf", 0.5), x, 60)) == 10
+    assert len(pivots(x, 0.5, 60)) == 10
 
 
 def test_more_centres_lose_less() -> None:

@@ -9,8 +9,16 @@ from torch import Tensor
 from cgtorch.ground.errors import ModelError
 from cgtorch.svm import solver
 from cgtorch.svm.gram import Gram
-from cgtorch.svm.optimality import duality_gap, violation
-from cgtorch.svm.problems import Problems, State, at_zero, classification, feasible, regression
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    at_zero,
+    classification,
+    duality_gap,
+    feasible,
+    regression,
+    violation,
+)
 from cgtorch.svm.smo import smo_steps
 
 
@@ -66,7 +74,7 @@ def test_classification_is_optimal(seed, n, exponent, gamma, duplicates, constan
     signs = torch.where(noisy > noisy.median(), 1.0, -1.0).double()
     cap = torch.tensor([2.0**exponent], dtype=torch.float64)
     problems = classification(signs, cap, torch.ones(1, n, dtype=torch.float64))
-    found = solver.solve(Gram("rbf", x, gamma), problems)
+    found = solver.solve(Gram(x, gamma), problems)
     _check_optimal(_kernel(x, gamma), problems, found, 1e-5)
 
 
@@ -82,7 +90,7 @@ def test_regression_is_optimal(seed, n, exponent, gamma, epsilon, duplicates):
     x, generator = _rows(seed, n, duplicates)
     z = (x[:, 0] * 2).sin() + 0.1 * torch.randn(n, generator=generator, dtype=torch.float64)
     problems = _one(z, 2.0**exponent, epsilon)
-    found = solver.solve(Gram("rbf", x, gamma), problems)
+    found = solver.solve(Gram(x, gamma), problems)
     _check_optimal(_kernel(x, gamma), problems, found, 1e-5)
 
 
@@ -94,10 +102,10 @@ def test_held_out_rows_stay_out(seed, exponent):
     mask = torch.arange(n)[None] % 5 != torch.arange(5)[:, None]
     cap = torch.full((5,), 2.0**exponent, dtype=torch.float64)
     problems = classification(signs, cap, mask.double())
-    found = solver.solve(Gram("rbf", x, 0.3), problems)
+    found = solver.solve(Gram(x, 0.3), problems)
     assert float(found.beta[~mask].abs().max()) == 0.0
     alone = solver.solve(
-        Gram("rbf", x[mask[2]], 0.3),
+        Gram(x[mask[2]], 0.3),
         classification(signs[mask[2]], cap[:1], torch.ones(1, 40, dtype=torch.float64)),
     )
     value = alone.beta @ _kernel(x, 0.3)[mask[2]] + alone.bias[:, None]
@@ -109,7 +117,7 @@ def test_large_problems_agree_with_plain_smo():
     x, generator = _rows(1, n)
     z = (3 * x[:, 0]).sin() + 0.2 * torch.randn(n, generator=generator, dtype=torch.float64)
     problems = _one(z, 5.0, 0.1)
-    found = solver.solve(Gram("rbf", x, 0.5), problems)
+    found = solver.solve(Gram(x, 0.5), problems)
     slow = smo_steps(_kernel(x, 0.5), problems, at_zero(problems), 1e-7, 10**6)
     assert float(slow.violation) <= 1e-7
     value = slow.product + slow.bias - found.product - found.bias
@@ -121,9 +129,9 @@ def test_large_problems_agree_with_plain_smo():
 def test_what_exact_steps_or_compiled_ones_leave_is_solved_all_the_same(monkeypatch, way):
     x, _ = _rows(3, 60)
     problems = _one(x[:, 0], 5.0, 0.1)
-    whole = solver.solve(Gram("rbf", x, 0.5), problems)
+    whole = solver.solve(Gram(x, 0.5), problems)
     monkeypatch.setattr(solver, way, lambda *_: None)
-    found = solver.solve(Gram("rbf", x, 0.5), problems)
+    found = solver.solve(Gram(x, 0.5), problems)
     _check_optimal(_kernel(x, 0.5), problems, found, 1e-4)
     assert torch.allclose(
         found.product + found.bias[:, None], whole.product + whole.bias, atol=1e-4
@@ -133,7 +141,7 @@ def test_what_exact_steps_or_compiled_ones_leave_is_solved_all_the_same(monkeypa
 def test_a_wrong_answer_shows_in_its_gap():
     x, _ = _rows(4, 40)
     problems = _one(x[:, 0], 5.0, 0.1)
-    found = solver.solve(Gram("rbf", x, 0.5), problems)
+    found = solver.solve(Gram(x, 0.5), problems)
     gap = float(duality_gap(problems, found))
     worse = State(found.beta * 0.9, found.product * 0.9, found.bias, found.violation)
     assert float(duality_gap(problems, worse)) > 100 * gap
@@ -148,7 +156,7 @@ def test_what_cannot_be_solved_is_refused(monkeypatch, compiled):
     x, generator = _rows(5, 300)
     z = torch.randn(300, generator=generator, dtype=torch.float64)
     with pytest.raises(ModelError, match="1 dual problems were not solved"):
-        solver.solve(Gram("rbf", x, 0.5), _one(z, 1000.0, 0.0))
+        solver.solve(Gram(x, 0.5), _one(z, 1000.0, 0.0))
 
 
 def test_plain_smo_says_what_too_few_steps_leave():

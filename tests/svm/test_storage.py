@@ -60,10 +60,9 @@ def test_what_was_saved_is_what_is_loaded(model_file, tmp_path):
     assert load_model_and_report(path, KINDS)[1] == asdict(REPORT)
 
     x, y = labelled(100)
-    for other in (
-        SVC(kernel="poly", degree=2, coef0=1.0, probability=True).fit(x, y),
-        SVR().fit(x, x[:, :2]),
-    ):
+    classifier = SVC().fit(x, y)
+    classifier.platt = torch.tensor([-1.5, 0.2]).double()
+    for other in (classifier, SVR().fit(x, x[:, :2])):
         save_model(tmp_path / "one", other)
         rows = torch.tensor(x)
         assert torch.equal(load_model(tmp_path / "one")(rows), other(rows))
@@ -75,7 +74,8 @@ def test_a_loaded_machine_learns_on_with_the_parameters_of_its_fit(tmp_path):
     order = torch.randperm(120, generator=torch.Generator().manual_seed(0))
     x, y = torch.tensor(x)[order], torch.tensor(y)[order]
     regression = SVR([1.0, 3.0], gamma=0.3, epsilon=[0.05, 0.1])
-    classifier = SVC(3.0, gamma=0.3, probability=True)
+    classifier = SVC(3.0, gamma=0.3)
+    classifier.platt = torch.tensor([-1.5, 0.2]).double()
     for machine, target in ((regression, x[:, :2].sin()), (classifier, y)):
         save_model(tmp_path / "m", machine.fit(x[:80], target[:80]))
         again = load_model(tmp_path / "m").learn_on(x, target)
@@ -102,11 +102,8 @@ def test_a_failed_save_leaves_the_old_file(model_file, tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_saved_is_refused(tmp_path):
-    x, y = labelled(50)
     with pytest.raises(ModelError, match="fitted"):
         save_model(tmp_path / "m", SVC())
-    with pytest.raises(ModelError, match="callable"):
-        save_model(tmp_path / "m", SVC(kernel=lambda a, b: a @ b.T).fit(x, y))
 
 
 def _rewritten(path, target, change_state=None, **header):
@@ -129,10 +126,8 @@ def _rewritten(path, target, change_state=None, **header):
         ({"kind": "SVC"}, "missing or unknown"),
         ({"format": "other"}, "no cgtorch model"),
         ({"settings": {"kernel": "rbf"}}, "unusable settings"),
-        ({"settings": {"kernel": "rbf", "degree": 10**9, "coef0": 0.0}}, "unusable settings"),
-        ({"settings": {"kernel": "poly", "degree": 1, "coef0": 10**400}}, "unusable settings"),
-        ({"settings": {"kernel": "poly", "degree": 1, "coef0": True}}, "unusable settings"),
-        ({"settings": []}, "unknown model"),
+        ({"settings": {"kernel": "poly", "degree": 3, "coef0": 0.0}}, "unusable settings"),
+        ({"settings": []}, "unusable settings"),
         ({"kind": ["SVR"]}, "damaged"),
     ],
 )

@@ -38,7 +38,7 @@ class GraspClassifier(SuccessClassifier):
         machine, mean, scale = self.machine, self.mean, self.scale
         if not suits(percept, *machine._machine, mean, scale, machine.platt):
             return None
-        if machine.kernel != "rbf" or not machine.fitted:
+        if not machine.fitted:
             return None
         known = (FLAT + 3,) if parts_of(percept).side.shape[-1] else (FLAT, FLAT + 1)
         if len(mean) not in known:

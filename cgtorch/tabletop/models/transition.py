@@ -72,8 +72,7 @@ class TableTransitionModel(TransitionModel):
         """
         geometry.check_shapes(percept, motion)
         machine = self.machine._machine
-        suited = suits(percept, motion, *machine)
-        if not suited or self.machine.kernel != "rbf" or not self.machine.fitted:
+        if not suits(percept, motion, *machine) or not self.machine.fitted:
             return None
         made = machine_structure(*machine)
         if made is None or made.d != 4 or made.k != 1:

@@ -10,14 +10,19 @@ from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.native import available
-from cgtorch.svm import SVC, SVR, compiled_smo, grid_search, solver
-from cgtorch.svm.compiled_smo import compiled_smo_steps
-from cgtorch.svm.gram import Gram
+from cgtorch.svm import SVC, SVR, grid_search, smo, solver
+from cgtorch.svm.gram import Gram, rbf
 from cgtorch.svm.grid_search import scaled_start
-from cgtorch.svm.kernels import kernel_matrix, make_kernel
-from cgtorch.svm.optimality import dual_objective, duality_gap
-from cgtorch.svm.problems import Problems, State, at_zero, classification, regression
-from cgtorch.svm.smo import GAP, smo_steps
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    at_zero,
+    classification,
+    dual_objective,
+    duality_gap,
+    regression,
+)
+from cgtorch.svm.smo import GAP, compiled_smo_steps, smo_steps
 from cgtorch.svm.solver import solve
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
@@ -76,8 +81,8 @@ def _violation(problems: Problems, beta: Tensor, matrix: Tensor) -> Tensor:
 def test_solutions_are_those_of_plain_smo(seed, n, gamma, epsilon, duplicates):
     x = _rows(seed, n, duplicates)
     problems = _problems(x, epsilon)
-    exact = kernel_matrix(make_kernel("rbf", gamma), x)
-    found = _rising(Gram("rbf", x, gamma), problems, 1e-4)
+    exact = rbf(x, x, gamma)
+    found = _rising(Gram(x, gamma), problems, 1e-4)
     assert bool((found.violation <= 1e-4).all())
     assert bool((found.beta >= problems.lower).all())
     assert bool((found.beta <= problems.upper).all())
@@ -97,11 +102,11 @@ def test_solutions_are_those_of_plain_smo(seed, n, gamma, epsilon, duplicates):
 def test_problems_larger_than_a_set_are_solved(epsilon):
     x = _rows(1, 1500)
     problems = _problems(x, epsilon, folds=2, wave=9.0)
-    found = _rising(Gram("rbf", x, 0.5, threads=2), problems, 1e-3)
+    found = _rising(Gram(x, 0.5, threads=2), problems, 1e-3)
     assert float(found.violation.max()) < 1e-3
     free = (found.beta > problems.lower) & (found.beta < problems.upper) & (found.beta != 0)
     assert int(free.sum(1).max()) > 400
-    exact = kernel_matrix(make_kernel("rbf", 0.5), x)
+    exact = rbf(x, x, 0.5)
     assert float(_violation(problems, found.beta, exact).max()) < 1.1e-3
     gap = duality_gap(problems, found)
     assert float((gap / dual_objective(problems, found).abs()).max()) < 0.01
@@ -110,7 +115,7 @@ def test_problems_larger_than_a_set_are_solved(epsilon):
 def test_threads_change_nothing():
     x = _rows(2, 301)
     problems = _problems(x, 0.05, folds=5)
-    grams = [Gram("rbf", x, 0.3, threads=threads) for threads in (1, 2, 7)]
+    grams = [Gram(x, 0.3, threads=threads) for threads in (1, 2, 7)]
     found = [_rising(gram, problems, 1e-3) for gram in grams]
     for other in found[1:]:
         for name, value in vars(other).items():
@@ -122,7 +127,7 @@ def test_a_cost_that_binds_nothing_keeps_the_solution():
     x = _rows(3, 120)
     cap = torch.tensor([100.0, 2e3], dtype=torch.float64)
     z, tube = (2 * x[:, 0]).sin(), torch.full((1,), 0.1).double()
-    gram, every = Gram("rbf", x, 2.0), torch.ones(1, 120, dtype=torch.float64)
+    gram, every = Gram(x, 2.0), torch.ones(1, 120, dtype=torch.float64)
     first, second = (regression(z[None], cap[i : i + 1], tube, every) for i in range(2))
     found = solve(gram, first, None, 1e-3)
     assert float(found.beta.abs().max()) < 100
@@ -135,7 +140,7 @@ def test_a_cost_that_binds_nothing_keeps_the_solution():
 @pytest.mark.parametrize("kind", [torch.float32, torch.float64])
 def test_what_takes_too_long_is_said_and_goes_on_from_there(kind):
     x = _rows(4, 200)
-    problems, gram = _problems(x, 0.01), Gram("rbf", x, 0.05)
+    problems, gram = _problems(x, 0.01), Gram(x, 0.05)
     matrix = gram.single if kind == torch.float32 else gram.double
     found = compiled_smo_steps(matrix, problems, at_zero(problems), 1e-3, 1.0, 1)
     assert found is not None
@@ -149,7 +154,7 @@ def test_what_takes_too_long_is_said_and_goes_on_from_there(kind):
 
 def test_double_precision_goes_as_far_as_is_asked():
     x = _rows(4, 200)
-    problems, gram = _problems(x, 0.01), Gram("rbf", x, 0.5)
+    problems, gram = _problems(x, 0.01), Gram(x, 0.5)
     found = compiled_smo_steps(gram.double, problems, at_zero(problems), 1e-9, 1e12, 1)
     assert found is not None
     assert float(_violation(problems, found.beta, gram.matrix).max()) < 1.1e-9
@@ -166,18 +171,16 @@ def test_exact_steps_end_what_would_take_too_long(monkeypatch):
     monkeypatch.setattr(solver, "polish", watched)
     x = _rows(4, 400)
     problems = _problems(x, 0.01)
-    found = _rising(Gram("rbf", x, 0.05), problems, 1e-3)
+    found = _rising(Gram(x, 0.05), problems, 1e-3)
     assert any(each is not None for each in ended)
-    exact = kernel_matrix(make_kernel("rbf", 0.05), x)
+    exact = rbf(x, x, 0.05)
     assert float(_violation(problems, found.beta, exact).max()) < 2.1e-3
 
 
 @pytest.mark.parametrize("n", [1, 15, 16, 17, 100])
-@pytest.mark.parametrize("kernel", ["rbf", "linear", "poly"])
-def test_kernel_matrices_are_those_of_torch(n, kernel):
+def test_kernel_matrices_are_those_of_torch(n):
     x = 3 * _rows(5, n) + 100
-    exact = kernel_matrix(make_kernel(kernel, 0.3, 2, 1.0), x)
-    gram = Gram(kernel, x, 0.3, 2, 1.0)
+    exact, gram = rbf(x, x, 0.3), Gram(x, 0.3)
     assert gram.single.shape == (n, n + -n % 16)
     assert gram.double.shape == (n, n + -n % 8)
     assert bool(torch.isfinite(gram.single).all())
@@ -189,7 +192,7 @@ def test_kernel_matrices_are_those_of_torch(n, kernel):
 def test_kernels_that_are_not_finite_are_refused():
     rows = torch.tensor([[1e200], [-1e200], [1e300]]).double()
     with pytest.raises(DataError, match="non-finite"):
-        _ = Gram("rbf", rows, 1.0).single
+        _ = Gram(rows, 1.0).single
 
 
 @pytest.mark.parametrize("classifier", [True, False])
@@ -203,7 +206,7 @@ def test_grids_agree_with_and_without_a_compiler(monkeypatch, classifier):
     x = (x - x.mean(0)) / np.where(x.std(0) > 0, x.std(0), 1)
     grid = {"C": [0.5, 16.0, 256.0], "gamma": [0.02, 0.2, 2.0]}
     compiled = grid_search(model, x, y, **grid)
-    monkeypatch.setattr(compiled_smo, "function", lambda *_: None)
+    monkeypatch.setattr(smo, "function", lambda *_: None)
     plain = grid_search(model, x, y, folds=compiled.folds, **grid)
     np.testing.assert_allclose(compiled.held_out, plain.held_out, atol=5e-3, rtol=1e-3)
     np.testing.assert_allclose(compiled.mean, plain.mean, atol=1e-3)
