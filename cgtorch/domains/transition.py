@@ -1,21 +1,20 @@
 """Γ, the transition model: the next percept from a percept and a control.
 
-A support vector machine learns what the geometry of a domain leaves open. `TransitionModel` is what
-every Γ shares: a machine on standardised features, and how novel a transition is to it.
-`KernelTransitionModel` is the one of a domain of which nothing is known but the names of its
-numbers: it learns by how much each of them changes.
+`TransitionModel` is what every Γ shares, `KernelTransitionModel` the one of a domain of which
+nothing is known but the names of its numbers.
 """
 
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any, Self, TypeAlias
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, TypeAlias
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
-from cgtorch.domains.learned_model import LearnedModel
+from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR, compact, inputs
@@ -25,6 +24,39 @@ LN2 = math.log(2)
 
 Features: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Further features (..., F) of percepts (..., D) and controls (..., U)."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Hyper-parameters that cross-validation chooses from.
+
+    Attributes:
+        C: Costs, on standardised targets.
+        gamma: Kernel widths for one feature; divided by the number of features.
+        epsilon: Half widths of the tube, on standardised targets.
+        rows: Random rows that are learned from and scored at most.
+    """
+
+    C: Sequence[float]
+    gamma: Sequence[float]
+    epsilon: Sequence[float]
+    rows: int
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What machines said of m rows that they had not learned from.
+
+    Attributes:
+        tells: (n,) bool, which of all rows tell the machine something.
+        value: (m, K) what was said, and `target` what was to be said.
+        learnt: (K,) bool, for which outputs that is better than nothing.
+    """
+
+    tells: Tensor
+    value: Tensor
+    target: Tensor
+    learnt: Tensor
 
 
 class TransitionModel(LearnedModel):
@@ -37,6 +69,7 @@ class TransitionModel(LearnedModel):
     reach: Tensor
     most: Tensor
     machine: SVR
+    grid: ClassVar[Grid]
 
     def __init__(self) -> None:
         super().__init__(SVR())
@@ -61,13 +94,29 @@ class TransitionModel(LearnedModel):
     ) -> tuple[Tensor, Tensor]:
         """What the machine is to say of transitions (n, K), and (n,) bool which of them tell it."""
 
-    def forward(self, percept: Tensor, control: Tensor) -> Tensor:
-        """Next percept (..., D).
+    @abstractmethod
+    def fields(self, size: int) -> Sequence[Field]:
+        """Names and units of the D numbers of percepts of a size."""
 
-        Raises:
-            DataError: Wrong shapes.
-            ModelError: Not fitted.
+    @abstractmethod
+    def standardise(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor, dtype: torch.dtype
+    ) -> None:
+        """Learn the scales of a model that will be of a type from transitions (n, ...)."""
+
+    @abstractmethod
+    def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
+        """Leave out, once fitted, what was not learnt.
+
+        Returns errors (D,) in cross-validation, and those of a model without a machine.
         """
+
+    def held_out(self, machine: SVR, x: Tensor, y: Tensor, generator: Generator) -> Tensor | None:
+        """Held-out values (n, K) of all features x (n, F), None if those of the grid suffice."""
+        return None
+
+    def forward(self, percept: Tensor, control: Tensor) -> Tensor:
+        """Next percept (..., D); DataError for wrong shapes, ModelError if not fitted."""
         return self.predict_with_novelty(percept, control)[0]
 
     def novelty(self, percept: Tensor, control: Tensor) -> Tensor:
@@ -102,18 +151,23 @@ class TransitionModel(LearnedModel):
 
     def checked(self, *rows: Any) -> tuple[Tensor, ...]:
         """See `LearnedModel.checked`."""
-        percept, control, next_percept = rows
-        return transition_rows(percept, control, next_percept)
+        names = "percept", "control", "next_percept"
+        p, u, q = (inputs.as_rows(row, name) for row, name in zip(rows, names, strict=True))
+        if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
+            raise DataError(
+                f"percept, control and next percept have {len(p)}, {len(u)} and {len(q)} rows of "
+                f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of D, U and D"
+            )
+        inputs.check_memory(len(p))
+        return p, u, q
 
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """See `LearnedModel.learnable`."""
-        percept, control, next_percept = rows
-        return self.features(percept, control), *self.targets(percept, control, next_percept)
+        return self.features(*rows[:2]), *self.targets(*rows)
 
     def loss(self, *rows: Tensor) -> Tensor:
         """See `LearnedModel.loss`."""
-        percept, control, next_percept = rows
-        return self.errors(self(percept, control), next_percept)
+        return self.errors(self(*rows[:2]), rows[2])
 
     def widen(self, *rows: Tensor) -> None:
         """See `LearnedModel.widen`."""
@@ -134,13 +188,10 @@ class TransitionModel(LearnedModel):
             self.reach = torch.ones_like(self.machine.gamma_value)
 
     def compacted(self, centres: int, percept: Tensor, control: Tensor) -> Self:
-        """A model of fewer centres that says nearly the same (`cgtorch.svm.compact`).
-
-        Few centres lie further apart, so what counts as novel is found again.
-        """
+        """A model of fewer centres that says nearly the same (`cgtorch.svm.compact`)."""
         smaller, features = deepcopy(self), self.features(percept, control)
         smaller.machine = compact(self.machine, centres, features)
-        smaller.measure_reach(features)
+        smaller.measure_reach(features)  # few centres lie further apart
         return smaller
 
 
@@ -156,6 +207,7 @@ class KernelTransitionModel(TransitionModel):
     shift: Tensor
     spread: Tensor
     learnt: Tensor
+    grid = Grid((1.0, 10.0, 100.0), (0.3, 1.0, 3.0), (0.02, 0.1), 600)
 
     def __init__(
         self, percept: Sequence[Field], control: Sequence[Field], further: Features | None = None
@@ -168,6 +220,24 @@ class KernelTransitionModel(TransitionModel):
             self.register_buffer(name, torch.zeros(len(percept), dtype=torch.float64))
         self._angles = columns_of(percept, "angle")
         self._whole = columns_of(percept, "discrete")
+
+    def fields(self, size: int) -> Sequence[Field]:
+        """See `TransitionModel.fields`."""
+        return self.percept_fields
+
+    def standardise(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor, dtype: torch.dtype
+    ) -> None:
+        """See `TransitionModel.standardise`."""
+        self.mean, self.scale = mean_and_spread(self.raw_features(percept, control))
+        self.shift, self.spread = mean_and_spread(self.difference(percept, next_percept))
+        self.most = self.extremes(percept, control).amax(0).clamp_min(1e-3)
+
+    def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.settle`."""
+        self.learnt = held.learnt.to(self.spread)
+        error, baseline = (held.value - held.target).abs().mean(0), held.target.abs().mean(0)
+        return torch.where(held.learnt, error, baseline) * self.spread, baseline * self.spread
 
     def raw_features(self, percept: Tensor, control: Tensor) -> Tensor:
         """The features (..., F) before they are standardised."""
@@ -223,16 +293,3 @@ class KernelTransitionModel(TransitionModel):
         """See `LearnedModel.shapes`."""
         own = dict.fromkeys(("shift", "spread", "learnt"), (len(self.percept_fields),))
         return {**super().shapes(features), "most": (features,), **own}
-
-
-def transition_rows(percept: Any, control: Any, next_percept: Any) -> tuple[Tensor, Tensor, Tensor]:
-    """Percepts (n, D), controls (n, U), next percepts (n, D); see `LearnedModel.checked`."""
-    p, u = inputs.as_rows(percept, "percept"), inputs.as_rows(control, "control")
-    q = inputs.as_rows(next_percept, "next_percept")
-    if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
-        raise DataError(
-            f"percept, control and next percept have {len(p)}, {len(u)} and {len(q)} rows of "
-            f"{p.shape[1]}, {u.shape[1]} and {q.shape[1]}; pass equally many of D, U and D"
-        )
-    inputs.check_memory(len(p))
-    return p, u, q

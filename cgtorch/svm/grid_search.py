@@ -16,7 +16,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.processes import in_processes
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
-from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.machine import KernelMachine, PerOutput
 from cgtorch.svm.problems import Problems, State, Targets, inside, relative_gap
 from cgtorch.svm.scores import SCORES, named_score
 from cgtorch.svm.solver import ROUGH, solve
@@ -91,9 +91,9 @@ def grid_search(
     x: Any,
     y: Any,
     *,
-    C: Sequence[float],
-    gamma: Sequence[float],
-    epsilon: Sequence[float] | None = None,
+    C: PerOutput,
+    gamma: PerOutput,
+    epsilon: PerOutput | None = None,
     folds: Any = 5,
     seed: int | Generator = 0,
     scoring: str | None = None,

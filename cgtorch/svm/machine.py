@@ -28,6 +28,7 @@ from cgtorch.svm.rbf_predict import fused_rbf
 from cgtorch.svm.solver import solve, start_at
 
 PerOutput: TypeAlias = float | Sequence[float]
+"""A number, or one for each."""
 
 
 class KernelMachine(nn.Module, ABC):

@@ -15,6 +15,7 @@ from cgtorch.domains.knowledge import Knowledge, imagine
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
@@ -30,7 +31,6 @@ from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
-from cgtorch.tabletop.models.transition_fit import fit_table_transition_model
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements
@@ -167,7 +167,8 @@ class Tabletop(Domain[Scenarios]):
 
     def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
         """See `Domain.fit_transition`."""
-        return fit_table_transition_model(data.percept, data.control, data.next_percept, seed=seed)
+        rows = data.percept, data.control, data.next_percept
+        return fit_transition_model(TableTransitionModel(), *rows, seed=seed)
 
     def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
         """See `Domain.fit_success`."""

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from cgtorch.domains import Field
 from cgtorch.domains.reports import TransitionReport
-from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
+from cgtorch.domains.transition import Grid, KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import wrapped
@@ -21,7 +21,7 @@ from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
 
 Fitted = tuple[TransitionModel, TransitionReport]
-GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0], "epsilon": [0.05]}
+GRID = Grid([10.0], [1.0], [0.05], 600)
 NUMBER = st.floats(-20, 20, width=32)
 
 
@@ -84,7 +84,11 @@ def test_a_number_that_is_all_noise_changes_by_its_mean() -> None:
     after = data.next_percept.clone()
     after[:, WIND] = data.percept[:, WIND] + 0.5 + torch.randn(200, generator=seeded(3))
     model, report = fit_transition_model(
-        KernelTransitionModel(Cart.percept, Cart.control), data.percept, data.control, after, **GRID
+        KernelTransitionModel(Cart.percept, Cart.control),
+        data.percept,
+        data.control,
+        after,
+        grid=GRID,
     )
     assert report.choice[WIND] is None
     mean = float((after - data.percept)[:, WIND].mean())
@@ -134,7 +138,7 @@ def test_an_angle_with_bounds_goes_round_within_them() -> None:
         control = torch.rand(120, 1, generator=seeded(1))
         after = low + torch.remainder(angle + 0.5 + control - low, 2 * torch.pi)
         model = KernelTransitionModel(wheel, (Field("push", low=0, high=1),))
-        model, _ = fit_transition_model(model, angle, control, after, **GRID)
+        model, _ = fit_transition_model(model, angle, control, after, grid=GRID)
         found = model(angle, control)
         assert ((found >= low - 1e-5) & (found <= high + 1e-5)).all()
         assert wrapped(found - after).abs().max() < 0.2
@@ -168,7 +172,7 @@ def test_features_of_a_domains_own_are_seen_too(fitted: Fitted) -> None:
     data, fresh = experience(0), experience(1)
     rows = data.percept, data.control, data.next_percept
     blind, seeing = (
-        fit_transition_model(made._transition_model(), *rows, **GRID)[0]
+        fit_transition_model(made._transition_model(), *rows, grid=GRID)[0]
         for made in (Cart(), SeeingCart())
     )
     numbers = len(Cart.percept) + 1 + len(Cart.control) + 1  # two angles
@@ -184,7 +188,7 @@ def test_it_is_differentiable() -> None:
     rows = data.percept, data.control, data.next_percept
     model = KernelTransitionModel(Cart.percept[:3], Cart.control)
     model, _ = fit_transition_model(
-        model, rows[0][:, :3], rows[1], rows[2][:, :3], **GRID, dtype=torch.float64
+        model, rows[0][:, :3], rows[1], rows[2][:, :3], grid=GRID, dtype=torch.float64
     )
     percept, control = data.percept[:3, :3].double() / 4, data.control[:3].double() / 4
     assert torch.autograd.gradcheck(model, (percept.requires_grad_(), control.requires_grad_()))
@@ -194,7 +198,7 @@ def test_it_is_differentiable() -> None:
 def test_it_goes_through_a_file(kind: type[Cart], tmp_path: Path) -> None:
     data = experience(5, 60)
     rows = data.percept, data.control, data.next_percept
-    model, _ = fit_transition_model(kind()._transition_model(), *rows, **GRID)
+    model, _ = fit_transition_model(kind()._transition_model(), *rows, grid=GRID)
     save_model(tmp_path / "gamma", model)
     again: Any = load_model(tmp_path / "gamma", kind().unfitted())
     for one, other in zip(
@@ -211,7 +215,7 @@ def test_same_seed_same_model() -> None:
     data = experience(6, 60)
     rows = data.percept, data.control, data.next_percept
     one, other = (
-        fit_transition_model(Cart()._transition_model(), *rows, seed=3, **GRID)[0].state_dict()
+        fit_transition_model(Cart()._transition_model(), *rows, seed=3, grid=GRID)[0].state_dict()
         for _ in range(2)
     )
     assert all(torch.equal(value, other[name]) for name, value in one.items())
@@ -232,7 +236,7 @@ def test_bad_data_are_refused(change: Any, says: str) -> None:
     data = experience(6, 60)
     rows = change(data.percept, data.control, data.next_percept)
     with pytest.raises(DataError, match=says):
-        fit_transition_model(Cart()._transition_model(), *rows, **GRID)
+        fit_transition_model(Cart()._transition_model(), *rows, grid=GRID)
 
 
 def test_an_unfitted_model_says_so() -> None:

@@ -10,7 +10,7 @@ from support import seeded
 from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
-from cgtorch.domains.transition import TransitionModel
+from cgtorch.domains.transition import Grid, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import DataError
@@ -26,7 +26,9 @@ TESTS = DATA.tested, DATA.succeeded
 def gamma_of(rows: int, domain: Cart | None = None) -> TransitionModel:
     model = (domain or Cart())._transition_model()
     some = (a[:rows] for a in MOVES)
-    return fit_transition_model(model, *some, **GRID, epsilon=[0.05], dtype=torch.float64)[0]
+    return fit_transition_model(
+        model, *some, grid=Grid([10.0], [1.0], [0.05], 600), dtype=torch.float64
+    )[0]
 
 
 def classifier_of(rows: int, domain: Cart | None = None) -> SuccessClassifier:

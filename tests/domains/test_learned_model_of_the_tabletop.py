@@ -5,14 +5,18 @@ import torch
 from stand_in import labelled, transitions
 
 from cgtorch.domains.success import fit_success_classifier
-from cgtorch.tabletop.models import GraspClassifier, fit_table_transition_model
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 
-GRID = {"C": [2.0], "gamma": [1.0], "grid_rows": 300}
+GRID = Grid([2.0], [4.0], [0.1], 300)
 
 
 def test_gamma_errs_no_more_on_the_transitions_left_out():
     data = [torch.tensor(a) for a in transitions(600, 1)]
-    model, report = fit_table_transition_model(*data, dtype=torch.float64, **GRID)
+    model, report = fit_transition_model(
+        TableTransitionModel(), *data, dtype=torch.float64, grid=GRID
+    )
     held_out = sum(report.error[:4]) / 4
     for limit in (report.centres + 50, report.centres // 2):
         kept, start = model.coreset(*data, limit=limit)
@@ -32,7 +36,9 @@ def test_gamma_errs_no_more_on_the_transitions_left_out():
 
 def test_rows_that_are_no_support_vectors_change_nothing():
     data = [torch.tensor(a) for a in transitions(600, 2)]
-    model, report = fit_table_transition_model(*data, dtype=torch.float64, **GRID)
+    model, report = fit_transition_model(
+        TableTransitionModel(), *data, dtype=torch.float64, grid=GRID
+    )
     kept, start = model.coreset(*data, limit=report.centres + 5)
     p, u, _ = (torch.tensor(a) for a in transitions(300, 3))
     assert torch.allclose(start(p, u), model(p, u), atol=1e-9)  # it still has all of them

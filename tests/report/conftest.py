@@ -10,6 +10,8 @@ from torch import Tensor
 from cgtorch.actions import paper_actions
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.success import fit_success_classifier
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import branching_action, compose
@@ -31,7 +33,7 @@ from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.models import (
     GraspClassifier,
     SuccessQuality,
-    fit_table_transition_model,
+    TableTransitionModel,
     fresh_labels,
     success_quality,
     transition_quality,
@@ -57,12 +59,15 @@ SCENES = Scenes(_world_of)
 
 def _knowledge() -> Knowledge:
     data = collect(SCENES, 120, 100, seeded(0))
-    grid = {"C": (8.0,), "gamma": (0.03,)}
-    gamma, gamma_report = fit_table_transition_model(
-        data.percept, data.control, data.next_percept, epsilon=(0.1,), folds=3, **grid
+    gamma, gamma_report = fit_transition_model(
+        TableTransitionModel(),
+        data.percept,
+        data.control,
+        data.next_percept,
+        grid=Grid((8.0,), (0.12,), (0.1,), 800),
     )
     classifier, report = fit_success_classifier(
-        GraspClassifier(), data.tested, data.succeeded, **grid
+        GraspClassifier(), data.tested, data.succeeded, C=(8.0,), gamma=(0.03,)
     )
     return Knowledge(data, gamma, gamma, classifier, gamma_report, report, data)
 

@@ -7,8 +7,5 @@ from cgtorch.tabletop.models.success_quality import SuccessQuality as SuccessQua
 from cgtorch.tabletop.models.success_quality import fresh_labels as fresh_labels
 from cgtorch.tabletop.models.success_quality import success_quality as success_quality
 from cgtorch.tabletop.models.transition import TableTransitionModel as TableTransitionModel
-from cgtorch.tabletop.models.transition_fit import (
-    fit_table_transition_model as fit_table_transition_model,
-)
 from cgtorch.tabletop.models.transition_quality import TransitionQuality as TransitionQuality
 from cgtorch.tabletop.models.transition_quality import transition_quality as transition_quality

@@ -4,23 +4,27 @@ Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`): point
 the box around a rectangle of known sides follows from its yaw. The box seen leaves open to which
 side the table is turned, and that is what support vector regression learns, from where on the table
 the object would stand. Where the percept tells the table's yaw, there is nothing to learn, and its
-sides are as seen. Obstacles are boxes of shapes that are not known. How Γ is fitted is in
-`cgtorch.tabletop.models.transition_fit`.
+sides are as seen. Obstacles are boxes of shapes that are not known.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
-from cgtorch.domains.transition import TransitionModel
+from cgtorch.domains.transition import Grid, HeldOut, TransitionModel
+from cgtorch.environment.fields import Field
 from cgtorch.native import constants, function, structure, suits
+from cgtorch.svm import SVR, grid_search
 from cgtorch.svm.compiled import LOG2E, machine_structure, threads_for
 from cgtorch.tabletop.models import geometry
+from cgtorch.tabletop.world.percepts import parts_of, percept_fields
 
 DECISIVE = 0.03
 """Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
 three times the noise of a transition."""
+_QUIET_CENTRES = 256
 
 
 class TableTransitionModel(TransitionModel):
@@ -35,12 +39,61 @@ class TableTransitionModel(TransitionModel):
 
     sides: Tensor
     trust: Tensor
+    grid = Grid((1.0, 4.0), (2.0, 4.0, 8.0), (0.1,), 800)
 
     def __init__(self) -> None:
         super().__init__()
         for name, size in (("mean", 4), ("scale", 4), ("sides", 2), ("most", 4)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
         self.register_buffer("trust", torch.ones((), dtype=torch.float64))
+
+    def fields(self, size: int) -> Sequence[Field]:
+        """See `TransitionModel.fields`."""
+        return percept_fields(size)
+
+    def standardise(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor, dtype: torch.dtype
+    ) -> None:
+        """See `TransitionModel.standardise`: the table's sides and the scale of the features."""
+        geometry.check_shapes(percept, control)
+        parts = geometry.to_parts(torch.cat([percept, next_percept]))
+        self.sides = geometry.table_sides(parts[:, geometry.EXTENTS])
+        scene = geometry.scene_of(percept, self.sides)
+        places = geometry.places_on_table(scene)
+        self.mean = places.mean(0)
+        # One scale for all: they are lengths, seen with the same noise.
+        spread = places.var(0, correction=0).mean().sqrt()
+        self.scale = torch.where(spread > 1e-9, spread, 1.0).expand(places.shape[1]).clone()
+        self.most = geometry.extremes(scene, control).amax(0).clamp_min(1e-3)
+        self.to(dtype).double()  # which learning on will see like this
+
+    def held_out(self, machine: SVR, x: Tensor, y: Tensor, generator: Generator) -> Tensor | None:
+        """See `TransitionModel.held_out`."""
+        width = float(machine.gamma)
+        found = grid_search(machine, x, y, C=machine.C, gamma=width, seed=generator)
+        return found.held_out[0, 0, 0].T.clamp(-1, 1)
+
+    def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.settle`.
+
+        Turning the table is trusted only if that beats turning its box loosely, without which
+        the second errors are.
+        """
+        percept, control, next_percept = rows
+        features = self.features(percept, control)
+        if not bool(held.learnt):
+            _silence(self.machine, features[held.tells])
+            self.measure_reach(features[held.tells])
+        value = self.machine.values(features)
+        value[held.tells] = held.value * held.learnt  # the others were not learnt from
+        errors = []
+        for trust in (1.0, 0.0):
+            self.trust = torch.tensor(trust).to(percept)
+            errors.append((self.next_percept(percept, control, value) - next_percept).abs())
+        turned, loose = errors
+        better = _better(parts_of(turned).box.mean(1), parts_of(loose).box.mean(1))
+        self.trust = torch.tensor(float(better)).to(percept)
+        return (turned if better else loose).mean(0), loose.mean(0)
 
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.predict_with_novelty`."""
@@ -126,3 +179,17 @@ class TableTransitionModel(TransitionModel):
 
     def _features(self, scene: geometry.Scene) -> Tensor:
         return (geometry.places_on_table(scene).to(self.mean) - self.mean) / self.scale
+
+
+def _better(error: Tensor, baseline: Tensor) -> bool:
+    """Whether errors (n,) are below those of the baseline by more than the standard error."""
+    gain = baseline - error
+    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
+
+
+def _silence(machine: SVR, rows: Tensor) -> None:
+    """Let the machine say 0 everywhere; a few centres stay, to tell novelty from."""
+    some = torch.arange(min(len(rows), _QUIET_CENTRES), device=rows.device)
+    machine.centres, machine.support = rows[some].clone(), some
+    machine.weights = rows.new_zeros(len(some), 1)
+    machine.bias, machine.gap, machine.cost = (rows.new_zeros(1) for _ in range(3))

@@ -6,9 +6,11 @@ import pytest
 import torch
 from support import FOOTPRINT, graspable, seeded
 
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import poses_at_object
-from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
+from cgtorch.tabletop.models import TableTransitionModel, transition_quality
 from cgtorch.tabletop.models.success_quality import chance_of_success, scenes_behind
 from cgtorch.tabletop.models.table_posterior import tables_behind
 from cgtorch.tabletop.models.transition_quality import (
@@ -68,11 +70,13 @@ def test_the_median_errs_as_the_samples_promise(percept):
 
 
 def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
-    grid = {"C": [1.0], "gamma": [1.0], "grid_rows": 200}
+    grid = Grid([1.0], [4.0], [0.1], 200)
     quality = {}
     for percept in PERCEPTS:
         data = fresh_transitions(scenes_of(percept), 500, seeded(6))
-        model, _ = fit_table_transition_model(data.percept, data.motion, data.next_percept, **grid)
+        model, _ = fit_transition_model(
+            TableTransitionModel(), data.percept, data.motion, data.next_percept, grid=grid
+        )
         quality[percept] = transition_quality(scenes_of(percept), model, 1000, seeded(7))
     assert quality["yaw"].table_error < 1.03 * quality["yaw"].table_floor
     assert quality["yaw"].object_error < 1.03 * quality["yaw"].object_floor

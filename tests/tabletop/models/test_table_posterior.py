@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 
 from cgtorch.domains.success import fit_success_classifier
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import start_lanes
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import load_model, save_model
@@ -19,14 +21,13 @@ from cgtorch.tabletop.data.collect import drive
 from cgtorch.tabletop.models import (
     GraspClassifier,
     TableTransitionModel,
-    fit_table_transition_model,
     geometry,
 )
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, cluttered_scenarios
 
 QUIET = Noise(0, 0)
 KINDS = {"TableTransitionModel": TableTransitionModel}
-GRID = {"C": [1.0], "gamma": [1.0], "grid_rows": 200}
+GRID = Grid([1.0], [4.0], [0.1], 200)
 
 
 def world_of(percept, noise=LAB_NOISE):
@@ -37,7 +38,7 @@ def world_of(percept, noise=LAB_NOISE):
 def fitted():
     """Γ from 500 transitions among clutter, where percepts tell the yaw."""
     data = drive(Scenes(world_of("yaw"), "general-clutter"), 500, seeded(0))
-    return *fit_table_transition_model(*data, **GRID), data
+    return *fit_transition_model(TableTransitionModel(), *data, grid=GRID), data
 
 
 def moved_without_noise(scenes, motion):
@@ -124,7 +125,7 @@ def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
 
 def test_boxes_of_any_table_are_better_turned_than_kept():
     data = drive(Scenes(world_of("box"), "general"), 600, seeded(7))
-    model, _ = fit_table_transition_model(*data, **GRID)
+    model, _ = fit_transition_model(TableTransitionModel(), *data, grid=GRID)
     p, u, q = drive(Scenes(world_of("box"), "general"), 1000, seeded(8))
     kept = geometry.from_parts(geometry.move_rigidly(geometry.to_parts(p), u))
     error, rigid = ((x - q).abs()[:, :4].mean() for x in (model(p, u), kept))

@@ -7,15 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stand_in import DEPTH, WIDTH, transitions
 
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.ground.errors import DataError
-from cgtorch.tabletop.models import fit_table_transition_model, geometry
+from cgtorch.tabletop.models import TableTransitionModel, geometry
 
-GRID = {"C": [2.0], "gamma": [0.5, 1.5], "grid_rows": 400}
+GRID = Grid([2.0], [2.0, 6.0], [0.1], 400)
 
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit_table_transition_model(*transitions(900, 1), **GRID)
+    return fit_transition_model(TableTransitionModel(), *transitions(900, 1), grid=GRID)
 
 
 def _torch(arrays, dtype=torch.float32):
@@ -83,7 +85,7 @@ def test_what_cannot_be_learnt_is_left_alone():
     p, u, q = transitions(200, 4)
     rng = np.random.default_rng(0)
     p[:, 4:6] = (p[:, [0, 2]] + p[:, [1, 3]]) / 2 + rng.uniform(-0.3, 0.3, (200, 2))  # anywhere
-    model, report = fit_table_transition_model(p, u, q, **GRID)
+    model, report = fit_transition_model(TableTransitionModel(), p, u, q, grid=GRID)
     assert report.choice == (None,)
     assert not model.machine.weights.any()
 
@@ -94,7 +96,7 @@ def test_a_round_table_keeps_its_box():
         middle = (rows[:, [0, 2]] + rows[:, [1, 3]]) / 2
         noise = np.random.default_rng(1).normal(0, 0.005, (200, 4))
         rows[:, :4] = (middle[:, :, None] + [-0.5, 0.5]).reshape(200, 4) + noise
-    model, report = fit_table_transition_model(p, u, q, **GRID)
+    model, report = fit_transition_model(TableTransitionModel(), p, u, q, grid=GRID)
     assert max(report.error[:4]) < 1.1 * max(report.baseline_error[:4])
     assert float(model.trust) in (0, 1)
 
@@ -121,7 +123,9 @@ def test_a_mirrored_scene_has_a_mirrored_future(fitted):
 
 
 def test_gradients_equal_finite_differences():
-    model = fit_table_transition_model(*transitions(200, 6), dtype=torch.float64, **GRID)[0]
+    model = fit_transition_model(
+        TableTransitionModel(), *transitions(200, 6), dtype=torch.float64, grid=GRID
+    )[0]
     assert float(model.trust) == 1
     small = model.compacted(24, *_torch(transitions(200, 6), torch.float64)[:2])
     for one in (model, small):
@@ -167,7 +171,7 @@ def test_a_row_is_answered_alike_in_every_batch(fitted):
 
 def test_what_was_learnt_on_is_no_longer_beyond_the_data():
     p, u, q = _torch(transitions(400, 1), torch.float64)
-    start, _ = fit_table_transition_model(p, u, q, dtype=torch.float64, **GRID)
+    start, _ = fit_transition_model(TableTransitionModel(), p, u, q, dtype=torch.float64, grid=GRID)
     far = 3 * u * torch.tensor([1.0, 1, 0])
     assert float(start.novelty(p, far).median()) > 0.8
     after = start.updated(torch.cat([p, p]), torch.cat([u, far]), torch.cat([q, start(p, far)]))
@@ -209,14 +213,17 @@ def test_shapes_and_broadcasting(fitted):
 def test_same_seed_same_model():
     data = transitions(120, 10)
     first, second = (
-        fit_table_transition_model(*data, seed=3, **GRID)[0].state_dict() for _ in range(2)
+        fit_transition_model(TableTransitionModel(), *data, seed=3, grid=GRID)[0].state_dict()
+        for _ in range(2)
     )
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
 def test_learning_on_reaches_the_fit_on_all_data(fitted):
     p, u, q = transitions(400, 11)
-    start, _ = fit_table_transition_model(p[:60], u[:60], q[:60], dtype=torch.float64, **GRID)
+    start, _ = fit_transition_model(
+        TableTransitionModel(), p[:60], u[:60], q[:60], dtype=torch.float64, grid=GRID
+    )
     grown = start.updated(p, u, q)
     fresh_p, fresh_u, fresh_q = _torch(transitions(1500, 12), torch.float64)
     before = (start(fresh_p, fresh_u) - fresh_q)[:, :4].abs().mean()
@@ -269,4 +276,4 @@ def test_the_learning_curve_falls(fitted):
 )
 def test_bad_data_are_refused(change, says):
     with pytest.raises(DataError, match=says):
-        fit_table_transition_model(*change(*transitions(30)), **GRID)
+        fit_transition_model(TableTransitionModel(), *change(*transitions(30)), grid=GRID)

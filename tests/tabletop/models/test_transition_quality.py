@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, seeded
 
+from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import start_lanes
 from cgtorch.tabletop.data import Scenes
 from cgtorch.tabletop.data.collect import drive
-from cgtorch.tabletop.models import fit_table_transition_model, transition_quality
+from cgtorch.tabletop.models import TableTransitionModel, transition_quality
 from cgtorch.tabletop.models.geometry import to_parts
 from cgtorch.tabletop.models.table_posterior import placement_density
 from cgtorch.tabletop.models.transition_quality import (
@@ -159,8 +161,8 @@ def test_weighted_medians_err_least(values, seed):
 
 
 def test_gamma_is_close_to_the_floor():
-    model, _ = fit_table_transition_model(
-        *drive(LAB, 1200, seeded(0)), C=[1.0], gamma=[2.0], grid_rows=300
+    model, _ = fit_transition_model(
+        TableTransitionModel(), *drive(LAB, 1200, seeded(0)), grid=Grid([1.0], [8.0], [0.1], 300)
     )
     quality = transition_quality(LAB, model, 1500, seeded(10))
     assert quality.object_error < 1.03 * quality.object_floor
