@@ -10,14 +10,15 @@ from copy import deepcopy
 from typing import Any, Self
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, SVR
 from cgtorch.svm.coreset import shrink_to_coreset
+from cgtorch.svm.machine import FittedModule
 
 
-class LearnedModel(nn.Module, ABC):
+class LearnedModel(FittedModule, ABC):
     """A machine on standardised features.
 
     What it learns from are n rows of several tensors: percepts, controls and next percepts of Γ,
@@ -98,16 +99,6 @@ class LearnedModel(nn.Module, ABC):
         features, telling = self.learnable(*rows)[0], tells.nonzero().flatten()
         smaller = deepcopy(self)
         return telling[shrink_to_coreset(smaller.machine, features[telling], limit)], smaller
-
-    def _load_from_state_dict(
-        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
-    ) -> None:
-        """Take the buffers' sizes from the state dict, as a fit does from its data."""
-        for name, buffer in self._buffers.items():
-            given = state_dict.get(prefix + name)
-            if isinstance(given, Tensor) and buffer is not None and given.ndim == buffer.ndim:
-                self._buffers[name] = buffer.new_zeros(given.shape)
-        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
 
 
 def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,8 +13,7 @@ from torch import Tensor
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.environment.fields import Field, as_features
-from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs
-from cgtorch.svm.learning_curve import learning_values
+from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs, learning_values
 from cgtorch.svm.platt import fit_platt, probability
 from cgtorch.svm.scores import balanced_accuracy
 

@@ -10,7 +10,7 @@ import torch
 
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import Grid, HeldOut, TransitionModel
-from cgtorch.svm import SVR, Choice, doubling_sizes, grid_search, inputs, learning_curve
+from cgtorch.svm import SVR, Choice, doubling_sizes, grid_search, inputs, learning_values
 
 SCORE = "neg_mean_absolute_error"
 _CURVE_ROWS = 1000
@@ -69,9 +69,7 @@ def fit_transition_model(
     gain = y[some].abs() - (value - y[some]).abs()
     learnt = gain.mean(0) > gain.std(0) / len(gain) ** 0.5
     few = some[:_CURVE_ROWS]
-    curve = learning_curve(
-        machine, x[few], y[few], sizes=doubling_sizes(len(few)), seed=generator, scoring=SCORE
-    )
+    curve = learning_values(machine, x[few], y[few], sizes=doubling_sizes(len(few)), seed=generator)
     model.machine = machine.fit(x, y)
     model.measure_reach(x)
     error, baseline = model.settle(rows, HeldOut(tells, value, y[some], learnt))
@@ -91,6 +89,6 @@ def fit_transition_model(
         grid_gamma=tuple(found.gamma.tolist()),
         grid_epsilon=tuple(found.epsilon.tolist()),
         grid_scores=found.mean.tolist(),
-        learning_curve=curve,
+        learning_curve=curve.scored(SCORE),
     )
     return model.to(dtype), report

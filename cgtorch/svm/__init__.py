@@ -6,7 +6,7 @@ from cgtorch.svm.grid_search import GridResult as GridResult
 from cgtorch.svm.grid_search import grid_search as grid_search
 from cgtorch.svm.learning_curve import LearningCurve as LearningCurve
 from cgtorch.svm.learning_curve import doubling_sizes as doubling_sizes
-from cgtorch.svm.learning_curve import learning_curve as learning_curve
+from cgtorch.svm.learning_curve import learning_values as learning_values
 from cgtorch.svm.model_acceptance import Acceptance as Acceptance
 from cgtorch.svm.model_acceptance import accept_model as accept_model
 from cgtorch.svm.reduced_set import compact as compact

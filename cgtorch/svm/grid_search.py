@@ -18,7 +18,7 @@ from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.machine import KernelMachine, PerOutput
 from cgtorch.svm.problems import Problems, State, Targets, inside, relative_gap
-from cgtorch.svm.scores import SCORES, named_score
+from cgtorch.svm.scores import score_of
 from cgtorch.svm.solver import ROUGH, solve
 from cgtorch.svm.threads import one_thread_each
 
@@ -65,17 +65,7 @@ class GridResult:
 
 @dataclass(frozen=True)
 class _Task:
-    """What the cells of a grid share.
-
-    Attributes:
-        model: Machine with the parameters that all cells have.
-        rows: Training rows (n, d).
-        targets: What is to be learnt.
-        masks: Rows that each fold trains on (F, n).
-        folds: Fold number of each row (n,).
-        costs: Costs, ascending.
-        tubes: Half widths of the tube, 0 alone for a classifier.
-    """
+    """What the cells of a grid share: rows (n, d), masks of training rows (F, n), folds (n,)."""
 
     model: KernelMachine
     rows: Tensor
@@ -115,15 +105,13 @@ def grid_search(
         DataError: Data that the model's `fit` would refuse, or too few rows for the folds.
         SettingsError: An empty grid, a value that is not positive, or an unknown score.
     """
-    scoring = named_score(scoring, model.scoring)
+    score = score_of(scoring or model.scoring)
     rows = model.training_rows(x)
     generator = inputs.generator_of(seed)
     costs, widths = tuple(sorted(_axis(C, "C"))), _axis(gamma, "gamma")
     targets = model.targets(y, rows)
-    if targets.classes is not None:
-        tubes: tuple[float, ...] = (0.0,)
-    else:
-        tubes = _axis(model.epsilon if epsilon is None else epsilon, "epsilon")
+    given = model.epsilon if epsilon is None else epsilon
+    tubes = (0.0,) if targets.classes is not None else _axis(given, "epsilon")
     numbers = fold_numbers(folds, targets, generator)
     # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
     torch.randint(2**62, (len(widths),), generator=generator)
@@ -132,7 +120,7 @@ def grid_search(
     held_out, gap = _all_widths(task, widths)
     held_out = targets.restored(held_out)
     scores = torch.stack(
-        [SCORES[scoring](held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
+        [score(held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
     )
     C_axis, gamma_axis, tube_axis = (
         torch.tensor(axis, dtype=torch.float64).to(rows) for axis in (costs, widths, tubes)
@@ -142,10 +130,8 @@ def grid_search(
 
 
 def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes.
-
-    The largest gammas, which have most support vectors, go first, so that no process ends late.
-    """
+    """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes."""
+    # The largest gammas, which have most support vectors, go first, so that no process ends late.
     order = sorted(range(len(widths)), key=lambda place: -widths[place])
 
     def work(number: int) -> tuple[Tensor, Tensor]:
@@ -162,33 +148,26 @@ def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
 
 
 def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
-    """Held-out values (E, N, K, n) and relative duality gaps (E, N, K) of all cells at one gamma.
+    """Held-out values (E, N, K, n) and largest relative duality gaps (E, N, K) at one gamma.
 
-    The values are those of each row from the fold that held it out, in the solver's units; the
-    gaps the largest of a cell's folds. No result depends on the number of threads.
+    The values are in the solver's units. No result depends on the number of threads.
     """
     gram = task.model.gram(task.rows, width, threads)
-    cells = []
+    by_fold = len(task.targets.y), len(task.masks)
+    place = task.folds.to(task.rows.device).expand(by_fold[0], 1, -1)
+    values, gaps = [], []
     for tube in task.tubes:
         before: tuple[Problems, State] | None = None
         for cost in task.costs:
             problems = task.model.problems(task.targets, task.masks, cost, tube)
             start = scaled_start(*before, problems) if before else None
             found = solve(gram, problems, start, ROUGH)
-            cells.append(_cell(task, problems, found))
+            value = (found.product + found.bias[:, None]).unflatten(0, by_fold)
+            values.append(value.gather(1, place).squeeze(1))
+            gaps.append(relative_gap(problems, found).unflatten(0, by_fold).amax(1))
             before = problems, found
     shape = len(task.tubes), len(task.costs)
-    held_out, gap = (torch.stack(part) for part in zip(*cells, strict=True))
-    return held_out.unflatten(0, shape), gap.unflatten(0, shape)
-
-
-def _cell(task: _Task, problems: Problems, found: State) -> tuple[Tensor, Tensor]:
-    """Held-out values (K, n) and largest relative gap (K,) of solutions (K F)."""
-    shape = len(task.targets.y), len(task.masks)
-    value = (found.product + found.bias[:, None]).unflatten(0, shape)
-    place = task.folds.to(value.device).expand(shape[0], 1, -1)
-    gap = relative_gap(problems, found).unflatten(0, shape)
-    return value.gather(1, place).squeeze(1), gap.amax(1)
+    return torch.stack(values).unflatten(0, shape), torch.stack(gaps).unflatten(0, shape)
 
 
 def scaled_start(before: Problems, found: State, problems: Problems) -> State:
@@ -220,11 +199,6 @@ def _best(task: _Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice,
     """The best cell of each output by scores (G, E, N, K, F)."""
     choices = []
     for mean in scores.mean(-1).unbind(-1):
-        rest, cost = divmod(int(mean.argmax()), len(task.costs))
-        width, tube = divmod(rest, len(task.tubes))
-        choices.append(
-            Choice(
-                task.costs[cost], widths[width], task.tubes[tube], float(mean[width, tube, cost])
-            )
-        )
+        g, e, n = (int(i) for i in torch.unravel_index(mean.argmax(), mean.shape))
+        choices.append(Choice(task.costs[n], widths[g], task.tubes[e], float(mean[g, e, n])))
     return tuple(choices)

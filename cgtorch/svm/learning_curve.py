@@ -16,7 +16,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.scores import SCORES, named_score
+from cgtorch.svm.scores import score_of
 from cgtorch.svm.solver import solve
 
 
@@ -60,10 +60,11 @@ class LearningValues:
         return self.values[-1, self.folds, :, index].T
 
     def scored(self, scoring: str) -> LearningCurve:
-        """Scores, a name in `SCORES`, averaged over the outputs."""
+        """Scores by a name in `SCORES`, averaged over the outputs; SettingsError if unknown."""
+        score = score_of(scoring)
 
         def mean(value: Tensor, rows: Tensor) -> float:
-            return float(SCORES[scoring](value[:, rows], self.targets[:, rows]).mean())
+            return float(score(value[:, rows], self.targets[:, rows]).mean())
 
         train, test = [], []
         for value, used in zip(self.values, self.used, strict=True):
@@ -83,41 +84,6 @@ def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]
     return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)
 
 
-def learning_curve(
-    model: KernelMachine,
-    x: Any,
-    y: Any,
-    *,
-    sizes: Sequence[int],
-    folds: Any = 5,
-    seed: int | Generator = 0,
-    scoring: str | None = None,
-) -> LearningCurve:
-    """Cross-validated scores of a model trained on the first rows of each training fold.
-
-    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on
-    the first so many of the rows outside the fold, in the order given, and score these and the
-    fold. Shuffle rows whose order means something. Scores of several outputs are averaged.
-
-    Args:
-        model: An `SVC` or `SVR` with the parameters to judge; it is not changed. A gamma of
-            "scale" is that of all rows.
-        x: Rows (n, d).
-        y: Labels (n,), or targets (n,) or (n, k).
-        sizes: Numbers of rows to train on (S,).
-        folds: As for `grid_search`.
-        seed: As for `grid_search`.
-        scoring: As for `grid_search`.
-
-    Raises:
-        DataError: As for `grid_search`, or one class only among the first rows.
-        SettingsError: No size, one below 1 or beyond the smallest training fold, or an unknown
-            score.
-    """
-    scoring = named_score(scoring, model.scoring)
-    return learning_values(model, x, y, sizes=sizes, folds=folds, seed=seed).scored(scoring)
-
-
 def learning_values(
     model: KernelMachine,
     x: Any,
@@ -127,7 +93,25 @@ def learning_values(
     folds: Any = 5,
     seed: int | Generator = 0,
 ) -> LearningValues:
-    """What `learning_curve` scores; see there for arguments and errors."""
+    """Values on all rows of models trained on the first rows of each training fold.
+
+    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on
+    the first so many of the rows outside the fold, in the order given. Shuffle rows whose order
+    means something.
+
+    Args:
+        model: An `SVC` or `SVR` with the parameters to judge; it is not changed. A gamma of
+            "scale" is that of all rows.
+        x: Rows (n, d).
+        y: Labels (n,), or targets (n,) or (n, k).
+        sizes: Numbers of rows to train on (S,).
+        folds: As for `grid_search`.
+        seed: As for `grid_search`.
+
+    Raises:
+        DataError: As for `grid_search`, or one class only among the first rows.
+        SettingsError: No size, or one below 1 or beyond the smallest training fold.
+    """
     rows = model.training_rows(x)
     targets = model.targets(y, rows)
     numbers = fold_numbers(folds, targets, inputs.generator_of(seed))
@@ -136,8 +120,8 @@ def learning_values(
     by_mask = torch.arange(len(problems.z), device=rows.device).unflatten(0, (len(targets.y), -1))
     found = solve(model.gram(rows), problems.take(by_mask.T.flatten()))
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.y.shape)
-    values = targets.restored(values)
-    return LearningValues(tuple(sizes), values, targets.y, used, numbers.to(rows.device))
+    restored, folds = targets.restored(values), numbers.to(rows.device)
+    return LearningValues(tuple(sizes), restored, targets.y, used, folds)
 
 
 def _first_rows(masks: Tensor, sizes: Sequence[int]) -> Tensor:

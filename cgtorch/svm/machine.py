@@ -16,14 +16,7 @@ from cgtorch.native import suits, threads
 from cgtorch.svm import inputs
 from cgtorch.svm.compiled import LOG2E, machine_values
 from cgtorch.svm.gram import Gram, resolve_gamma
-from cgtorch.svm.problems import (
-    Problems,
-    State,
-    Targets,
-    classification,
-    duality_gap,
-    regression,
-)
+from cgtorch.svm.problems import Problems, State, Targets, classification, duality_gap, regression
 from cgtorch.svm.rbf_predict import fused_rbf
 from cgtorch.svm.solver import solve, start_at
 
@@ -31,7 +24,20 @@ PerOutput: TypeAlias = float | Sequence[float]
 """A number, or one for each."""
 
 
-class KernelMachine(nn.Module, ABC):
+class FittedModule(nn.Module):
+    """A module whose buffers take their sizes from a state dict, as a fit does from its data."""
+
+    def _load_from_state_dict(
+        self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        for name, buffer in self._buffers.items():
+            given = state_dict.get(prefix + name)
+            if isinstance(given, Tensor) and buffer is not None and given.ndim == buffer.ndim:
+                self._buffers[name] = buffer.new_zeros(given.shape)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+
+
+class KernelMachine(FittedModule, ABC):
     """A function sum_j w_j exp(-gamma |x - c_j|^2) + b with k outputs.
 
     The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
@@ -196,13 +202,3 @@ class KernelMachine(nn.Module, ABC):
             used[0] = True  # a constant still needs a centre to say how many features a row has
         self.support = used.nonzero().flatten()
         self.centres, self.weights = x[used].clone(), beta[:, used].T.contiguous()
-
-    def _load_from_state_dict(
-        self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any
-    ) -> None:
-        """Take the buffers' sizes from the state dict, as a fit does from its data."""
-        for name, buffer in self._buffers.items():
-            given = state_dict.get(prefix + name)
-            if isinstance(given, Tensor) and buffer is not None and given.shape != buffer.shape:
-                self._buffers[name] = buffer.new_zeros(given.shape)
-        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)

@@ -1,6 +1,7 @@
 """How well values fit the truth: the scores that a grid search and a learning curve can use."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 from torch import Tensor
 
@@ -31,17 +32,16 @@ def neg_mean_absolute_error(value: Tensor, truth: Tensor) -> Tensor:
     return -(value - truth).abs().mean(-1)
 
 
-SCORES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+Score: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""Values and truth (..., n) to scores (...), more is better."""
+
+SCORES: dict[str, Score] = {
     score.__name__: score for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error)
 }
 
 
-def named_score(name: str | None, usual: str) -> str:
-    """A name in `SCORES`, the usual one if None.
-
-    Raises:
-        SettingsError: There is no such score.
-    """
-    if (name := name or usual) not in SCORES:
+def score_of(name: str) -> Score:
+    """The score of a name in `SCORES`; SettingsError if there is none."""
+    if name not in SCORES:
         raise SettingsError(f"scoring is {name!r}; choose one of {sorted(SCORES)}")
-    return name
+    return SCORES[name]

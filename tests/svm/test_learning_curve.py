@@ -15,7 +15,7 @@ from sklearn.model_selection import learning_curve as oracle
 from stand_in import labelled, transitions
 
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.svm import SVC, SVR, LearningCurve, doubling_sizes, learning_curve
+from cgtorch.svm import SVC, SVR, LearningCurve, doubling_sizes, learning_values
 from cgtorch.svm.folds import plain_folds, stratified_folds
 
 SIZES = (20, 47, 160, 240)
@@ -49,7 +49,7 @@ def test_classifier_scores_are_those_of_scikit_learn(scoring):
     sizes, train, test = oracle(theirs, x, y, train_sizes=SIZES, cv=folds, scoring=scoring)
     model = SVC(8.0, gamma=0.3)
     numbers = numbers_of(folds)
-    ours = learning_curve(model, x, y, sizes=SIZES, folds=numbers, scoring=scoring)
+    ours = learning_values(model, x, y, sizes=SIZES, folds=numbers).scored(scoring)
     assert ours.sizes == tuple(sizes.tolist()) == SIZES
     np.testing.assert_allclose(ours.train_scores, train, rtol=0, atol=1e-6)
     np.testing.assert_allclose(ours.test_scores, test, rtol=0, atol=1e-6)
@@ -67,14 +67,14 @@ def test_regression_scores_are_those_of_scikit_learn_on_average(scoring):
     train, test = np.mean(wanted, 0)
     model = SVR((1.0, 5.0, 20.0), gamma=0.2, epsilon=0.05)
     numbers = numbers_of(folds)
-    ours = learning_curve(model, x, y, sizes=SIZES, folds=numbers, scoring=scoring)
+    ours = learning_values(model, x, y, sizes=SIZES, folds=numbers).scored(scoring)
     np.testing.assert_allclose(ours.train_scores, train, rtol=0, atol=2e-6)
     np.testing.assert_allclose(ours.test_scores, test, rtol=0, atol=2e-6)
 
 
 def test_more_rows_help():
     x, y = classification()
-    curve = learning_curve(SVC(8.0, gamma=0.3), x, y, sizes=SIZES)
+    curve = learning_values(SVC(8.0, gamma=0.3), x, y, sizes=SIZES).scored("accuracy")
     assert np.shape(curve.train_scores) == np.shape(curve.test_scores) == (4, 5)
     assert np.mean(curve.test_scores[-1]) > np.mean(curve.test_scores[0]) + 0.02
 
@@ -82,7 +82,8 @@ def test_more_rows_help():
 def test_the_seed_decides_and_a_report_can_hold_the_curve():
     x, y = classification()
     one, same, other = (
-        learning_curve(SVC(8.0, gamma=0.3), x, y, sizes=(60, 120), seed=s) for s in (1, 1, 2)
+        learning_values(SVC(8.0, gamma=0.3), x, y, sizes=(60, 120), seed=s).scored("accuracy")
+        for s in (1, 1, 2)
     )
     assert one == same != other
     plain = json.loads(json.dumps(asdict(one)))
@@ -98,17 +99,17 @@ def test_the_seed_decides_and_a_report_can_hold_the_curve():
 def test_sizes_that_cannot_be_had(sizes):
     x, y = classification()
     with pytest.raises(SettingsError, match="rows from 1 to 240"):
-        learning_curve(SVC(), x, y, sizes=sizes)
+        learning_values(SVC(), x, y, sizes=sizes)
 
 
 def test_bad_data_and_scores():
     x, y = classification()
     with pytest.raises(SettingsError, match="scoring is 'auc'"):
-        learning_curve(SVC(), x, y, sizes=(20,), scoring="auc")
+        learning_values(SVC(), x, y, sizes=(20,)).scored("auc")
     with pytest.raises(DataError, match="one class only"):
-        learning_curve(SVC(), x, np.sort(y), sizes=(20,))
+        learning_values(SVC(), x, np.sort(y), sizes=(20,))
     with pytest.raises(DataError, match="NaN"):
-        learning_curve(SVR(), x * np.nan, x[:, 0], sizes=(20,))
+        learning_values(SVR(), x * np.nan, x[:, 0], sizes=(20,))
 
 
 @given(st.integers(60, 10_000), st.integers(2, 10), st.integers(1, 8))
