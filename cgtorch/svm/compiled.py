@@ -15,7 +15,7 @@ LOG2E = math.log2(math.e)
 
 
 def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor) -> Any:
-    """An RBF machine of centres (m, d), weights (m, k), bias (k,) and gamma (), or None.
+    """An RBF machine of centres (m, d), weights (m, k), bias (k,) and gamma ().
 
     None where nothing is compiled or there is no room for it.
     """
@@ -36,10 +36,7 @@ def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Ten
 def machine_values(
     x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
 ) -> tuple[Tensor, Tensor] | None:
-    """Values (n, k) of rows x (n, d), and γ |x - c|² log2(e) (n,) of the nearest centre, or None.
-
-    None where nothing is compiled or there is no room for the machine.
-    """
+    """What `fused_rbf` of `cgtorch.svm.rbf_predict` says, or None as of `machine_structure`."""
     machine = machine_structure(centres, weights, bias, gamma)
     if machine is None:
         return None

@@ -17,10 +17,7 @@ def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
     """Indices, ascending, of at most `limit` of the rows (n, d).
 
     Those to `keep` (n,) bool, such as support vectors, are wanted before all others; if they are
-    more than the limit, the same choice is made among them.
-
-    Raises:
-        SettingsError: The limit is below 1.
+    more than the limit, the same choice is made among them. SettingsError if that is below 1.
     """
     if limit < 1:
         raise SettingsError(f"the coreset's limit is {limit}; keep at least 1 row")
@@ -56,10 +53,9 @@ def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
 
 
 def shrink_to_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
-    """Let a machine speak of at most `limit` of its training rows (n, d) only, in place.
+    """Indices (m,), ascending, of at most `limit` training rows (n, d) that a machine keeps.
 
-    Returns:
-        Indices (m,), ascending, of the rows that stay.
+    It speaks of these rows only from then on, in place.
     """
     keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
     keep[machine.support] = True

@@ -98,7 +98,11 @@ class KernelMachine(FittedModule, ABC):
         problems = self.problems(targets, everything)
         gram, unit = self.gram(rows), targets.unit
         found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
-        self._keep(rows, found.beta * unit[:, None])
+        used = (found.beta != 0).any(0)
+        if not bool(used.any()):
+            used[0] = True  # a constant still needs a centre to say how many features a row has
+        self.support, self.centres = used.nonzero().flatten(), rows[used].clone()
+        self.weights = (found.beta * unit[:, None])[:, used].T.contiguous()
         self.bias, self.cost = found.bias * unit + targets.mean, problems.cap * unit
         self.gap = duality_gap(problems, found) * unit.square()
         self.gamma_value = torch.tensor(gram.gamma, dtype=rows.dtype, device=rows.device)
@@ -144,9 +148,7 @@ class KernelMachine(FittedModule, ABC):
     def values(self, x: Tensor) -> Tensor:
         """Values (..., k) of rows x (..., d), in the type of the buffers.
 
-        Raises:
-            ModelError: Not fitted.
-            DataError: Another number of features.
+        ModelError if not fitted, DataError for another number of features.
         """
         return self._values(x, with_nearest=False)[0]
 
@@ -194,11 +196,3 @@ class KernelMachine(FittedModule, ABC):
         beta = torch.zeros_like(problems.z)
         beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
         return start_at(gram, problems, beta)
-
-    def _keep(self, x: Tensor, beta: Tensor) -> None:
-        """Store the rows of x (n, d) that any of the k machines `beta` (k, n) uses."""
-        used = (beta != 0).any(0)
-        if not bool(used.any()):
-            used[0] = True  # a constant still needs a centre to say how many features a row has
-        self.support = used.nonzero().flatten()
-        self.centres, self.weights = x[used].clone(), beta[:, used].T.contiguous()

@@ -2,11 +2,10 @@
 
 A primal-dual active set (Hintermueller, Ito & Kunisch 2003): free coefficients solve their
 equations with a ridge h that leaves less violation than is asked for, those that leave their boxes
-are bound, and bound ones on the wrong side are freed. The ridge rounds
-the corners of the loss over a width h C (Chapelle 2007), so that a residual r asks for the
-coefficient soft(r, epsilon) / h, clipped to its box. From a solution whose statuses are nearly
-right this ends within a few steps, long before the values of other methods are right; where the
-number of changes grows it is given up at once.
+are bound, and bound ones on the wrong side are freed. The ridge rounds the corners of the loss over
+a width h C (Chapelle 2007), so that a residual r asks for the coefficient soft(r, epsilon) / h,
+clipped to its box. From a solution whose statuses are nearly right this ends within a few steps,
+long before the values of other methods are right; where the number of changes grows it is given up.
 
 Statuses are -2 and 2 on a bound, 0 at zero, and -1 and 1 free below and above zero.
 """
@@ -24,11 +23,8 @@ _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the othe
 def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
     """The solution of a single problem, without the axis of problems, or None.
 
-    Args:
-        kernel: Kernel matrix (n, n), positive semidefinite.
-        problem: One problem over its rows.
-        start: Feasible coefficients, which say who is free and who is bound.
-        tolerance: Largest violation of the optimality conditions of a solution.
+    The kernel matrix (n, n) is positive semidefinite, and the feasible coefficients of the start
+    say who is free and who is bound; a solution violates no condition by more than the tolerance.
     """
     beta, bias, z = start.beta, start.bias, problem.z
     h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()

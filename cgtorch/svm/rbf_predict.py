@@ -39,18 +39,11 @@ def fused_rbf(
     gamma: Tensor,
     with_nearest: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """Values (n, k): sum_j w_j exp(-gamma |x - c_j|^2) + bias, differentiable in all but gamma.
+    """Values (n, k) of rows x (n, d): sum_j w_j exp(-gamma |x - c_j|^2) + bias (k,).
 
-    With them come gamma |x - c|^2 log2(e) (n,) of the nearest centres, which cost one pass over the
-    exponents and no kernel evaluation; where they are not asked for, they are a tensor (0,).
-
-    Args:
-        x: Rows (n, d).
-        centres: Centres (m, d), at least one.
-        weights: Weights (m, k).
-        bias: Biases (k,).
-        gamma: Kernel width parameter ().
-        with_nearest: Whether the nearest centres are asked for.
+    There are centres (m, d), at least one, weights (m, k) and gamma (), and gradients of all but
+    gamma. With the values come gamma |x - c|^2 log2(e) (n,) of the nearest centres, which cost one
+    pass over the exponents and no kernel evaluation; they are (0,) if not asked for.
     """
     tensors = x, centres, weights, bias, gamma
     if torch.is_grad_enabled() and any(each.requires_grad for each in tensors):

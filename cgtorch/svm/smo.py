@@ -27,16 +27,12 @@ Array = NDArray[np.float64]
 def compiled_smo_steps(
     matrix: Tensor, problems: Problems, start: State, tolerance: float, worth: float, threads: int
 ) -> State | None:
-    """Take problems on until they are solved or have cost too much; None without a compiler.
+    """Take P problems on until they are solved or have cost too much; None without a compiler.
 
-    Args:
-        matrix: A matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made; gradients
-            are in double precision all the same.
-        problems: P problems over n rows.
-        start: Where they stand, with feasible coefficients.
-        tolerance: Violation at which a problem is solved, as libsvm counts it.
-        worth: Kernel values that each may take; a thousand million take about a quarter second.
-        threads: How many share out the problems, which changes no result.
+    As `smo_steps`, but with a matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made
+    (gradients are in double precision all the same), and with an end to the kernel values that
+    each problem is worth: a thousand million take about a quarter of a second. The number of
+    threads that share out the problems changes no result.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:

@@ -14,14 +14,7 @@ from torch import Tensor
 from cgtorch.ground.errors import ModelError
 from cgtorch.svm.gram import Gram
 from cgtorch.svm.polish import polish
-from cgtorch.svm.problems import (
-    Problems,
-    State,
-    at_zero,
-    feasible,
-    middle_bias,
-    relative_gap,
-)
+from cgtorch.svm.problems import Problems, State, at_zero, feasible, middle_bias, relative_gap
 from cgtorch.svm.smo import compiled_smo_steps, smo_steps
 
 EXACT = 1.25e-8
@@ -49,16 +42,10 @@ def start_at(gram: Gram, problems: Problems, beta: Tensor) -> State:
 def solve(
     gram: Gram, problems: Problems, start: State | None = None, tolerance: float = EXACT
 ) -> State:
-    """Feasible solutions of all problems, computed on the CPU, wherever their tensors are.
+    """Feasible solutions of P problems, computed on the CPU, wherever their tensors are.
 
-    Args:
-        gram: Kernel values among the rows, positive semidefinite.
-        problems: P problems.
-        start: Feasible coefficients to start from.
-        tolerance: Largest violation of the optimality conditions, as libsvm counts it.
-
-    Raises:
-        ModelError: One could not be solved.
+    They start from feasible coefficients, if given, and violate no condition of optimality by more
+    than the tolerance, as libsvm counts it. ModelError if one could not be solved.
     """
     device, cpu = problems.z.device, torch.device("cpu")
     problems, left = problems.to(cpu), torch.arange(len(problems.z))
@@ -74,7 +61,8 @@ def solve(
         left = left[here.violation > tolerance]
         if len(left) == 0:
             break
-    _check(problems, found, left)
+    if len(left):
+        _check(problems.take(left), found.take(left))
     return replace(found, bias=middle_bias(problems, found)).to(device)
 
 
@@ -97,14 +85,12 @@ def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, toleranc
             found.put(row, exact)
 
 
-def _check(problems: Problems, found: State, left: Tensor) -> None:
-    """ModelError where the problems `left` (R,) are far from solved."""
-    if len(left) == 0:
-        return
-    gap = relative_gap(problems.take(left), found.take(left))
+def _check(problems: Problems, found: State) -> None:
+    """ModelError where problems are far from solved."""
+    gap = relative_gap(problems, found)
     if bool((gap > _OFF).any()):
         raise ModelError(
-            f"{len(left)} dual problems were not solved, with a relative duality gap of "
+            f"{len(gap)} dual problems were not solved, with a relative duality gap of "
             f"{float(gap.max()):.2g}; scale the features, lower C, or check that the kernel is "
             "positive semidefinite"
         )

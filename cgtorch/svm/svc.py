@@ -54,13 +54,10 @@ class SVC(KernelMachine):
     def forward(self, x: Tensor) -> Tensor:
         """Probability (...) of the second class for rows x (..., d), differentiable in x.
 
-        On a GPU nothing waits to see whether there are probabilities: they are NaN where not.
-
-        Raises:
-            ModelError: Not fitted, or without Platt parameters.
-            DataError: Wrong shape.
+        Errors are those of `KernelMachine.values`, and ModelError without Platt parameters.
         """
         decision = self.values(x)[..., 0]
+        # On a GPU nothing waits to see whether there are probabilities: they are NaN where not.
         if self.platt.is_cpu and not bool(torch.isfinite(self.platt).all()):
             raise ModelError("this SVC has no probabilities; set `platt`, as of `fit_platt`")
         return probability(decision, self.platt[0], self.platt[1])

@@ -52,9 +52,7 @@ class SVR(KernelMachine):
     def forward(self, x: Tensor) -> Tensor:
         """Predictions (..., k), or (...) if fitted on targets (n,), differentiable in x.
 
-        Raises:
-            ModelError: Not fitted.
-            DataError: Wrong shape.
+        Errors are those of `KernelMachine.values`.
         """
         values = self.values(x)
         return values[..., 0] if bool(self.squeeze) else values

@@ -7,8 +7,9 @@ from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.ground.errors import DataError
-from cgtorch.native import constants, function, structure, suits
-from cgtorch.svm.compiled import machine_structure, threads_for
+from cgtorch.native import function, structure
+from cgtorch.svm.compiled import threads_for
+from cgtorch.tabletop.models.compiled_machine import compiled_machine
 from cgtorch.tabletop.models.grasp_features import FLAT, grasp_features, used_features
 from cgtorch.tabletop.world.percepts import parts_of
 
@@ -35,20 +36,12 @@ class GraspClassifier(SuccessClassifier):
 
         The same numbers as torch's but for the last digits; a row's do not depend on the others.
         """
-        machine, mean, scale = self.machine, self.mean, self.scale
-        if not suits(percept, *machine._machine, mean, scale, machine.platt):
-            return None
-        if not machine.fitted:
-            return None
+        mean, scale, platt = self.mean, self.scale, self.machine.platt
         known = (FLAT + 3,) if parts_of(percept).side.shape[-1] else (FLAT, FLAT + 1)
-        if len(mean) not in known:
+        made = compiled_machine(self.machine, percept, mean, scale, platt)
+        if made is None or len(mean) not in known or not bool(platt.isfinite().all()):
             return None
-        made = machine_structure(*machine._machine)
-        if made is None or made.k != 1 or not bool(machine.platt.isfinite().all()):
-            return None
-        if percept.shape[-1] > constants("engine_limits", percept.dtype)["MOST_PERCEPT"]:
-            return None
-        slope, offset = machine.platt.tolist()
+        slope, offset = platt.tolist()
         classifier = structure("Classifier", mean.dtype)
         return classifier(machine=made, mean=mean, scale=scale, slope=slope, offset=offset)
 

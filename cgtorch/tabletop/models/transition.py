@@ -15,10 +15,11 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.transition import Grid, HeldOut, TransitionModel
 from cgtorch.environment.fields import Field
-from cgtorch.native import constants, function, structure, suits
+from cgtorch.native import function, structure
 from cgtorch.svm import SVR, grid_search
-from cgtorch.svm.compiled import LOG2E, machine_structure, threads_for
+from cgtorch.svm.compiled import LOG2E, threads_for
 from cgtorch.tabletop.models import geometry
+from cgtorch.tabletop.models.compiled_machine import compiled_machine
 from cgtorch.tabletop.world.percepts import parts_of, percept_fields
 
 DECISIVE = 0.03
@@ -102,10 +103,8 @@ class TableTransitionModel(TransitionModel):
             return self.predict_in_torch(percept, control)
         rows, motion = percept.reshape(-1, size).contiguous(), control.reshape(-1, 3).contiguous()
         after, novelty = torch.empty_like(rows), rows.new_empty(len(rows))
-        call, threads = (
-            function("transitions", rows.dtype),
-            threads_for(len(rows), compiled.machine.m),
-        )
+        threads = threads_for(len(rows), compiled.machine.m)
+        call = function("transitions", rows.dtype)
         call(compiled, size, rows, motion, len(rows), after, novelty, threads)
         return after.view_as(percept), novelty.view(percept.shape[:-1])
 
@@ -124,18 +123,13 @@ class TableTransitionModel(TransitionModel):
         DataError if the shapes are wrong.
         """
         geometry.check_shapes(percept, motion)
-        machine = self.machine._machine
-        if not suits(percept, motion, *machine) or not self.machine.fitted:
-            return None
-        made = machine_structure(*machine)
-        if made is None or made.d != 4 or made.k != 1:
-            return None
-        if percept.shape[-1] > constants("engine_limits", percept.dtype)["MOST_PERCEPT"]:
+        made = compiled_machine(self.machine, percept, motion)
+        if made is None or made.d != 4:
             return None
         return structure("Gamma", percept.dtype)(
             machine=made, mean=self.mean, scale=self.scale, sides=self.sides, most=self.most,
             trust=float(self.trust), reach=float(self.reach),
-            per_distance=1 / (float(machine[3]) * LOG2E),
+            per_distance=1 / (float(self.machine.gamma_value) * LOG2E),
         )  # fmt: skip
 
     def features(self, percept: Tensor, control: Tensor) -> Tensor:

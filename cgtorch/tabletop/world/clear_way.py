@@ -24,11 +24,14 @@ def motion_possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor
     """
     if things.dim() == 2:
         things = things[:, None]
-    if suits(motion, things, footprint):
-        found = _possible_compiled(motion, things, footprint)
-        if found is not None:
-            return found
-    return motion_possible_in_torch(motion, things, footprint)
+    call = function("motions_possible", motion.dtype) if suits(motion, things, footprint) else None
+    if call is None:
+        return motion_possible_in_torch(motion, things, footprint)
+    n, body = len(motion), body_structure(footprint)
+    motion, things = motion.contiguous(), things.expand(n, -1, -1).contiguous()
+    free, share = torch.empty(n, dtype=torch.bool), max(1, min(threads(), n // WORTH_SHARING))
+    call(motion, things, body, n, things.shape[1], free, share)
+    return free
 
 
 def motion_possible_in_torch(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
@@ -65,14 +68,3 @@ def body_structure(footprint: Tensor) -> Any:
         hy=(y1 - y0) / 2 + CLEARANCE,
         farthest=MAX_TRANSLATION,
     )
-
-
-def _possible_compiled(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor | None:
-    call = function("motions_possible", motion.dtype)
-    if call is None:
-        return None
-    n, body = len(motion), body_structure(footprint)
-    motion, things = motion.contiguous(), things.expand(n, -1, -1).contiguous()
-    free, share = torch.empty(n, dtype=torch.bool), max(1, min(threads(), n // WORTH_SHARING))
-    call(motion, things, body, n, things.shape[1], free, share)
-    return free

@@ -27,16 +27,11 @@ class _Body:
 def sweep_blocked(
     motion: Tensor, rectangle: Tensor, footprint: Tensor, clearance: float = 0.0
 ) -> Tensor:
-    """Whether a footprint that drives straight and then turns would touch a rectangle.
+    """(n,) bool, whether a footprint (4,) that drives straight and then turns touches a rectangle.
 
-    Args:
-        motion: (n, 3) dx, dy (m), dθ (rad), in the frame of the robot before it moves.
-        rectangle: (n, 5) the obstacle in the same frame.
-        footprint: (4,) the robot seen from above.
-        clearance: m, added to the footprint on every side.
-
-    Returns:
-        (n,) bool. A motion that is not finite counts as blocked.
+    Motions (n, 3) dx, dy (m), dθ (rad) and rectangles (n, 5) are in the frame of the robot before
+    it moves; the clearance (m) is added to the footprint on every side. A motion that is not finite
+    counts as blocked.
     """
     low, high = footprint[0::2], footprint[1::2]
     body = _Body((low + high) / 2, (high - low) / 2 + clearance)

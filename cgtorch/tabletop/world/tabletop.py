@@ -86,10 +86,7 @@ class TabletopWorld:
             footprint: base x min, x max, y min, y max (m).
             noise: by default that of a good lab robot (5 mm, 0.5°).
             looks: for how many percepts noise is drawn; later ones use it again.
-            percept: box, or yaw for one that also tells the table's yaw.
-
-        Raises:
-            SettingsError: there is no such percept.
+            percept: box, or yaw for one that also tells the table's yaw, else a SettingsError.
         """
         if percept not in PERCEPTS:
             raise SettingsError(f"percept is {percept!r}; use one of {', '.join(PERCEPTS)}")
