@@ -131,9 +131,9 @@ def imagine(
         replicas: how often each scenario is imagined, at least 1.
         generator: of the errors, and of the seeds of what actions draw.
         device: where the environment runs.
-        possible: whether a control can be carried out.
+        possible: see `ModelEnvironment`.
         noisy: of percepts (n, D), 1 for numbers that Γ can get wrong and 0 for those it cannot.
-        compiled: the models as compiled code knows them, see `ModelEnvironment`.
+        compiled: see `ModelEnvironment`.
     """
     gamma, data = copy.deepcopy(knowledge.swift), knowledge.dataset
     with torch.no_grad():

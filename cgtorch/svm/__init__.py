@@ -2,7 +2,6 @@
 
 from cgtorch.svm import inputs as inputs
 from cgtorch.svm.grid_search import Choice as Choice
-from cgtorch.svm.grid_search import GridResult as GridResult
 from cgtorch.svm.grid_search import grid_search as grid_search
 from cgtorch.svm.learning_curve import LearningCurve as LearningCurve
 from cgtorch.svm.learning_curve import doubling_sizes as doubling_sizes

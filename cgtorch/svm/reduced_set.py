@@ -50,13 +50,9 @@ def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
     an `SVC` keep its Platt parameters.
 
     Args:
-        machine: A fitted `SVC` or `SVR`.
-        centres: Number of centres wanted, at least 1.
-        x: Rows (n, d) of the region where it will be asked, at least 8.
-
-    Raises:
-        SettingsError: Fewer than one centre wanted, or fewer than 8 rows.
-        ModelError: Not fitted.
+        machine: A fitted `SVC` or `SVR`, else a ModelError.
+        centres: Number of centres wanted, at least 1, else a SettingsError.
+        x: Rows (n, d) of the region where it will be asked, at least 8, else a SettingsError.
     """
     machine._check_fitted()
     rows = as_rows(x).to(machine.centres.device)

@@ -2,7 +2,6 @@
 
 from cgtorch.tabletop.models import geometry as geometry
 from cgtorch.tabletop.models.success import GraspClassifier as GraspClassifier
-from cgtorch.tabletop.models.success_quality import FreshLabels as FreshLabels
 from cgtorch.tabletop.models.success_quality import SuccessQuality as SuccessQuality
 from cgtorch.tabletop.models.success_quality import fresh_labels as fresh_labels
 from cgtorch.tabletop.models.success_quality import success_quality as success_quality

@@ -90,19 +90,15 @@ class FreshLabels:
 def fresh_labels(scenes: Scenes, count: int, generator: Generator) -> FreshLabels:
     """Labels of the world that tell how good C is; see `success_quality`."""
     poses = poses_at_object(scenes, count, generator)
-    moved, around = displaced(poses, generator), poses_around(scenes, count, generator)
+    step = torch.randn(count, 3, generator=generator) * torch.tensor(STEP)
+    seed = torch.randint(2**31, (count,), generator=generator)
+    moved = replace(poses, pose=poses.pose + step, seed=seed)
+    around = poses_around(scenes, count, generator)
     # One batch of labels costs far less than three.
     percept, graspable = label(scenes, poses.joined(moved, around))
     crossed = graspable[:count] != graspable[count : 2 * count]
     crossed &= ~in_table(moved, scenes.footprint)
     return FreshLabels(percept, graspable, count + crossed.nonzero()[:, 0])
-
-
-def displaced(scenarios: Scenarios, generator: Generator) -> Scenarios:
-    """The same scenes with other noise and the robot displaced a little, by `STEP`."""
-    step = torch.randn(len(scenarios), 3, generator=generator) * torch.tensor(STEP)
-    seed = torch.randint(2**31, (len(scenarios),), generator=generator)
-    return replace(scenarios, pose=scenarios.pose + step, seed=seed)
 
 
 def success_quality(
@@ -113,8 +109,7 @@ def success_quality(
 ) -> SuccessQuality:
     """C, from percepts (n, D) to probabilities (n,), on fresh labels of the world.
 
-    500 near the object, as many displaced and as many anywhere take about 2 s to draw and to judge
-    by with the PR2.
+    Three times 500 labels take about 2 s to draw and to judge by with the PR2.
     """
     count = len(labels.graspable) // 3
     with torch.no_grad():

@@ -23,12 +23,9 @@ OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said
 def tables_behind(
     percept: Tensor, blur: float, samples: int, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples of the table and the object behind percepts (n, D).
+    """Samples of tables (n, S, 5), objects (n, S, 2) and weights (n, S) behind percepts (n, D).
 
-    Each of their numbers has noise of a standard deviation of `blur` (m).
-
-    Returns:
-        Tables (n, S, 5) and objects (n, S, 2) in the base frame, and weights (n, S).
+    They are in the base frame; a percept's numbers have noise of a standard deviation `blur` (m).
     """
     side = parts_of(percept).side
     parts = to_parts(percept)[:, None].expand(-1, samples, -1)

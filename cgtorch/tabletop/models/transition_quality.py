@@ -138,10 +138,9 @@ def fresh_transitions(scenes: Scenes, count: int, generator: Generator) -> Fresh
 def possible_next(
     scenes: Scenes, percept: Tensor, motion: Tensor, generator: Generator, samples: int = 256
 ) -> tuple[Tensor, Tensor]:
-    """Samples of the next percept given percepts (n, D) and motions (n, 3) that were carried out.
+    """Next percepts (n, S, 7) and weights (n, S), each row's with sum 1, given what was done.
 
-    Returns:
-        Next percepts' first numbers (n, S, 7) and their weights (n, S), each row's with sum 1.
+    They are samples for percepts (n, D) and motions (n, 3) that were carried out.
     """
     world = scenes.world(scenes.draw(_POOL, generator))
     drift, blur = world.drift.flatten(0, 1), world.blur.flatten(0, 1)[:, :TABLETOP]

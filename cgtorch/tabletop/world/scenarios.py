@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import pad
 
 from cgtorch.environment import ScenarioBatch
 from cgtorch.ground.errors import SettingsError
@@ -48,17 +49,15 @@ class Scenarios(ScenarioBatch):
     def joined(self, *more: "Scenarios") -> "Scenarios":
         """These and more; those with fewer obstacles get some of size 0."""
         most = max(s.obstacles.shape[1] for s in (self, *more))
-        padded = [replace(s, obstacles=_padded(s.obstacles, most)) for s in (self, *more)]
+        padded = [
+            replace(s, obstacles=pad(s.obstacles, (0, 0, 0, most - s.obstacles.shape[1])))
+            for s in (self, *more)
+        ]
         return ScenarioBatch.joined(*padded)
 
     def with_noise(self, copy: int) -> "Scenarios":
         """The same placements met by other noise; copy 0 is the scenarios themselves."""
         return replace(self, seed=(self.seed + copy * 0x9E3779B1) % 2**31)
-
-
-def _padded(obstacles: Tensor, count: int) -> Tensor:
-    """Obstacles (B, K, 5) as (B, count, 5)."""
-    return torch.nn.functional.pad(obstacles, (0, 0, 0, count - obstacles.shape[1]))
 
 
 def _table(n: int) -> Tensor:
