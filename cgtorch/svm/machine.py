@@ -16,7 +16,7 @@ from cgtorch.native import suits, threads
 from cgtorch.svm import inputs
 from cgtorch.svm.compiled import LOG2E, machine_values
 from cgtorch.svm.gram import Gram, resolve_gamma
-from cgtorch.svm.problems import Problems, State, Targets, classification, duality_gap, regression
+from cgtorch.svm.problems import Problems, State, Targets, duality_gap
 from cgtorch.svm.rbf_predict import fused_rbf
 from cgtorch.svm.solver import solve, start_at
 
@@ -138,12 +138,16 @@ class KernelMachine(FittedModule, ABC):
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
         tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
         cap, tube = (x.repeat_interleave(len(masks)) for x in (cap, tube / unit))
-        weight = masks.to(targets.z).repeat(outputs, 1)
+        z, width = (
+            targets.z.repeat_interleave(len(masks), 0),
+            cap[:, None] * masks.repeat(outputs, 1),
+        )
         if targets.classes is None:
-            return regression(targets.z.repeat_interleave(len(masks), 0), cap, tube, weight)
-        if any(bool((masks & (targets.z[0] == sign)).sum(1).min() == 0) for sign in (-1, 1)):
+            return Problems(z, -width, width, tube, cap)
+        down, up = width * (z < 0), width * (z > 0)
+        if bool((torch.minimum(down.amax(1), up.amax(1)) == 0).any()):
             raise DataError("a training fold holds one class only; use fewer or stratified folds")
-        return classification(targets.z[0], cap, weight)
+        return Problems(z, -down, up, tube, cap)
 
     def values(self, x: Tensor) -> Tensor:
         """Values (..., k) of rows x (..., d), in the type of the buffers.

@@ -1,6 +1,7 @@
 """Full Newton steps from nearly right statuses against SMO, and when they give up."""
 
 import torch
+from dual_problems import classification, regression
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
@@ -11,9 +12,7 @@ from cgtorch.svm.problems import (
     Problems,
     State,
     at_zero,
-    classification,
     dual_objective,
-    regression,
     violation,
 )
 from cgtorch.svm.smo import smo_steps

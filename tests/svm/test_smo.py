@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from dual_problems import classification, regression
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stand_in import labelled, transitions
@@ -17,10 +18,8 @@ from cgtorch.svm.problems import (
     Problems,
     State,
     at_zero,
-    classification,
     dual_objective,
     duality_gap,
-    regression,
 )
 from cgtorch.svm.smo import GAP, compiled_smo_steps, smo_steps
 from cgtorch.svm.solver import solve

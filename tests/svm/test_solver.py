@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from dual_problems import classification, regression
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
@@ -13,10 +14,8 @@ from cgtorch.svm.problems import (
     Problems,
     State,
     at_zero,
-    classification,
     duality_gap,
     feasible,
-    regression,
     violation,
 )
 from cgtorch.svm.smo import smo_steps
