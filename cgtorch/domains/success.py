@@ -39,12 +39,7 @@ class SuccessClassifier(LearnedModel):
         self.percept_fields, self.further = tuple(percept), further
 
     def forward(self, percept: Tensor) -> Tensor:
-        """Probability (...) that the skill succeeds.
-
-        Raises:
-            DataError: Another number of coordinates than it was fitted on.
-            ModelError: Not fitted.
-        """
+        """Probability (...) of success; DataError for another D, ModelError if not fitted."""
         return self.predict_in_torch(percept)
 
     def predict_in_torch(self, percept: Tensor) -> Tensor:

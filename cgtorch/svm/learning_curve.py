@@ -1,8 +1,7 @@
 """Learning curves: what more rows would bring, from one batched exact solve.
 
-Every size, fold and output is a dual problem over the same rows and on the same kernel matrix, in
-which the rows that it must not learn from have the box [0, 0]; so one call of the solver answers
-them all, and the values on all rows, used or not, come with it.
+Every size, fold and output is a dual problem on the same kernel matrix, in which the rows that it
+must not learn from have the box [0, 0]; the values on all rows, used or not, come with it.
 """
 
 from collections.abc import Sequence
@@ -99,18 +98,9 @@ def learning_values(
     the first so many of the rows outside the fold, in the order given. Shuffle rows whose order
     means something.
 
-    Args:
-        model: An `SVC` or `SVR` with the parameters to judge; it is not changed. A gamma of
-            "scale" is that of all rows.
-        x: Rows (n, d).
-        y: Labels (n,), or targets (n,) or (n, k).
-        sizes: Numbers of rows to train on (S,).
-        folds: As for `grid_search`.
-        seed: As for `grid_search`.
-
-    Raises:
-        DataError: As for `grid_search`, or one class only among the first rows.
-        SettingsError: No size, or one below 1 or beyond the smallest training fold.
+    Arguments are those of `grid_search`, and so are errors; a gamma of "scale" is that of all rows.
+    The sizes are numbers of rows to train on (S,), SettingsError if there is none, or one below 1
+    or beyond the smallest training fold.
     """
     rows = model.training_rows(x)
     targets = model.targets(y, rows)

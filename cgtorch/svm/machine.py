@@ -87,10 +87,8 @@ class KernelMachine(FittedModule, ABC):
         """Solve the dual problems on rows x (n, d) with labels y (n,), or targets (n,) or (n, k).
 
         With `warm`, the solver starts from the last fit, whose rows have to come first in x.
-
-        Raises:
-            DataError: Wrong shapes, NaN, not two classes, or too many rows for the memory.
-            SettingsError: A parameter cannot be used.
+        DataError for wrong shapes, NaN, not two classes, or more rows than there is memory for, and
+        SettingsError for a parameter that cannot be used.
         """
         rows = self.training_rows(x)
         targets = self.targets(y, rows)

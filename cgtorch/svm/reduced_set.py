@@ -43,16 +43,13 @@ def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
 
 
 def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
-    """A machine with at most `centres` centres fitted to the values of `machine`.
+    """A machine with at most `centres` centres fitted to the values of a fitted one on rows (n, d).
 
-    Three of four rows fit the weights, the fourth chooses the ridge, by answers in the type that
-    the machine computes in, so that weights too large for it are not chosen. The probabilities of
-    an `SVC` keep its Platt parameters.
-
-    Args:
-        machine: A fitted `SVC` or `SVR`, else a ModelError.
-        centres: Number of centres wanted, at least 1, else a SettingsError.
-        x: Rows (n, d) of the region where it will be asked, at least 8, else a SettingsError.
+    These are at least 8 rows of the region where it will be asked. Three of four fit the weights,
+    the fourth chooses the ridge, by answers in the type that the machine computes in, so that
+    weights too large for it are not chosen. The probabilities of an `SVC` keep its Platt
+    parameters. ModelError if the machine is not fitted, SettingsError for less than one centre or
+    fewer rows.
     """
     machine._check_fitted()
     rows = as_rows(x).to(machine.centres.device)

@@ -43,15 +43,10 @@ def _machine(model: Model) -> tuple[str, KernelMachine]:
 
 
 def save_model(path: str | Path, model: Model, report: Any = None) -> None:
-    """Write a fitted model, and the report of its fit if given, to one file.
+    """Write a machine, or a model around one such as Γ or C, and a report of its fit to one file.
 
-    Args:
-        path: The file, replaced only when all of the new one is on disk.
-        model: A fitted `SVC` or `SVR`, or a model around one such as Γ or C.
-        report: A dataclass or JSON value to keep with it.
-
-    Raises:
-        ModelError: The model is not fitted, or the file cannot be written.
+    The report is a dataclass or JSON value. The file is replaced only when all of the new one is on
+    disk; ModelError if it cannot be written, or the model is not fitted.
     """
     _machine(model)[1]._check_fitted()
     if is_dataclass(report) and not isinstance(report, type):
@@ -76,12 +71,8 @@ def load_model(path: str | Path, kinds: Kinds = MACHINES) -> Model:
 def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Model, Any]:
     """What `save_model` wrote: the model, in evaluation mode, and the report as JSON values.
 
-    Args:
-        path: The file.
-        kinds: What makes an unfitted model, by the name of its class; machines if not given.
-
-    Raises:
-        ModelError: The file is missing, damaged, of another version, too large, or no model.
+    What makes unfitted models comes by the names of their classes; machines alone if not given.
+    ModelError if the file is missing, damaged, of another version, too large, or no model.
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, ModelError)

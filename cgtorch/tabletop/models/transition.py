@@ -1,10 +1,8 @@
-"""Γ, the transition model: the next percept from a percept and a motion.
+"""Γ of the tabletop: the next percept from a percept and a motion.
 
-Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`): points move rigidly, and
-the box around a rectangle of known sides follows from its yaw. The box seen leaves open to which
-side the table is turned, and that is what support vector regression learns, from where on the table
-the object would stand. Where the percept tells the table's yaw, there is nothing to learn, and its
-sides are as seen. Obstacles are boxes of shapes that are not known.
+Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`). The box seen leaves open
+to which side the table is turned, and that is what support vector regression learns, from where on
+the table the object would stand. Where the percept tells the yaw, there is nothing to learn.
 """
 
 from collections.abc import Sequence

@@ -78,15 +78,11 @@ class TabletopWorld:
         looks: int = 64,
         percept: str = "box",
     ):
-        """Set up the world.
+        """Set up the world of B scenarios.
 
-        Args:
-            scenarios: B of them.
-            graspable: whether a collision-free arm solution exists.
-            footprint: base x min, x max, y min, y max (m).
-            noise: by default that of a good lab robot (5 mm, 0.5°).
-            looks: for how many percepts noise is drawn; later ones use it again.
-            percept: box, or yaw for one that also tells the table's yaw, else a SettingsError.
+        A grasp is possible where there is a collision-free arm solution (`graspable`). The base's
+        footprint is x min, x max, y min, y max (m). Noise is drawn for so many looks; later ones
+        use it again. The percept is a name in `PERCEPTS`, else a SettingsError.
         """
         if percept not in PERCEPTS:
             raise SettingsError(f"percept is {percept!r}; use one of {', '.join(PERCEPTS)}")
