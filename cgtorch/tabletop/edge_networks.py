@@ -1,8 +1,7 @@
-"""Networks that see and act from the edge nearest to the object.
+"""Networks that see and act from the edge nearest to the object, as `world.edge_frame` has it.
 
-Its frame is that of `cgtorch.tabletop.world.edge_frame`. They need not learn that a table that is
-turned, or seen from another side, is still the same table: what a node says of one edge holds for
-all.
+They need not learn that a table that is turned, or seen from another side, is still the same table:
+what a node says of one edge holds for all.
 """
 
 from torch import Tensor

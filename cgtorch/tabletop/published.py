@@ -21,8 +21,7 @@ ROOM = 14.0  # cm around the paper's drawings
 def stage_drawing(edge: str, footprint: tuple[float, float, float, float]) -> str:
     """The paper's schematic drawing of an experiment as SVG, the robot's left to the left, in cm.
 
-    The test placements of an edge are drawn, and the robot by its footprint x min, x max, y min,
-    y max (m).
+    The robot is drawn by its footprint x min, x max, y min, y max (m), with the test placements.
     """
     from jinja2 import Environment
 

@@ -10,11 +10,7 @@ from cgtorch.domains.settings import DomainSettings, option
 
 @dataclass(frozen=True)
 class TabletopSettings(DomainSettings):
-    """Which robot stands before the table, how noisy its world is, and what it perceives.
-
-    Raises:
-        SettingsError: a value that cannot work.
-    """
+    """The robot, its world's noise and its percepts; SettingsError for a value that cannot work."""
 
     run_defaults: ClassVar[Mapping[str, Any]] = {"labels": 5500}
     usual_stage: ClassVar[str] = "S2"

@@ -23,10 +23,9 @@ def collect(scenes: Scenes, transitions: int, labels: int, generator: Generator)
 
 
 def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """`count` transitions p (n, D), u (n, 3), p′ (n, D) of robots driven at random.
+    """`count` moves p (n, D), u (n, 3), p′ (n, D) of robots driven at random from random poses.
 
-    Each robot starts at a random pose around the table and makes random moves; those that are
-    blocked or that would leave the arena are not made.
+    Moves that are blocked or that would leave the arena are not made.
     """
     rows: list[tuple[Tensor, Tensor, Tensor]] = []
     have = 0

@@ -49,10 +49,7 @@ class Scenes:
 
 
 def poses_around(scenes: Scenes, count: int, generator: Generator, wider: float = 1.0) -> Scenarios:
-    """Scenarios with the robot at a random free pose anywhere around the table.
-
-    Positions are uniform along x and y within the scenes' arena, `wider` times as large.
-    """
+    """Scenarios with the robot at a uniform free pose in an arena `wider` times the scenes' own."""
     arena = wider * scenes.arena
 
     def put(base: Scenarios) -> Tensor:
@@ -63,10 +60,7 @@ def poses_around(scenes: Scenes, count: int, generator: Generator, wider: float 
 
 
 def poses_at_object(scenes: Scenes, count: int, generator: Generator) -> Scenarios:
-    """Scenarios with the robot free within or just out of reach of the object.
-
-    Distance, side and heading are uniform; objects stand along all edges.
-    """
+    """Scenarios with free poses, uniform in side, heading and distance up to just out of reach."""
 
     def put(base: Scenarios) -> Tensor:
         part = torch.rand(len(base), 3, generator=generator)

@@ -66,10 +66,7 @@ class ArmModel:
     )
 
     def chain(self, like: Tensor) -> tuple[Any, ChainTable]:
-        """A `pytorch_kinematics.SerialChain` and its table, on a tensor's device and in its dtype.
-
-        They are made once for each device and dtype.
-        """
+        """The chain in `pytorch_kinematics` and its table, made once for each device and dtype."""
         key = (like.dtype, like.device)
         if key not in self._chains:
             base, tip = self._links
@@ -79,10 +76,7 @@ class ArmModel:
         return self._chains[key]
 
     def frames(self, q: Tensor) -> Tensor:
-        """Poses (F, B, 4, 4) of every frame of the chain in the robot's base frame.
-
-        The tool frame is the last. Joint positions q are (B, n), rad or m.
-        """
+        """Poses (F, B, 4, 4) in the base frame at q (B, n), rad or m; the tool frame is last."""
         chain, _ = self.chain(q)
         parts = [chain.forward_kinematics_tensor(part) for part in q.split(_CHUNK)]
         frames = parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)

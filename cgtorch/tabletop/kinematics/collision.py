@@ -66,10 +66,7 @@ class Capsules(Tensors):
 
 
 def collide(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
-    """Whether any capsule of a row touches any box of that row (B,).
-
-    Capsules have two ends (B, C, 3) and a radius (C,), m; boxes are (B, N, ...), or (1, N, ...).
-    """
+    """(B,) bool, whether capsules, ends (B, C, 3), radius (C,), m, meet boxes (B or 1, N, ...)."""
     hit = torch.zeros(len(start), dtype=torch.bool, device=start.device)
     row, capsule, box = _close(start, end, radius, boxes).nonzero(as_tuple=True)
     which = row if len(boxes.half) > 1 else torch.zeros_like(row)
@@ -98,11 +95,10 @@ def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
 
 
 def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
-    """Distance (...) from segments to boxes that are centred and aligned with the axes, m.
+    """Distance (...) of segments (..., 3) from centred boxes (..., 3) aligned with the axes, m.
 
-    Both have (..., 3). The distance is convex along a segment, so its least value is found by
-    bisection on the slope, to 1/512 of the segment's length; it is 0 where the segment meets the
-    box.
+    It is convex along a segment, so bisection on the slope finds its least value, to 1/512 of the
+    segment's length; it is 0 where the segment meets the box.
     """
     along = b - a
     low = torch.zeros_like((along + half)[..., 0])

@@ -72,9 +72,8 @@ class RobotDescription:
 def load_description(path: Path | str) -> RobotDescription:
     """Read and check a robot description, a JSON file.
 
-    Raises:
-        RobotError: The file cannot be read, is not JSON, has an unknown or missing key, or a value
-            of the wrong type or not finite.
+    RobotError if it cannot be read, is not JSON, has an unknown or missing key, or a value of the
+    wrong type or not finite.
     """
     content = read_json(path, _MAX_BYTES, RobotError)
     return _Reader(f"robot description {str(path)!r}").description(content)

@@ -67,16 +67,11 @@ def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
 
 
 def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSolution:
-    """How objects can be grasped: the first approach and arm that serve.
+    """How objects (B, 3) on tables (B, 6) can be grasped: the first approach and arm that serve.
 
-    Args:
-        robot: The robot.
-        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
-        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
-            frame, m and rad.
-
-    Raises:
-        RobotError: A shape is wrong or a value is not finite.
+    Objects are at the height of the table's top. A table is centre x, centre y, yaw, size x, size y
+    and height of the top. All is in the base frame, m and rad. RobotError if a shape is wrong or a
+    value is not finite.
     """
     for what, value, width in (("position", position, 3), ("table", table, 6)):
         if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):
@@ -97,11 +92,7 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
 
 
 def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: Tensor) -> None:
-    """Fill in which approach and arm, in the order in which they count, solve rows, and how.
-
-    Rows that are solved leave the search. When few are left, several approaches are tried at once;
-    the one that comes first counts, so that a row's solution does not depend on the others.
-    """
+    """Fill in the first approach and arm that solve each row, and how, whatever the other rows."""
     slab, body = table_slab(table), robot.body.to(position)
     approaches, arms = position.new_tensor(APPROACHES), len(robot.arms)
     possible = ~_standing_in_table(robot, table) & _within_reach(robot, position)
@@ -127,10 +118,7 @@ def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: 
 
 
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
-    """Which rows (R,), ascending, an arm solves, and the joint positions of each (R, 5, n).
-
-    The tool follows waypoints (B, 5, 4, 4), beside the table of each row and the robot's own body.
-    """
+    """Rows (R,), ascending, whose waypoints (B, 5, 4, 4) an arm can follow, joints (R, 5, n)."""
     row, q = arm.candidates(path[:, 2])
     nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
     solved = torch.zeros(len(path), dtype=torch.bool, device=row.device)

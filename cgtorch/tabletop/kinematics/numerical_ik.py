@@ -21,8 +21,7 @@ def numerical_candidates(
 ) -> tuple[Tensor, Tensor]:
     """As `ArmModel.candidates`, refined from the nearest of many sampled postures.
 
-    A `pytorch_kinematics.SerialChain` has n joints with limits (n,), rad or m; the poses (B, 4, 4)
-    are those of the tool frame in the arm's base link.
+    Limits are (n,), rad or m; poses (B, 4, 4) are in the arm's base link.
     """
     generator = torch.Generator().manual_seed(0)
     spread = torch.rand(SEEDS, len(lower), generator=generator, dtype=torch.float64).to(lower)

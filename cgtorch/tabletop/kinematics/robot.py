@@ -39,9 +39,8 @@ class Robot:
 def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
     """Load a robot, whose files are given as to `robot_files`, and check that they fit.
 
-    Raises:
-        RobotError: A file is missing or broken, or the description names a link or joint that the
-            URDF lacks or that cannot serve.
+    RobotError if one is missing or broken, or the description names a link or joint that the URDF
+    lacks or that cannot serve.
     """
     urdf, description = robot_files(urdf, description)
     model, words = load_urdf(urdf), load_description(description)

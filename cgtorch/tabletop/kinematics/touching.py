@@ -16,10 +16,9 @@ _POSTURES = 2048  # tried at a time in torch: more fall out of the processor's c
 
 
 def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """Whether an arm with joint positions q (B, n), rad or m, touches something (B,).
+    """(B,) bool, whether an arm at q (B, n), rad or m, touches its row's table or the body.
 
-    That is the table of each row (B, N, ...), or of all (1, N, ...), or the robot's own body
-    (N, ...).
+    Tables are (B, N, ...), or one for all (1, N, ...); the body is (N, ...).
     """
     found = _touches_compiled(arm, q, slab, body)
     return touches_in_torch(arm, q, slab, body) if found is None else found

@@ -78,10 +78,7 @@ class Urdf:
         return tuple(path)
 
     def joints_between(self, base: str, tip: str) -> tuple[Any, ...]:
-        """The joints that lead from one link down to another, in that order.
-
-        RobotError if a link is missing, or the second does not hang from the first.
-        """
+        """Joints from one link down to another; RobotError if it is missing or hangs elsewhere."""
         self.link(base)
         path = self.joints_above(self.link(tip).name, base)
         if tip != base and (not path or path[-1].parent != base):
@@ -95,9 +92,8 @@ class Urdf:
 def load_urdf(path: Path | str) -> Urdf:
     """Read and check a URDF; meshes are not loaded.
 
-    Raises:
-        RobotError: The file cannot be read, is not well-formed XML, has a document type (which can
-            name entities), or does not describe one connected tree of links with sound numbers.
+    RobotError if it cannot be read, is not well-formed XML, has a document type (which can name
+    entities), or does not describe one connected tree of links with sound numbers.
     """
     path = Path(path)
     where = f"URDF {str(path)!r}"

@@ -213,8 +213,7 @@ def next_percept(scene: Scene, motion: Tensor, value: Tensor, trust: Tensor) -> 
 def extremes(scene: Scene, motion: Tensor) -> Tensor:
     """What tells how unusual a transition is (..., 4).
 
-    Distance of the object (m), way driven (m), size of the turn (rad), and how badly a table of
-    the given sides fits the box (m).
+    Distance of the object (m), way driven (m), size of the turn (rad), misfit of table and box (m).
     """
     misfit = scene.parts[..., EXTENTS] - turned_extents(scene.yaws[..., 0], scene.sides)
     far, way = length(scene.parts[..., OBJECT]), length(motion[..., :2])

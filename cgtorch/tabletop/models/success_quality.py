@@ -1,9 +1,8 @@
 """How good C is on fresh labels, beside how good any classifier of percepts can be.
 
-A look has noise, and the box around a turned table does not show to which side it is turned. So
-scenes with and without success give the same percept, and no classifier of percepts is always
-right. As the scenes are our own, those behind a percept can be sampled, by importance resampling
-(Rubin 1987).
+A look has noise, and the box around a turned table does not show to which side it is turned, so
+scenes with and without success give the same percept. As the scenes are our own, those behind a
+percept can be sampled, by importance resampling (Rubin 1987).
 """
 
 from collections.abc import Callable
@@ -107,10 +106,7 @@ def success_quality(
     labels: FreshLabels,
     generator: Generator,
 ) -> SuccessQuality:
-    """C, from percepts (n, D) to probabilities (n,), on fresh labels of the world.
-
-    Three times 500 labels take about 2 s to draw and to judge by with the PR2.
-    """
+    """C, from percepts (n, D) to probabilities (n,), on fresh labels; 1500 take about 2 s (PR2)."""
     count = len(labels.graspable) // 3
     with torch.no_grad():
         chance = classifier(labels.percept)

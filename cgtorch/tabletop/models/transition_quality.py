@@ -63,14 +63,7 @@ class TransitionQuality:
 
 @dataclass(frozen=True)
 class FreshTransitions:
-    """Transitions with what really happened: percept, motion, next percept, next without noise.
-
-    Attributes:
-        percept: (n, D).
-        motion: (n, 3).
-        next_percept: (n, D) as seen.
-        exact: (n, 7) the same without any noise of motion or of the second look.
-    """
+    """Percepts (n, D), motions (n, 3), what was seen next (n, D), and that without noise (n, 7)."""
 
     percept: Tensor
     motion: Tensor
@@ -81,10 +74,7 @@ class FreshTransitions:
 def transition_quality(
     scenes: Scenes, model: TransitionModel, count: int, generator: Generator
 ) -> TransitionQuality:
-    """The errors of a fitted Γ on `count` fresh transitions, and their floors.
-
-    500 transitions take about a second.
-    """
+    """The errors of a fitted Γ on fresh transitions, and their floors; 500 take about a second."""
     fresh = fresh_transitions(scenes, count, generator)
     possible, weight = possible_next(scenes, fresh.percept, fresh.motion, generator)
     seen = fresh.next_percept[:, :TABLETOP]
@@ -115,10 +105,7 @@ def _standard_error(values: Tensor) -> float:
 
 
 def fresh_transitions(scenes: Scenes, count: int, generator: Generator) -> FreshTransitions:
-    """`count` random motions from random poses around the table that can be carried out.
-
-    Poses, motions and limits are those of `cgtorch.tabletop.data.collect`.
-    """
+    """`count` random motions that can be carried out, as in `cgtorch.tabletop.data.collect`."""
     parts: list[tuple[Tensor, ...]] = []
     have = 0
     while have < count:
@@ -138,10 +125,7 @@ def fresh_transitions(scenes: Scenes, count: int, generator: Generator) -> Fresh
 def possible_next(
     scenes: Scenes, percept: Tensor, motion: Tensor, generator: Generator, samples: int = 256
 ) -> tuple[Tensor, Tensor]:
-    """Next percepts (n, S, 7) and weights (n, S), each row's with sum 1, given what was done.
-
-    They are samples for percepts (n, D) and motions (n, 3) that were carried out.
-    """
+    """Next percepts (n, S, 7), weights (n, S) of sum 1 for percepts (n, D), motions (n, 3) made."""
     world = scenes.world(scenes.draw(_POOL, generator))
     drift, blur = world.drift.flatten(0, 1), world.blur.flatten(0, 1)[:, :TABLETOP]
     deviation, shape = float(blur.std().clamp_min(_SMALLEST_BLUR)), (len(percept), samples)

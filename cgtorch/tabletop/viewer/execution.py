@@ -21,10 +21,7 @@ Place: TypeAlias = tuple[Skill, int]
 
 @dataclass(frozen=True)
 class Step:
-    """One action that was executed, and how it came out.
-
-    `places` are its node, last, and before it the nodes of the sub-skills that it runs in.
-    """
+    """An action that was executed; `places` are the nodes that it runs in, its own node last."""
 
     places: tuple[Place, ...]
     name: str

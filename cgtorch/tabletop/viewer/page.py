@@ -250,8 +250,7 @@ def open_page(
 ) -> tuple[Page, str]:
     """Serve the page; the address says where it is, also if the port was taken.
 
-    Raises:
-        SettingsError: this machine cannot listen there, or a skill is for other percepts.
+    SettingsError if this machine cannot listen there, or a skill is for other percepts.
     """
     scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
     for name in filter(None, (wish.skill, wish.against)):

@@ -24,10 +24,7 @@ OUTER_HEIGHT = 2.1
 
 
 def levels_html(skill: Skill, step: Step) -> str:
-    """The levels that a step runs in, the outermost first, as HTML with pictures in SVG.
-
-    Lit are the node that runs, on every level, and the edge of its outcome on the last one.
-    """
+    """The levels that a step runs in, outermost first, as HTML; its nodes and last edge are lit."""
     clusters = [_clusters(skill)[id(inner)] for inner, _ in step.places]
     nodes = [c.nodes[f"{c.key}_n{s}"] for c, (_, s) in zip(clusters, step.places, strict=True)]
     ended = nodes[-1].key, step.outcome

@@ -56,11 +56,10 @@ def joint_names(robot: Robot) -> tuple[str, ...]:
 
 
 def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) -> Timeline:
-    """Lay an execution out in time.
+    """Lay an execution out in time; the base drives straight and then turns, as in the world.
 
-    The base drives straight and then turns, as the world has it. Where a grasp succeeds, the arm
-    that the world's answer is about comes from its posture at rest to the pre-grasp, grasps and
-    lifts the object.
+    Where a grasp succeeds, the arm that the world's answer is about moves from rest to the
+    pre-grasp, grasps and lifts the object.
     """
     scene = execution.scenario
     joints = torch.cat(rest).double()[None]

@@ -94,10 +94,9 @@ def _along_an_edge(sides: Tensor, pick: Tensor, along: Tensor, inset: Tensor) ->
 
 
 def beside(direction: Tensor, half: Tensor, distance: Tensor) -> Tensor:
-    """Points (n, 2) in directions (n,) at distances (n,) from rectangles of half sizes (n, 2).
+    """Points (n, 2) in directions (n,) at distances (n,) from centred boxes of half sizes (n, 2).
 
-    The rectangles are centred and aligned with the axes. The nearest point of one is on its side
-    across x, on the one across y, or its corner.
+    The nearest point of a box is on its side across x, on the one across y, or its corner.
     """
     ray = torch.stack([direction.cos(), direction.sin()], 1)
     steep = ray.abs().clamp_min(1e-9)

@@ -62,10 +62,7 @@ def corners(rectangle: Tensor) -> Tensor:
 
 
 def rectangles_overlap(first: Tensor, second: Tensor) -> Tensor:
-    """Whether two turned rectangles overlap (B,), by separating axes; touching does not count.
-
-    Each is (B, 5) centre x, centre y, yaw, size x, size y (m, rad).
-    """
+    """(B,) bool, whether rectangles (B, 5) overlap, by separating axes; touching does not count."""
     between = second[:, :2] - first[:, :2]
     axes = torch.cat([_axes(first[:, 2]), _axes(second[:, 2])], dim=1)
     gap = (axes * between[:, None]).sum(-1).abs()

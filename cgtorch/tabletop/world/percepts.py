@@ -53,11 +53,7 @@ class Percept:
 
     @property
     def table(self) -> Tensor:
-        """The table (..., 5) as a rectangle.
-
-        Without the side it is the box itself. With it, the other side is the one that fits the box
-        best, by least squares.
-        """
+        """The table (..., 5) as a rectangle: the box, or its least-squares fit given the side."""
         box = box_rectangle(self.box)
         if not self.side.shape[-1]:
             return box
@@ -98,10 +94,7 @@ def percept_fields(size: int) -> tuple[Field, ...]:
 
 
 def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
-    """The percept (..., 7) without noise: table box and object in the base frame (m).
-
-    The base's pose (..., 3), the table (..., 6) and the object (..., 2) are in the world.
-    """
+    """The percept (..., 7), m, without noise, of pose (..., 3), table (..., 6), object (..., 2)."""
     box = bounding_box(rectangle_in_frame(pose, table[..., :5]))
     return torch.cat([box, to_frame(pose, placed), table[..., 5:6]], -1)
 
@@ -123,9 +116,6 @@ def present(rectangle: Tensor) -> Tensor:
 
 
 def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
-    """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), without noise.
-
-    What is not there is seen as four zeros, which no box can be: one that is there has a size.
-    """
+    """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), 0 where there is none."""
     box = bounding_box(rectangle_in_frame(pose[..., None, :], obstacles))
     return (box * present(obstacles)[..., None]).flatten(-2)

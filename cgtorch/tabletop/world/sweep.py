@@ -29,9 +29,8 @@ def sweep_blocked(
 ) -> Tensor:
     """(n,) bool, whether a footprint (4,) that drives straight and then turns touches a rectangle.
 
-    Motions (n, 3) dx, dy (m), dθ (rad) and rectangles (n, 5) are in the frame of the robot before
-    it moves; the clearance (m) is added to the footprint on every side. A motion that is not finite
-    counts as blocked.
+    Motions (n, 3) dx, dy (m), dθ (rad) and rectangles (n, 5) are in the robot's frame before it
+    moves; the clearance (m) is kept on every side. A motion that is not finite counts as blocked.
     """
     low, high = footprint[0::2], footprint[1::2]
     body = _Body((low + high) / 2, (high - low) / 2 + clearance)
@@ -49,8 +48,7 @@ def sweep_blocked(
 def _drive_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
     """(n,) bool, whether the hull of the body before and after the drive meets the rectangle.
 
-    Two convex shapes are apart where the normal of one of their sides separates them: here the
-    body's two, the rectangle's two, and that of the way driven.
+    Convex shapes are apart where a normal separates them: the body's, the rectangle's, the way's.
     """
     dx, dy, _ = motion
     x, y, yaw, *size = rectangle
@@ -85,11 +83,7 @@ def _within_reach(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
 
 
 def _turn_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
-    """(n,) bool, whether the body, turned on the spot after the drive, meets the rectangle.
-
-    It is looked at on the way, too, every `TURN_STEP` at least: from the turned body the rectangle
-    is turned the other way, (steps, n).
-    """
+    """(n,) bool, whether the turn after the drive meets it, looked at every `TURN_STEP` or less."""
     steps = math.ceil(math.pi / TURN_STEP)
     share = torch.linspace(1 / steps, 1, steps, dtype=motion.dtype, device=motion.device)
     turned = share[:, None] * wrap(motion[2])
