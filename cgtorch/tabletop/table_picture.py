@@ -36,13 +36,20 @@ def draw_table_top(
     footprint: Box = FOOTPRINT,
     title: str = "",
 ) -> "Figure":
-    """Top view of B scenarios in scale, as the robot sees it: away from it is up, its left is left.
+    """Top view in scale, as the robot sees it: away from it is up, its left is left.
 
-    Green circles are objects that the skill reached (`succeeded` (B,) bool), red crosses those that
-    it missed. Black rings mark test placements (`targets` (B,) bool), if given. Blue outlines are
-    the robots at their start, each with its heading, by the footprint x min, x max, y min, y max
-    (m). The title stands before the counts. DataError for another number of results or targets than
-    scenarios.
+    Green circles are objects the skill reached, red crosses those it missed, a black ring marks
+    the test placements; blue outlines are the robots at their start, each with its heading.
+
+    Args:
+        scenarios: the B scenarios.
+        succeeded: (B,) bool.
+        targets: (B,) bool, the test placements; none if not given.
+        footprint: base x min, x max, y min, y max (m).
+        title: stands before the counts.
+
+    Raises:
+        DataError: another number of results or targets than scenarios.
     """
     from matplotlib.figure import Figure
 

@@ -64,7 +64,10 @@ def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tens
 def nearest_to_boundary(
     scenarios: Scenarios, percept: Tensor, graspable: Tensor, count: int
 ) -> Tensor:
-    """Indices (count,) of scenarios as near to successes as to failures (n,) of percepts (n, D)."""
+    """Indices (count,) of scenarios that known successes are about as near to as known failures.
+
+    Known are percepts (n, D), and whether a grasp succeeds there (n,), some of either.
+    """
     seen = percept_of(scenarios.pose, scenarios.table, scenarios.object)
     to_success = _distance(seen, percept[graspable])
     to_failure = _distance(seen, percept[~graspable])

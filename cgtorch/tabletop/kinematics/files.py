@@ -31,10 +31,14 @@ def robot_files(
 ) -> tuple[Path, Path]:
     """The URDF and the robot description that are meant; one given by its own path may be missing.
 
-    Without a URDF, it is the one beside the description. A description is the name of a built-in
-    robot, such as fetch, which comes before a folder; a folder that holds a URDF and a
-    `robot.json`; or the file itself. Without one, it is `robot.json` beside the URDF, or the PR2's.
-    RobotError if it is none of these, or there is not one URDF beside it.
+    Args:
+        urdf: The URDF, or None for the one beside the description.
+        description: The name of a built-in robot, such as fetch; a folder that holds a URDF and a
+            `robot.json`; the description itself; or None for `robot.json` beside the URDF, and for
+            the PR2 without one. Names of built-in robots come before folders.
+
+    Raises:
+        RobotError: The description is none of these, or there is not one URDF beside it.
     """
     if description is None and urdf is not None:
         return Path(urdf), Path(urdf).parent / DESCRIPTION

@@ -67,11 +67,16 @@ def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
 
 
 def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSolution:
-    """How objects (B, 3) on tables (B, 6) can be grasped: the first approach and arm that serve.
+    """How objects can be grasped: the first approach and arm that serve.
 
-    Objects are at the height of the table's top. A table is centre x, centre y, yaw, size x, size y
-    and height of the top. All is in the base frame, m and rad. RobotError if a shape is wrong or a
-    value is not finite.
+    Args:
+        robot: The robot.
+        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
+        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
+            frame, m and rad.
+
+    Raises:
+        RobotError: A shape is wrong or a value is not finite.
     """
     for what, value, width in (("position", position, 3), ("table", table, 6)):
         if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):

@@ -23,7 +23,10 @@ OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said
 def tables_behind(
     percept: Tensor, blur: float, samples: int, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Tables (n, S, 5), objects (n, S, 2), weights (n, S) for percepts (n, D) of noise `blur` m."""
+    """Samples of tables (n, S, 5), objects (n, S, 2) and weights (n, S) behind percepts (n, D).
+
+    They are in the base frame; a percept's numbers have noise of a standard deviation `blur` (m).
+    """
     side = parts_of(percept).side
     parts = to_parts(percept)[:, None].expand(-1, samples, -1)
 
@@ -59,7 +62,11 @@ def _any_yaw(extents: Tensor, generator: Generator) -> tuple[Tensor, Tensor]:
 def _seen_sides(
     parts: Tensor, side: Tensor, blur: float, noise: Callable[[float, int], Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """Yaw and sides (n, S, 3) from a side (n, 2) and a box; its misfit gives weights (n, S)."""
+    """Yaw and sides (n, S, 3) where a side (n, 2) is seen, and weights (n, S).
+
+    The box has two extents for the one side that is left: one combination of them gives it, the
+    other tells how likely yaw and length are.
+    """
     seen = side[:, None] - noise(blur, 2)
     yaw, length = torch.atan2(seen[..., 1], seen[..., 0]) / 2, seen.norm(dim=-1)
     c, s = yaw.cos().abs(), yaw.sin().abs()

@@ -63,7 +63,14 @@ class TransitionQuality:
 
 @dataclass(frozen=True)
 class FreshTransitions:
-    """Percepts (n, D), motions (n, 3), what was seen next (n, D), and that without noise (n, 7)."""
+    """Transitions with what really happened: percept, motion, next percept, next without noise.
+
+    Attributes:
+        percept: (n, D).
+        motion: (n, 3).
+        next_percept: (n, D) as seen.
+        exact: (n, 7) the same without any noise of motion or of the second look.
+    """
 
     percept: Tensor
     motion: Tensor

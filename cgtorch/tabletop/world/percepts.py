@@ -116,6 +116,9 @@ def present(rectangle: Tensor) -> Tensor:
 
 
 def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
-    """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), 0 where there is none."""
+    """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), without noise.
+
+    What is not there is seen as four zeros, which no box can be: one that is there has a size.
+    """
     box = bounding_box(rectangle_in_frame(pose[..., None, :], obstacles))
     return (box * present(obstacles)[..., None]).flatten(-2)

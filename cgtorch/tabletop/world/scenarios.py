@@ -102,7 +102,10 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
 
 
 def random_scenarios(placement: str, count: int, generator: Generator) -> Scenarios:
-    """Random objects along one of `PLACEMENTS`; SettingsError for another, or a negative count."""
+    """Random placements along one edge or, with "perimeter", along all four.
+
+    SettingsError if the placement is none of `PLACEMENTS`, or the count is negative.
+    """
     check_count(count)
     check_known("placement", placement, PLACEMENTS)
     draw = torch.rand(count, 6, generator=generator)
