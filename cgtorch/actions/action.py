@@ -76,9 +76,7 @@ class Action(nn.Module, ABC):
         solves again. All seeds come from the generator that the scenarios were drawn with.
 
         Returned are the n lanes, which have drawn once more, and (n, size) numbers in [0, 1).
-
-        Raises:
-            ActionError: the action does not say that it is stochastic, or has no memory.
+        ActionError if the action does not say that it is stochastic, or has no memory.
         """
         if self.deterministic or not self.memory_size:
             raise ActionError(

@@ -17,6 +17,8 @@ from cgtorch.ground.errors import ActionError
 class ActionSet:
     """A actions in a fixed order; a node's action is an index into it.
 
+    ActionError for no action, a name used twice, or an action without outcomes.
+
     Attributes:
         names: unique names, as they appear in graphs and files.
         actions: the torch modules.
@@ -25,9 +27,6 @@ class ActionSet:
         has_edge: (A, O) bool, outcomes that must lead to a node.
         num_parameters: (A,) long.
         message_size: length of the longest message.
-
-    Raises:
-        ActionError: no action, a name used twice, or an action without outcomes.
     """
 
     names: tuple[str, ...]

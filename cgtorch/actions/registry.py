@@ -26,16 +26,12 @@ ENTRY_POINTS = "cgtorch.actions"
 
 
 def resolve_actions(names: Sequence[str] = (), basic: ActionSet | None = None) -> ActionSet:
-    """Basic actions, those of the paper if no others are given, and those named.
+    """The `basic` actions, those of the paper if not given, and those named.
 
-    Args:
-        names: each the name of a built-in action, the name of an entry point of the group
-            "cgtorch.actions" that an installed package declares, or "package.module:Class". Naming
-            an action twice, or one of the basic ones, changes nothing.
-        basic: what the named ones are added to; the paper's if None.
-
-    Raises:
-        ActionError: a name is unknown, or stands for nothing that can be made into an action.
+    A name is that of a built-in action, that of an entry point of the group "cgtorch.actions" that
+    an installed package declares, or "package.module:Class". Naming an action twice, or one of the
+    basic ones, changes nothing. ActionError if a name is unknown, or stands for nothing that can be
+    made into an action.
     """
     actions = paper_actions() if basic is None else basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
@@ -76,11 +72,7 @@ def _made(spec: str, entry: EntryPoint) -> Action:
 def check_action(
     name: str, action: Action, environment: Environment, device: torch.device | str = "cpu"
 ) -> None:
-    """Try an action on two fresh lanes, to find early what it does against the interface.
-
-    Raises:
-        ActionError: naming the method and what is wrong with what it returned.
-    """
+    """Try an action on two fresh lanes; ActionError names the method and what is wrong with it."""
     who = f"action {name!r}: forward"
     parameters = _parameters(name, action)
     scenario = two_rows(environment.num_scenarios, device)

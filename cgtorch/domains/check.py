@@ -15,12 +15,7 @@ from cgtorch.ground.errors import DomainError
 
 
 def check_domain(domain: Domain[Any], scenarios: str) -> None:
-    """Try what a domain gives for a run about a kind of scenarios.
-
-    Raises:
-        DomainError: naming the method and what is wrong with what it returned.
-        WorldError: the world breaks its interface.
-    """
+    """Try a domain on a kind of scenarios; DomainError or WorldError says what is wrong."""
     who = type(domain).__name__
     _check_names(domain, who)
     if scenarios not in (domain.trained_kinds or domain.kinds):

@@ -144,8 +144,7 @@ class Domain(ABC, Generic[S]):
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
         """Experience of acting at random: transitions (p, u, p′), and tests of success.
 
-        Raises:
-            DataError: success, or its absence, is hardly ever met.
+        DataError if success, or its absence, is hardly ever met.
         """
         return explore(
             lambda count: self.world(self.draw(kind, count, generator)),

@@ -42,11 +42,8 @@ def explore(
     """Act at random for transitions (p, u, p′), and test success everywhere on the way.
 
     Of the tests, both labels are kept as far as there are enough of the rarer one; `worlds` makes
-    the world of so many random scenarios.
-
-    Raises:
-        DataError: success, or its absence, is hardly ever met.
-        DomainError: a control has no bounds.
+    the world of so many random scenarios. DataError if success, or its absence, is hardly ever met,
+    and DomainError if a control has no bounds.
     """
     moved: list[tuple[Tensor, Tensor, Tensor]] = []
     tested: list[tuple[Tensor, Tensor]] = []

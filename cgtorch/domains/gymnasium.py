@@ -55,11 +55,8 @@ class Gymnasium(Domain[Starts]):
         """The environment of the settings.
 
         Where they are not given, the scaling of observations is found in random episodes, and the
-        return from which an episode is solved is that of the settings.
-
-        Raises:
-            DomainError: Gymnasium is not installed or knows no such environment, or it is of a
-                sort that is no domain.
+        return from which an episode is solved is that of the settings. DomainError if Gymnasium is
+        not installed or knows no such environment, or if it is of a sort that is no domain.
         """
         super().__init__(settings)
         name = self.settings.environment

@@ -75,11 +75,9 @@ class Episode:
 class Episodes:
     """As many environments of one id as there are lanes, used again for each batch of lanes.
 
-    Attributes:
-        observation: the space of observations.
-        action: the space of actions.
-        threshold: return from which the environment says that it is solved, None if it does not.
-        batch: how often lanes have begun; only those of the last batch can go on.
+    `observation` and `action` are their spaces, and `threshold` is the return from which they say
+    that they are solved, if they do. `batch` counts how often lanes have begun; only those of the
+    last batch can go on.
     """
 
     def __init__(self, environment: str) -> None:
@@ -151,11 +149,7 @@ class Episodes:
 
 
 class GymnasiumWorld(ABC):
-    """A rewarded `Environment` of B starts.
-
-    The first three columns of a lane's state are steps, the return so far, and whether the episode
-    is over.
-    """
+    """A rewarded `Environment` of B starts; states begin with steps, return, and if it is over."""
 
     def __init__(
         self, episodes: Episodes, seeds: Tensor, scaling: Scaling, control_size: int, target: float

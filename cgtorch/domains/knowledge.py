@@ -118,22 +118,16 @@ def imagine(
     noisy: Callable[[Tensor], Tensor] = torch.ones_like,
     compiled: Compile | None = None,
 ) -> ModelEnvironment:
-    """The models as an environment, each scenario `replicas` times with other errors of Γ.
+    """The models as an environment for percepts (B, D), each `replicas` times with other errors.
 
-    Scenario i has the indices i · replicas … i · replicas + replicas - 1. The errors are drawn
-    from those that Γ makes on its training data, so that a skill must not rely on being exact; for
-    the same reason stochastic actions draw other numbers than they will in the world. A
-    rollout fails where a control is more novel to Γ than `FAMILIAR` of its training data.
+    Scenario i has the indices i · replicas … i · replicas + replicas - 1. The errors are drawn from
+    those that Γ makes on its training data, so that a skill must not rely on being exact; for the
+    same reason stochastic actions draw other numbers than they will in the world. A rollout fails
+    where a control is more novel to Γ than `FAMILIAR` of its training data.
 
-    Args:
-        knowledge: the models.
-        percepts: (B, D) first percepts.
-        replicas: how often each scenario is imagined, at least 1.
-        generator: of the errors, and of the seeds of what actions draw.
-        device: where the environment runs.
-        possible: see `ModelEnvironment`.
-        noisy: of percepts (n, D), 1 for numbers that Γ can get wrong and 0 for those it cannot.
-        compiled: see `ModelEnvironment`.
+    The errors, and the seeds of what actions draw, come from the generator. Of percepts (n, D),
+    `noisy` is 1 for numbers that Γ can get wrong and 0 for those it cannot; for `possible` and
+    `compiled` see `ModelEnvironment`.
     """
     gamma, data = copy.deepcopy(knowledge.swift), knowledge.dataset
     with torch.no_grad():
@@ -197,10 +191,7 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
 def _learn(
     model: Model, rows: Sequence[tuple[Tensor, ...]], most: int
 ) -> tuple[Model, Tensor, Acceptance]:
-    """The model to go on with, the old rows (m,), at most so many, that stay, and the acceptance.
-
-    The rows are the old ones, the new ones, and those that were put aside.
-    """
+    """The model to go on with, old rows (m,) that stay, and the acceptance by rows put aside."""
     old, new, aside = rows
     kept, start = model.coreset(*old, limit=most)
     after = start.updated(*(torch.cat([a[kept], b]) for a, b in zip(old, new, strict=True)))

@@ -19,12 +19,10 @@ from cgtorch.svm.machine import FittedModule
 
 
 class LearnedModel(FittedModule, ABC):
-    """A machine on standardised features.
+    """A `machine` on standardised features, whose `mean` and `scale` (F,) are buffers.
 
     What it learns from are n rows of several tensors: percepts, controls and next percepts of Γ,
     percepts and labels of C.
-
-    Buffers: the features' `mean` and `scale` (F,); the machine's are in `machine`.
     """
 
     mean: Tensor
@@ -71,11 +69,8 @@ class LearnedModel(FittedModule, ABC):
     def updated(self, *rows: Any) -> Self:
         """A new model fitted on all rows, those of the last fit first and in the same order.
 
-        This one, which must not be compact, stays as it is.
-
-        Raises:
-            DataError: Wrong shapes, NaN, one class only, or fewer rows than before.
-            ModelError: Not fitted.
+        This one, which must not be compact, stays as it is. DataError for wrong shapes, NaN, one
+        class only, or fewer rows than before, and ModelError if it is not fitted.
         """
         exact = self.checked(*rows)
         fresh = deepcopy(self).double().to(exact[0].device)

@@ -1,7 +1,4 @@
-"""Finding domains by name, and trying them before anything long begins.
-
-Nothing here imports torch until a domain is asked for.
-"""
+"""Domains by name, tried before anything long begins, and without torch until one is asked for."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -39,14 +36,10 @@ def is_code(spec: str) -> bool:
 
 
 def domain_class(spec: str) -> type["Domain[Any]"]:
-    """The class of a domain.
+    """The class of a domain; DomainError if there is none of that name, or it is no domain.
 
-    Args:
-        spec: "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
-            "cgtorch.domains" that an installed package declares, or "package.module:Class".
-
-    Raises:
-        DomainError: there is none of that name, or it is no domain.
+    It is asked for by "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
+    "cgtorch.domains" that an installed package declares, or "package.module:Class".
     """
     from cgtorch.domains.domain import Domain
 

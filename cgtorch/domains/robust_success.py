@@ -21,10 +21,7 @@ def robust_success(
     generator: Generator,
     replicas: int = REPLICAS,
 ) -> Tensor:
-    """Where (B,) bool a skill succeeds from percepts (B, D) under each of several draws of errors.
-
-    The errors of Γ are others than those that the skill was evolved under.
-    """
+    """Where (B,) bool a skill succeeds from percepts (B, D) under several new draws of errors."""
     environment = domain.imagine(knowledge, percepts, replicas, generator)
     with torch.no_grad():
         runs = rollout(

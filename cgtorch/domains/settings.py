@@ -1,7 +1,4 @@
-"""Settings as dataclasses that the command line, the API and the files share.
-
-Nothing here imports torch, so that help texts come at once.
-"""
+"""Settings that command line, API and files share, without torch, so that help comes at once."""
 
 import math
 from collections.abc import Mapping
@@ -26,13 +23,8 @@ def option(
 ) -> Any:
     """A field with its default, whose type is the option's, and its help on the command line.
 
-    Args:
-        default: of the option.
-        text: its help.
-        fixed: why it cannot change once a run has begun; nothing if it can.
-        choices: of a text, what it may be; anything if not given.
-        least: of a number, the least that it may be.
-        most: of a number, the most.
+    What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
+    `choices`, if there are any; a number is from `least` to `most`.
     """
     about = {"help": text, "fixed": fixed, "choices": choices, "least": least, "most": most}
     return field(default=default, metadata=about)
@@ -65,12 +57,11 @@ def check_options(settings: Any) -> None:
 class DomainSettings:
     """Settings of a domain that has none; those of others are frozen dataclasses of `option`s.
 
+    SettingsError for a value that cannot work.
+
     Attributes:
         run_defaults: of the settings that every run has, those that are others for the domain.
         usual_stage: what `cgtorch-train` makes if no stage is named.
-
-    Raises:
-        SettingsError: a value that cannot work.
     """
 
     run_defaults: ClassVar[Mapping[str, Any]] = {}

@@ -98,19 +98,12 @@ def fit_success_classifier(
 ) -> tuple[SuccessClassifier, SuccessReport]:
     """Choose the hyper-parameters by cross-validation and fit C on all labels, in place.
 
-    Args:
-        model: An unfitted C.
-        percept: Percepts (n, D).
-        label: True or 1 where the skill succeeded (n,).
-        seed: Seed or generator of folds and subset.
-        C: Costs to try.
-        gamma: Kernel widths to try, on scaled features; `GAMMA_GRID` for F of them if not given.
-        grid_rows: Random rows that the grid is scored on.
-        dtype: Type of the returned model's buffers.
+    Labels (n,) are True or 1 where the skill succeeded from percepts (n, D). The grid is scored on
+    `grid_rows` random rows. Its kernel widths are for scaled features, `GAMMA_GRID` for F of them
+    if not given. The buffers of the returned model have the type `dtype`.
 
-    Raises:
-        DataError: Wrong shapes, NaN, one class only, too few rows or too many.
-        SettingsError: A grid that cannot be used.
+    DataError for wrong shapes, NaN, one class only, too few rows or too many, and SettingsError for
+    a grid that cannot be used.
     """
     rows, signs = model.checked(percept, label)
     generator = inputs.generator_of(seed)

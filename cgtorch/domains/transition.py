@@ -106,10 +106,7 @@ class TransitionModel(LearnedModel):
 
     @abstractmethod
     def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
-        """Leave out, once fitted, what was not learnt.
-
-        Returns errors (D,) in cross-validation, and those of a model without a machine.
-        """
+        """Leave out what was not learnt; errors (D,) held out, and those without a machine."""
 
     def held_out(self, machine: SVR, x: Tensor, y: Tensor, generator: Generator) -> Tensor | None:
         """Held-out values (n, K) of all features x (n, F), None if those of the grid suffice."""
@@ -174,10 +171,7 @@ class TransitionModel(LearnedModel):
         self.most = torch.maximum(self.most, self.extremes(*rows[:2]).amax(0))
 
     def measure_reach(self, features: Tensor) -> None:
-        """See `LearnedModel.measure_reach`.
-
-        It is the squared distance that 95 % of training rows have another centre within.
-        """
+        """Find `reach`: the squared distance at which 95 % of rows (n, F) have another centre."""
         some = features[:: max(1, len(features) // 1024)].double()
         distance = torch.cdist(some, self.machine.centres.double()).square()
         nearest = torch.where(distance < 1e-16, torch.inf, distance).amin(1)

@@ -31,20 +31,12 @@ def fit_transition_model(
 ) -> tuple[Gamma, TransitionReport]:
     """Choose the hyper-parameters by cross-validation and fit Γ on all transitions, in place.
 
-    All outputs share γ and ε, so that one kernel evaluation answers them; each has its own C.
+    A transition is a row of percepts (n, D), controls (n, U) and next percepts (n, D). All outputs
+    share γ and ε, so that one kernel evaluation answers them; each has its own C. The grid is the
+    model's own if not given. The buffers of the returned model have the type `dtype`.
 
-    Args:
-        model: An unfitted Γ.
-        percept: Percepts before (n, D).
-        control: Controls (n, U).
-        next_percept: Percepts after (n, D).
-        seed: Seed or generator of folds and subset.
-        grid: Hyper-parameters to try, the model's own if None.
-        dtype: Type of the returned model's buffers.
-
-    Raises:
-        DataError: Wrong shapes, NaN, too few rows or too many.
-        SettingsError: A grid that cannot be used.
+    DataError for wrong shapes, NaN, too few rows or too many, and SettingsError for a grid that
+    cannot be used.
     """
     p, u, q = rows = model.checked(percept, control, next_percept)
     generator, grid = inputs.generator_of(seed), grid or model.grid

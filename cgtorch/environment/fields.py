@@ -14,7 +14,7 @@ KINDS = ("number", "angle", "discrete")
 
 @dataclass(frozen=True)
 class Field:
-    """One number of a percept or of a control.
+    """One number of a percept or a control; DomainError for an unknown kind or impossible bounds.
 
     Attributes:
         name: what it is called in pictures, reports and exported code.
@@ -23,9 +23,6 @@ class Field:
         high: the most.
         kind: "number"; "angle", which is the same after a whole turn; or "discrete", a whole
             number.
-
-    Raises:
-        DomainError: the kind is unknown, or the bounds are none.
     """
 
     name: str
@@ -68,10 +65,7 @@ def wrapped(angle: Tensor) -> Tensor:
 
 
 def within_bounds(values: Tensor, fields: Sequence[Field]) -> Tensor:
-    """Values (..., D) that lie within the bounds of their fields.
-
-    Angles are brought there by whole turns as far as these do.
-    """
+    """Values (..., D) within the bounds of their fields, angles by whole turns where possible."""
     low, high = (bound.to(values) for bound in bounds_of(fields))
     columns = list(values.unbind(-1))
     for i in columns_of(fields, "angle"):

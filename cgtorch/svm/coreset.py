@@ -33,10 +33,7 @@ def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
 
 
 def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
-    """Indices (count,) of rows (n, d), each the farthest from `covered` (m, d) and those before.
-
-    With nothing covered, the first is the row nearest to the mean.
-    """
+    """Indices (count,) of rows (n, d), each farthest from `covered` (m, d) and those before."""
     if len(covered):
         nearest = torch.cdist(rows, covered).amin(1)
     else:
@@ -53,10 +50,7 @@ def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
 
 
 def shrink_to_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
-    """Indices (m,), ascending, of at most `limit` training rows (n, d) that a machine keeps.
-
-    It speaks of these rows only from then on, in place.
-    """
+    """Keep at most `limit` training rows (n, d) of a machine, in place: indices (m,), ascending."""
     keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
     keep[machine.support] = True
     chosen = coreset(features, keep, limit)

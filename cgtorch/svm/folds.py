@@ -13,8 +13,7 @@ from cgtorch.svm.problems import Targets
 def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Tensor:
     """Fold numbers (n,): drawn for a number of folds, stratified for classes, or those given.
 
-    SettingsError for fewer than two folds, DataError for too few rows, in all or of a class, or
-    given folds that are none.
+    SettingsError for fewer than two folds, DataError for too few rows or given folds that are none.
     """
     rows = targets.y.shape[1]
     if not isinstance(folds, int):

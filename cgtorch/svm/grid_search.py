@@ -90,6 +90,9 @@ def grid_search(
 ) -> GridResult:
     """Score every (gamma, epsilon, C) by cross-validation.
 
+    DataError for data that the model's `fit` would refuse, or too few rows for the folds, and
+    SettingsError for an empty grid, a value that is not positive, or an unknown score.
+
     Args:
         model: An `SVC` or `SVR` whose settings are used where the grid has none.
         x: Rows (n, d).
@@ -100,10 +103,6 @@ def grid_search(
         folds: Number of folds, or fold numbers (n,).
         seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
-
-    Raises:
-        DataError: Data that the model's `fit` would refuse, or too few rows for the folds.
-        SettingsError: An empty grid, a value that is not positive, or an unknown score.
     """
     score = score_of(scoring or model.scoring)
     rows = model.training_rows(x)
@@ -148,10 +147,7 @@ def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
 
 
 def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
-    """Held-out values (E, N, K, n) and largest relative duality gaps (E, N, K) at one gamma.
-
-    The values are in the solver's units. No result depends on the number of threads.
-    """
+    """Held-out values (E, N, K, n) in the solver's units, and largest relative gaps (E, N, K)."""
     gram = task.model.gram(task.rows, width, threads)
     by_fold = len(task.targets.y), len(task.masks)
     place = task.folds.to(task.rows.device).expand(by_fold[0], 1, -1)
@@ -171,10 +167,7 @@ def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tenso
 
 
 def scaled_start(before: Problems, found: State, problems: Problems) -> State:
-    """A start from solutions for smaller costs, times a number from 1 to the ratio of the costs.
-
-    It is the best such number; at the ratio, coefficients on a bound are on it again.
-    """
+    """A start from solutions for smaller costs, times the best number from 1 to the cost ratio."""
     ratio = problems.cap / before.cap
     linear = (before.z * found.beta - before.epsilon[:, None] * found.beta.abs()).sum(1)
     square = (found.product * found.beta).sum(1)

@@ -127,10 +127,7 @@ class KernelMachine(FittedModule, ABC):
     def problems(
         self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
     ) -> Problems:
-        """The problems (k P) of each output under each of the masks (P, n) of rows to learn from.
-
-        C and epsilon are the machine's if not given.
-        """
+        """Problems (k P) of each output and mask (P, n); the machine's C and epsilon if None."""
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit

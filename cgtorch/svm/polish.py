@@ -97,11 +97,10 @@ def _product(kernel: Tensor, d: Tensor) -> Tensor:
 
 
 def _with_pivot(problem: Problems, h: Tensor, residual: Tensor, status: Tensor) -> Tensor:
-    """Statuses (n,) with one coefficient freed if none is free.
+    """Statuses (n,) with one coefficient freed if none is free, as the bias needs an equation.
 
-    Without a free coefficient the bias would have no equation. The sum of the coefficients says
-    which way the bias has to go, and the first coefficient that leaves its bound on that way is
-    the one to free.
+    The sum of the coefficients says which way the bias has to go, and the first coefficient that
+    leaves its bound on that way is the one to free.
     """
     if bool((status.abs() == 1).any()):
         return status

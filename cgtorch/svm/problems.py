@@ -59,14 +59,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class Problems(Batch):
-    """A batch of P dual problems over the same n rows.
+    """A batch of P dual problems over the same n rows: targets z (P, n) and costs `cap` (P,).
 
-    Attributes:
-        z: Targets (P, n).
-        lower: Lower ends of the boxes (P, n), at most 0.
-        upper: Upper ends of the boxes (P, n), at least 0.
-        epsilon: Half widths of the insensitive tube (P,).
-        cap: The C of each problem (P,).
+    The boxes reach from `lower` (P, n), at most 0, to `upper` (P, n), at least 0; the insensitive
+    tubes have the half widths `epsilon` (P,).
     """
 
     z: Tensor
@@ -80,11 +76,9 @@ class Problems(Batch):
 class State(Batch):
     """Where each of P problems over n rows stands; also the answer.
 
-    Attributes:
-        beta: Coefficients (P, n) in their boxes, with the sum 0.
-        product: K beta without the bias (P, n), held-out rows included.
-        bias: Biases (P,).
-        violation: Largest violation of the optimality conditions (P,), as libsvm counts it.
+    Coefficients `beta` (P, n) are in their boxes, with the sum 0; the `product` K beta (P, n) is
+    without the biases (P,) and has held-out rows, too. The largest violation (P,) of the optimality
+    conditions is as libsvm counts it.
     """
 
     beta: Tensor
@@ -152,10 +146,7 @@ def relative_gap(problems: Problems, found: State) -> Tensor:
 
 
 def middle_bias(problems: Problems, found: State) -> Tensor:
-    """Biases (P,), in the middle of what is optimal where no free coefficient fixes them.
-
-    That is libsvm's rule (Chang & Lin 2011, section 4.1.5).
-    """
+    """Biases (P,), in the middle of optimal ones where not unique (Chang & Lin 2011, 4.1.5)."""
     beta, box = found.beta, torch.maximum(problems.upper, -problems.lower) * 1e-9
     inside = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
     width = problems.epsilon[:, None]

@@ -22,10 +22,7 @@ _RIDGES = tuple(10.0**-power for power in range(1, 11))
 
 
 def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
-    """Indices (<= count,) of the rows of x (n, d) that pivoted Cholesky picks first.
-
-    Each is the row with the largest rest on the diagonal.
-    """
+    """Indices (<= count,) of the rows x (n, d) that pivoted Cholesky picks, largest rest first."""
     rest = x.new_ones(len(x))
     factor, chosen = rest.new_zeros(count, len(x)), []
     for step in range(min(count, len(x))):

@@ -30,9 +30,8 @@ def compiled_smo_steps(
     """Take P problems on until they are solved or have cost too much; None without a compiler.
 
     As `smo_steps`, but with a matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made
-    (gradients are in double precision all the same), and with an end to the kernel values that
-    each problem is worth: a thousand million take about a quarter of a second. The number of
-    threads that share out the problems changes no result.
+    (gradients are in double precision all the same). A problem ends at the kernel values that it is
+    worth: a thousand million take about a quarter of a second. Threads change no result.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:
