@@ -1,8 +1,7 @@
 """Operators in C (`cgtorch/native/engine`), one individual after the other, as they are in torch.
 
-Where there is no compiler, or graphs are not of a size or type that the sources take, the batched
-ones in torch run (`cgtorch.evolution.offspring`, `parameters`, `lexicase`, `selection`). Both give
-the same children to the last bit.
+Those in torch run where there is no compiler, or graphs are not of a size or type that the sources
+take. Both give the same children to the last bit.
 """
 
 from collections.abc import Mapping

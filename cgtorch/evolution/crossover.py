@@ -11,9 +11,8 @@ from cgtorch.ground.counter_rng import BITS, fields, individual_words, nth_true,
 def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int) -> Graphs:
     """Children (2 Q) of pairs, in torch; `native/engine/crossover.h` makes one after the other.
 
-    Parents (2 Q,) are the first of all pairs and then the second, their rates (2 Q, S), and the
-    largest of them has `width` nodes. Children have their nodes in the first slots, and origins in
-    place of parameters (`cgtorch.evolution.parameters`).
+    Parents (2 Q,), with rates (2 Q, S) and at most `width` nodes, are the first of all pairs, then
+    the second. Children have their nodes in the first slots, and origins in place of parameters.
     """
     q, (_, n, o) = len(parents) // 2, graphs.edges.shape
     both = compacted(with_origins(graphs)[parents])
@@ -35,8 +34,7 @@ def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int
 def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
     """(Q, N) long, slots in the order an undirected breadth-first search meets them.
 
-    The search begins at the node that the word `begin` (Q, 1) draws; within one distance the order
-    is that of words `jitter` (Q, N).
+    The word `begin` (Q, 1) draws its first node; words `jitter` (Q, N) order nodes of one distance.
     """
     distance = undirected_distance(graphs, nth_true(graphs.used, uniform_from(begin))[:, 0])
     return torch.argsort((distance << BITS) + fields(jitter), dim=1, stable=True)

@@ -29,8 +29,8 @@ from cgtorch.ground.errors import DataError, SettingsError
 class EvolutionSettings:
     """How a population evolves.
 
-    Its four parts are functions, for each of which one's own can be given: `selection`, `fitness`,
-    `crossover` and `mutation`.
+    One can give one's own functions for `selection`, `fitness`, `crossover` and `mutation`. A value
+    that cannot work is a SettingsError.
 
     Attributes:
         population: number of individuals, of each island.
@@ -44,9 +44,6 @@ class EvolutionSettings:
         tau: variance of the drift of strategy parameters (eq. 2).
         islands: populations that evolve apart; see `cgtorch.evolution.islands`.
         migration: generations between two migrations.
-
-    Raises:
-        SettingsError: a value that cannot work.
     """
 
     population: int = 400
@@ -104,11 +101,8 @@ def initial_state(
 ) -> EvolutionState:
     """The first population: random, or half of it `seeds` (section IV-B).
 
-    These are earlier individuals, with the same actions first in their sets. The generator, of all
-    random choices, is a CPU one.
-
-    Raises:
-        GraphError: an earlier individual has more nodes than `settings.capacity`.
+    Seeds are earlier individuals, with the same actions first in their sets; GraphError if one has
+    more nodes than `settings.capacity`. The generator, of all random choices, is a CPU one.
     """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
@@ -120,10 +114,9 @@ def initial_state(
 
 
 def ask(state: EvolutionState) -> Population:
-    """The P = `settings.population` individuals to evaluate next.
+    """The P = `settings.population` individuals to evaluate next, the same ones until `tell`.
 
     Their graphs have as many slots as the largest may need, however many nodes there could be.
-    Whoever asks again before telling gets the same ones.
     """
     return state.population
 
@@ -138,10 +131,9 @@ def tell(
 ) -> EvolutionState:
     """The next generation, given how this one did (Algorithm 2, lines 7 to 12).
 
-    The fitness (P,) of the individuals in the order of `ask`, on the CPU, decides who is the elite
-    and the best; more is better, in any unit, and NaN counts as the worst. Selection looks at
-    scores (P, B) on each scenario or of each aim, at the fitness as of one if not given; more is
-    better in each column, whatever its unit.
+    The fitness (P,) of the individuals, in the order of `ask` and on the CPU, decides on the elite
+    and the best. Selection looks at scores (P, B), a column for each scenario or aim, and without
+    them at the fitness. In each, more is better, whatever its unit, and NaN is the worst.
 
     Raises:
         DataError: fitness or scores are not of such a shape.
@@ -164,10 +156,7 @@ def next_state(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """`tell` without validation: fitness (P,) and scores (P, B) must be free of NaN.
-
-    `order` (P,) are the individuals from best to worst.
-    """
+    """`tell` unchecked: fitness (P,) and scores (P, B) have no NaN, `order` (P,) is best first."""
     population, size = state.population, settings.population
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
     parents, best = settings.selection(order, scores, 2 * pairs, generator), int(order[0])

@@ -35,11 +35,7 @@ def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
 
 
 def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
-    """(P, B) returns of episodes where the environment gives rewards, -inf where not finished.
-
-    Raises:
-        SettingsError: the environment gives no rewards.
-    """
+    """(P, B) returns of episodes, -inf where not finished; SettingsError without rewards."""
     if runs.returns is None:
         raise SettingsError(
             "fitness is episode_return, but the environment gives no rewards; implement over and "
@@ -93,16 +89,14 @@ def evaluator(
     """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
 
     Where an individual runs out of transitions, C(p_t) counts half, so that getting near is worth
-    something and ending in success is worth more. W comes first: who fails there is not run on
-    the rest. Another `fitness` says what a run is worth instead of C(p_t).
-
-    It is good for one generation after the other, as long as no argument is changed in place.
+    something and ending in success is worth more. W comes first: who fails there is not run on the
+    rest. Another `fitness` says what a run is worth instead of C(p_t).
 
     Of the environment's scenarios `keep` (B,) bool are those of W and the others those of M.
-    Rollouts run on its device, which must be that of the environment; the results come back to the
-    graphs'. Of individuals times scenarios `most_lanes` run at once, B at least, which changes no
-    result. Individuals are shared out among a group of ranks (`cgtorch.ground.distributed`), all if
-    not given, each of which gets all results.
+    Rollouts run on its device, which must be the environment's; results come back to the graphs'.
+    Of individuals times scenarios `most_lanes` run at once, B at least, which changes no result. A
+    group of ranks (`cgtorch.ground.distributed`), all if not given, shares out the individuals, and
+    each rank gets all results. No argument may change in place from one generation to the next.
     """
     engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
     steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))

@@ -1,12 +1,11 @@
 """Islands: populations that evolve apart and send their best to the next one now and then.
 
-They are what a search grows by once one population no longer fits into the memory of a machine:
-each is evaluated, selected and bred by itself, with random numbers of its own, and all that passes
-between them is a few individuals. Every `EvolutionSettings.migration` generations the best tenth of
-each island replaces the worst of the next, the last one's those of the first. Share and interval
-are in the range that Fernández, Tomassini and Vanneschi recommend, a tenth every five to ten
-generations ("An empirical study of multipopulation genetic programming", Genetic Programming and
-Evolvable Machines 4, 2003).
+A search grows by islands once one population no longer fits into a machine's memory: each is
+evaluated, selected and bred by itself, with random numbers of its own, and only a few individuals
+pass between them. Every `EvolutionSettings.migration` generations the best tenth of each replaces
+the worst of the next, the last one's those of the first. Fernández, Tomassini and Vanneschi
+recommend a tenth every five to ten generations ("An empirical study of multipopulation genetic
+programming", Genetic Programming and Evolvable Machines 4, 2003).
 """
 
 import hashlib

@@ -67,13 +67,10 @@ def offspring(
 ) -> Population:
     """The elite (E,) unchanged, and children of parents (2 Q,) by `crossover` and `mutate`.
 
-    Of parents the first of each of Q pairs come before the second of each. Children have at most
-    `capacity` nodes, in the first slots, of which there are as many as the largest may need. If
-    fewer than E + 2 Q are wanted, `size`, each is what it would be among all. Nothing is copied
-    twice, parameters of nodes that do not remain not even once.
-
-    Raises:
-        IndexError: one of the elite or of the parents is none of the population.
+    Of parents the first of all pairs come before the second. Children have at most `capacity`
+    nodes, in the first slots, of which there are as many as the largest may need. If `size` is less
+    than E + 2 Q, each is what it would be among all. Parameters are copied once, and only those of
+    nodes that remain. IndexError if one of the elite or of the parents is none of the population.
     """
     keys, old = (random_key(generator), random_key(generator)), population.graphs.parameters
     made, strategy, first = bred(population, elite, parents, keys, actions, capacity)

@@ -21,10 +21,7 @@ def check_parts(
 ) -> None:
     """Try selection, fitness, crossover and mutation on two random individuals and scenarios.
 
-    The numbers they draw are not those of the evolution.
-
-    Raises:
-        SettingsError: naming the part and what is wrong with what it returned.
+    Their random numbers are not the evolution's. A SettingsError names the part and what is wrong.
     """
     generator, capacity = Generator().manual_seed(0), settings.capacity
     pair = random_population(ROWS, actions, capacity, settings.initial_nodes, generator)

@@ -84,9 +84,8 @@ def changed_in_torch(
 ) -> tuple[Tensor, Tensor]:
     """Parameters (P, N, K) and strategies (P, S) of graphs; see `native/engine/parameters.c`.
 
-    New nodes have the parameters `fresh` (F, K), and strategies are multiplied by factors
-    (P - `same` at least, S) of eq. 2. Each parameter has one word of the key's, which says both
-    whether it changes and by how much.
+    New nodes have the parameters `fresh` (F, K). Strategies are multiplied by factors (P - `same`
+    at least, S) of eq. 2. One word for each parameter says whether it changes and by how much.
     """
     strategy, factors = strategy[: len(graphs)], factors[: len(graphs) - same]
     out = _at_origins(graphs.parameters, old, fresh)

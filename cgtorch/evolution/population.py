@@ -1,7 +1,4 @@
-"""A population: graphs with the strategy parameters that each individual evolves by itself.
-
-And what a crossover and a mutation of one's own have to give.
-"""
+"""Graphs with the strategy that each individual evolves by itself, and checks of operators."""
 
 import math
 from collections.abc import Callable
@@ -123,11 +120,7 @@ def random_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Random valid graphs of at most `initial_nodes[1]` nodes.
-
-    Each starts with a uniform number of nodes within `initial_nodes`, random actions, random
-    edges and a random start; what the start does not lead to is pruned.
-    """
+    """Valid graphs of a uniform number of random nodes within `initial_nodes`, then pruned."""
     low, high = initial_nodes
     count = torch.randint(low, high + 1, (size,), generator=generator)
     action = torch.randint(len(actions), (size, capacity), generator=generator)
@@ -149,11 +142,7 @@ def seeded_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Half of it copies of earlier individuals, in turn, half random (section IV-B).
-
-    Raises:
-        GraphError: an earlier individual has more nodes than `capacity`.
-    """
+    """Half copies of seeds in turn, half random (section IV-B); GraphError if one is too large."""
     half = size // 2
     fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
@@ -177,8 +166,8 @@ def _expected_tensors(
 def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Population:
     """A population from tensors that may be anything, as they come from a file, by field name.
 
-    Raises:
-        GraphError: they are not those of at least one valid graph.
+    They are action (P, N), edges (P, N, O), parameters (P, N, K), start (P,) and strategy (P, S);
+    GraphError if they are not those of at least one valid graph.
     """
     p, n = (*tensors["action"].shape, 0, 0)[:2]
     expected = _expected_tensors(p, n, actions)

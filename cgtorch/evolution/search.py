@@ -70,14 +70,13 @@ def evolve(
 ) -> Iterator[Generation]:
     """Evolve without end; whoever iterates decides when it is enough.
 
-    Islands are shared out among all ranks (`cgtorch.ground.distributed`), each of which is told
-    the same but for the islands that it holds itself.
+    All ranks (`cgtorch.ground.distributed`) share the islands. Each is told the same, but for the
+    islands that it holds itself.
 
     Of the environment's scenarios `keep` (B,) bool, on its device, are those of W (eq. 1a); none,
     on the CPU, if not given. Half of each first population are `seeds`, earlier individuals, if
-    there are any; in place of first populations there can be `islands` to go on from, those that
-    this rank holds. The generator, of all random choices, goes on only where the first island is
-    held.
+    given. If `islands` are given, those that this rank holds, they go on in place of first
+    populations. The generator, of all random choices, goes on only where the first island is held.
 
     Raises:
         WorldError: the environment, tried on two scenarios, breaks its interface.

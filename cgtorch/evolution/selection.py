@@ -32,11 +32,7 @@ def ranked(fitness: Tensor, graphs: Graphs) -> Tensor:
 
 
 def tournament(rounds: int = 5) -> Selection:
-    """Winners of tournaments between `rounds` random individuals each, with replacement.
-
-    Raises:
-        SettingsError: fewer than one round.
-    """
+    """Winners of `rounds` individuals each, drawn with replacement; SettingsError below 1."""
     if rounds < 1:
         raise SettingsError(f"tournament is {rounds}; give at least 1")
 
@@ -50,11 +46,10 @@ def tournament(rounds: int = 5) -> Selection:
 def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
     """Parents that are among the best on one scenario after the other (La Cava et al. 2016).
 
-    Each parent is chosen by itself: from all individuals those stay whose score on a random
-    scenario is the best of them, or less by no more than the scenario's median absolute
-    deviation, then of these those good on the next scenario, and so on through all in random
-    order; of what stays at the end, a random one. So who alone solves a hard scenario has
-    children, however little else it solves.
+    For each parent those individuals stay whose score on a random scenario is the best, or less by
+    no more than the scenario's median absolute deviation; of these those good on the next scenario
+    stay, and so on through all in random order. A random one of what stays is the parent. So who
+    alone solves a hard scenario has children, however little else it solves.
 
     A population of more than `MOST_CANDIDATES` is split at random into equal groups, each of which
     gives as many parents, so that time and memory grow with the population and no faster.

@@ -38,22 +38,14 @@ _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
 
 
 def save_skill(path: Path | str, skill: Skill) -> None:
-    """Write a skill file, whole or not at all.
-
-    Raises:
-        RunError: it cannot be written.
-    """
+    """Write a skill file, whole or not at all; RunError if it cannot be written."""
     write_json(path, skill_to_dict(skill))
 
 
 def load_skill(path: Path | str, actions: ActionSet) -> Skill:
-    """Read a skill file; its nodes may use these actions and the sub-skills that it holds.
+    """Read a skill file, exactly as saved; nodes may use these actions and the file's sub-skills.
 
-    The skill is exactly the one that was saved.
-
-    Raises:
-        GraphError: the file cannot be read or does not describe a skill.
-        ActionError: a node uses an action that is not known.
+    GraphError if it cannot be read or describes no skill, ActionError if an action is not known.
     """
     return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
 

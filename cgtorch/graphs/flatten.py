@@ -186,11 +186,7 @@ def _followed(stack: Stack, head: int, levels: list[Level]) -> Stack | None:
 
 
 def _settled(stack: Stack, done: int, most: int, levels: list[Level]) -> Stack:
-    """The stack without counts that are not needed after `done` actions of `most`.
-
-    A frame cannot run out if the fewest actions that this takes, with those of the frames within
-    it, are more than there will be.
-    """
+    """The stack without counts of frames that cannot run out after `done` actions of `most`."""
     least = float(done)
     for i in reversed(range(len(stack))):
         level, slot, left = stack[i]

@@ -71,10 +71,9 @@ def concatenate(graphs: Sequence[Graphs]) -> Graphs:
 
 
 def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graphs:
-    """The same graphs with other capacities; `compacted` first makes the most of fewer nodes.
+    """The graphs with other capacities; GraphError if one is smaller than what is used.
 
-    Raises:
-        GraphError: a capacity is smaller than what is used.
+    `compacted` first makes the most of fewer nodes.
     """
 
     def grow(x: Tensor, shape: tuple[int, ...], fill: float) -> Tensor:

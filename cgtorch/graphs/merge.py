@@ -19,9 +19,8 @@ def merged(graphs: Graphs) -> Graphs:
     """The same graphs with nodes of the same behaviour made one; the first slot stays.
 
     Two nodes behave the same if they have the same action and, to the last bit, the same
-    parameters, and every outcome leads to nodes that behave the same. What a graph does does not
-    change, not even in its number of transitions, and it has the fewest nodes of all graphs of
-    which this can be said.
+    parameters, and every outcome leads to nodes that behave the same. What a graph does, and in how
+    many transitions, does not change, and no graph of fewer nodes does the same.
     """
     label = node_classes(graphs)
     slot = torch.arange(graphs.capacity, device=label.device).expand_as(label)

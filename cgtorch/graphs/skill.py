@@ -15,16 +15,13 @@ from cgtorch.ground.errors import ActionError
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Skill:
-    """A named computational graph.
+    """A named computational graph; GraphError if it is not valid.
 
     Attributes:
         name: how it is called where it is a node of another skill.
         graph: one graph (P = 1), its nodes in the first slots.
         actions: what its nodes' action indices mean; may hold earlier skills as `SubSkill`s.
         max_transitions: after this many transitions without a terminal outcome it has failed.
-
-    Raises:
-        GraphError: the graph is not valid.
     """
 
     name: str
@@ -78,11 +75,7 @@ class SubSkill(Action):
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
-        """See `Action.forward`; it is not for use, as `rollout` enters the sub-skill's own nodes.
-
-        Raises:
-            ActionError: always.
-        """
+        """See `Action.forward`; always an ActionError: `rollout` enters the skill's own nodes."""
         raise ActionError(
             f"sub-skill {self.skill.name!r} cannot run as one step; run it with rollout()"
         )

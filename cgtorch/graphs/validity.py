@@ -56,10 +56,9 @@ def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
 
 
 def check_graph(graphs: Graphs, actions: ActionSet, names: Sequence[str] | None = None) -> None:
-    """Check the first graph, of whose N slots the messages tell the names or else the numbers.
+    """A GraphError that tells node and fault, unless the first graph is valid.
 
-    Raises:
-        GraphError: naming the node and what is wrong with it.
+    Messages tell the `names` of its N slots, or else their numbers.
     """
     action, edges = graphs.action[0].tolist(), graphs.edges[0].tolist()
     name = [repr(n) for n in names] if names else [str(i) for i in range(len(action))]

@@ -43,10 +43,7 @@ class Journal:
     """
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
-        """What the next step came to; None if it has not ended yet.
-
-        The stage asks for its steps in the order it took them; RunError if another one came next.
-        """
+        """What the next step came to, None if not ended; RunError if another one came next."""
         return None
 
     def record(self, step: str, result: dict[str, Tensor]) -> None:

@@ -59,9 +59,8 @@ def specialists_of(skill: Skill) -> tuple[Skill, ...]:
 def fewest_members(solves: Tensor, keep: Tensor, most: int | None = None) -> list[int]:
     """Members that together solve all that any solve, chosen greedily, as ascending indices.
 
-    Who adds nothing is left out: members that no longer matter, and one of two that do the same.
-    `solves` is (B, M) bool, `keep` (M,) bool marks members that stay in any case, and where more
-    than `most` would be needed, those are chosen that solve most of it.
+    Who adds nothing is left out, unless `keep` (M,) bool marks it. `solves` is (B, M) bool. Where
+    more than `most` would be needed, those are chosen that solve most of it.
     """
     chosen = keep.nonzero()[:, 0].tolist()
     covered = solves[:, chosen].any(1)

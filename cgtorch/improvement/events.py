@@ -75,8 +75,7 @@ class CandidateTested(Event):
 class GenerationDone(CandidateTested):
     """A generation was evaluated in the models, on the scenarios that `candidate` is evolved on.
 
-    The counts are those of its best individual; it took `seconds`. The evolution ends after `limit`
-    generations at the latest.
+    The counts are its best individual's. It took `seconds`; there are `limit` generations at most.
     """
 
     generation: Generation
@@ -108,10 +107,7 @@ class JournalDamaged(Event):
 
 @dataclass(frozen=True)
 class WorldTested(CandidateTested):
-    """A candidate was tried in the world.
-
-    Of the group it was evolved on, it solved `promised` in the models and `kept` in the world.
-    """
+    """A candidate solves `kept` of its group in the world, and `promised` of it in the models."""
 
     kept: int | None = None
     promised: int | None = None

@@ -17,17 +17,14 @@ SHARPNESS = 4.0
 def train_branches(
     branch: BranchingNN, percepts: Tensor, solves: Tensor, weight: Tensor, generator: Generator
 ) -> tuple[Tensor, Tensor]:
-    """Branches that send each scenario to a member that solves it.
+    """(M - 1, K) parameters of branches, and (B,) long, the member that each scenario is sent to.
 
     The branches are asked in turn: the first that says "out1" hands over to its member, the last
-    member takes what is left. During training each says so with a probability, and the loss is
-    the negative log-probability that a scenario reaches a member that solves it.
+    member takes what is left. During training each says so with a probability, and the loss is the
+    negative log-probability that a scenario reaches a member that solves it.
 
     Of first `percepts` (B, D), `solves` (B, M) says how surely, in [0, 1], each member solves them,
     and `weight` (B,) how much they count. The generator draws first weights and noise on percepts.
-
-    Returns:
-        (M - 1, K) parameters and (B,) long, the member that each scenario is sent to.
     """
     if solves.shape[1] == 1:
         empty = percepts.new_zeros(0, branch.num_parameters)

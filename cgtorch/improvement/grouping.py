@@ -27,15 +27,11 @@ def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generato
 
 
 def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
-    """Scenarios that are spread over all that the robot sees at first (Gonzalez 1985).
+    """(n,) long, ascending, scenarios spread over first percepts (B, D) in m (Gonzalez 1985).
 
-    Of first percepts (B, D) in m, the first is kept, then again and again the one that is farthest
-    from all that are kept, up to `size` of them: it is at most twice as far from them as with the
-    best choice of as many. Of the same percept, only one is kept.
-
-    Returns:
-        (n,) long, the rows that are kept, ascending, and the distance (m) within which every other
-        row has one of them.
+    The first is kept, then again and again the one that is farthest from all that are kept, up to
+    `size` of them: it is at most twice as far from them as with the best choice of as many. Of the
+    same percept, only one is kept. Every other row is within the distance (m) that is returned too.
     """
     if len(percepts) <= size:
         return torch.arange(len(percepts)), 0.0

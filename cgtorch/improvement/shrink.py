@@ -24,11 +24,10 @@ def shrunk(
 ) -> Population:
     """The individual with nodes taken away until it is readable, as long as it does as well.
 
-    Every way to lead all edges into one node to another instead is tried in the models at once;
-    of those that solve all that was solved, the one that leaves the fewest nodes is taken.
-
-    The champion is a population of one. The environment, which runs on `device`, is the models on
-    the scenarios that it is for; see `cgtorch.evolution.evaluator` for the rest.
+    Every way to lead all edges into one node to another instead is tried in the models at once; of
+    those that solve all that was solved, the one that leaves the fewest nodes is taken. The
+    champion is a population of one. The environment, on `device`, is the models on its scenarios;
+    see `cgtorch.evolution.evaluator` for the rest.
     """
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
     evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)

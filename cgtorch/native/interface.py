@@ -49,11 +49,7 @@ class Interface:
 
 
 def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
-    """The interface of a library compiled from all the sources, for `real` of this ctype.
-
-    Raises:
-        ImportError: the size of a structure is not what these sources say.
-    """
+    """A library's interface, by its sources and the ctype `real`; ImportError if sizes differ."""
     text = _COMMENT.sub("", sources)
     types = {"real": real, "float": ctypes.c_float, "double": ctypes.c_double}
     types["int64_t"] = ctypes.c_int64

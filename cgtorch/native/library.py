@@ -104,11 +104,7 @@ _threads = 0
 
 @cache
 def library(dtype: torch.dtype) -> Interface | None:
-    """The compiled sources for numbers of a type, from the cache or made now.
-
-    Raises:
-        ImportError: they are not what Python takes them for.
-    """
+    """The compiled sources for a type, cached or made now; ImportError if Python disagrees."""
     compiler = _compiler()
     if compiler is None or dtype not in REALS:
         return None

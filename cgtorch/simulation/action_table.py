@@ -21,8 +21,7 @@ class ActionTable:
     Attributes:
         skills: the sub-skills, also those within others, each once.
         primitives: the actions that run as one step, without duplicates.
-        numbers: of actions by their identity, the index into `primitives`, or len(primitives) +
-            that of the sub-skill.
+        numbers: by an action's identity, its place among `primitives` and then `skills`.
         outcomes: of the action with most.
         width: parameters of the action with most.
         limits: the most transitions of each sub-skill.

@@ -33,9 +33,7 @@ NUMBERS = ("keep", "executed", "not_finite", "wrong", "num_chunks")
 
 @dataclass(frozen=True)
 class CompiledEngine:
-    """Actions and models as compiled code knows them, which run any graphs of these actions.
-
-    It is good for as long as nothing about them changes.
+    """Actions and models as compiled code knows them, for any graphs as long as they do not change.
 
     Attributes:
         actions: what a node can be.
@@ -56,9 +54,8 @@ class CompiledEngine:
     ) -> Rollouts | None:
         """The rollouts of P graphs on scenarios (B,), or None where they have to be run in torch.
 
-        Raises:
-            GraphError: a graph has an action, a head or a start that is none of its own.
-            MemoryError: there is none for the first percepts of so many scenarios.
+        GraphError if a graph has an action, a head or a start that is none of its own. MemoryError
+        if there is none for the first percepts of so many scenarios.
         """
         sizes, like = (len(graphs), len(scenarios)), graphs.parameters
         percept, state = like.new_empty(*sizes, self.models.size), like.new_empty(*sizes, 3)
@@ -82,12 +79,10 @@ class CompiledEngine:
     ) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
         """What P graphs achieve by eq. 3 on all scenarios (B,), of which the first `kept` are of W.
 
-        How often more Γ, C, networks and the check of motions are done `again` (4,) changes no
-        result: how much longer it takes says how long each of them does.
-
-        Returned are the fields of an `Evaluation`, whose scores are C(p_t), half of it without
-        success, and 0 where W is lost; or None, where it has to be done in torch. Errors are those
-        of `rollouts`.
+        Returned are the fields of an `Evaluation`, or None where it has to be done in torch. Scores
+        are C(p_t), half of it without success, and 0 where W is lost. Γ, C, networks and the check
+        of motions are done `again` (4,) times more, to measure how long each takes, which changes
+        no result. Errors are those of `rollouts`.
         """
         sizes = len(graphs), len(scenarios)
         fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)

@@ -52,10 +52,10 @@ class ModelEnvironment:
         seeds: Tensor | None = None,
         compiled: Compile | None = None,
     ):
-        """Set up the models on the first percepts of B scenarios.
+        """Set up the models; ModelError if one, tried on two percepts, breaks its interface.
 
         Args:
-            percepts: (B, D).
+            percepts: (B, D), the first of B scenarios.
             gamma: the transition model Γ, which says how novel a motion is to it, in [0, 1].
             classifier: the success classifier C.
             possible: whether a control can be carried out; where it cannot, the percept stays.
@@ -65,9 +65,6 @@ class ModelEnvironment:
             most_novel: where a motion is more novel, the lane is lost.
             seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
             compiled: gives these models to compiled rollouts, if there is code for them.
-
-        Raises:
-            ModelError: one of these, tried on two percepts, gives something else than it should.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors

@@ -18,15 +18,12 @@ Table: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 @dataclass(frozen=True)
 class Program:
-    """P graphs and the sub-skills they use, as one table of T nodes.
-
-    Heads are rows of the table, or `SUCCESS` or `FAILURE` where an outcome ends the graph it is
-    in. A sub-skill is stored once however many nodes use it.
+    """P graphs and the sub-skills they use, each of which is stored once, as one table of T nodes.
 
     Attributes:
         actions: of the graphs and of all sub-skills.
         kind: (T,) long, index into `actions.primitives`, or their number + sub-skill index.
-        heads: (T, O) long.
+        heads: (T, O) long, rows, or `SUCCESS` or `FAILURE` where an outcome ends its graph.
         parameters: (T, K) float.
         start: (P,) long, first node of each graph.
         entry: (number of sub-skills,) long, first node of each sub-skill.
@@ -43,11 +40,7 @@ class Program:
 
 
 def compile_graphs(graphs: Graphs, actions: ActionSet) -> Program:
-    """Lay out a population for `rollout`.
-
-    Raises:
-        GraphError: a graph has an action, a head or a start that is none of its own.
-    """
+    """Lay out graphs for `rollout`; GraphError if an action, a head or a start does not exist."""
     known, device = action_table(actions), graphs.start.device
     start, *mine = _table(graphs, actions, 0, known)
     tables, entry = skill_tables(known, graphs.action.numel(), device)

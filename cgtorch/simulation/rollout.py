@@ -48,7 +48,7 @@ def rollout(
     with nothing changed can only run out of transitions, so these are counted but not executed.
 
     Args:
-        graphs: P valid graphs.
+        graphs: P valid ones; GraphError if an action, a head or a start does not exist.
         actions: what their action indices mean.
         environment: where they run.
         scenarios: (B,) long, indices into the environment's scenarios; all if not given.
@@ -57,9 +57,6 @@ def rollout(
         trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
             the program's node table that ran, their outcomes (n,), and the lanes afterwards,
             which the next step overwrites. Then every transition is executed.
-
-    Raises:
-        GraphError: a graph has an action, a head or a start that is none of its own.
     """
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
@@ -156,10 +153,7 @@ def _at_the_end(environment: Environment, rewards: Rewarded, lanes: Lanes, end: 
 def _grouped(
     program: Program, node: Tensor, active: Tensor, over: Tensor
 ) -> tuple[Tensor, list[slice]]:
-    """The lanes that go on (k,) of all (n,), action by action, and where each action's lie.
-
-    Those of an action are in the order of their numbers `active`, whatever they did before.
-    """
+    """The k of n lanes that go on, by action and `active` (n,), and where each action's lie."""
     count = len(program.actions.primitives)
     kind = torch.where(over, count, program.kind.index_select(0, node))
     order = torch.argsort(active + kind * LARGEST_BATCH)
@@ -171,10 +165,7 @@ def _grouped(
 def _act(
     program: Program, lanes: Lanes, node: Tensor, groups: list[slice], environment: Environment
 ) -> tuple[Tensor, Tensor]:
-    """Run each lane's action, one batch per kind; outcomes (n,), and whether lanes changed (n,).
-
-    The lanes are overwritten.
-    """
+    """Change lanes by their actions, one batch per kind; outcomes (n,), and (n,) which changed."""
     outcome = torch.empty_like(node)
     changed = torch.ones_like(node, dtype=torch.bool)
     table = program.actions
