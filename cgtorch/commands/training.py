@@ -39,9 +39,8 @@ from cgtorch.training.train import finished_generations, train
 class Wish:
     """What is asked of `cgtorch-train` besides settings.
 
-    The last `stage` to make is "auto" to go on until the goal is met, and None for what the run was
-    begun for, or its domain's usual one. `goal_given` names what of the goal was given; between two
-    notes of where an evolution stands are `checkpoint_seconds`.
+    The last `stage` is "auto" to go on until the goal is met, None for the run's or domain's usual.
+    What of the goal was given is in `goal_given`; `checkpoint_seconds` lie between checkpoints.
     """
 
     stage: str | None

@@ -28,9 +28,8 @@ ABOUT = "cgtorch"
 def to_onnx(skill: Skill) -> bytes:
     """The skill's `SkillStep` as an ONNX model with inputs `INPUTS` and outputs `OUTPUTS`.
 
-    Raises:
-        SettingsError: packages that write ONNX are missing.
-        ActionError: an action does more than compute, or computes what ONNX has no operator for.
+    SettingsError if packages that write ONNX are missing, ActionError if an action does more than
+    compute, or computes what ONNX has no operator for.
     """
     try:
         import onnx

@@ -53,14 +53,9 @@ class SkillStep(nn.Module):
     def __init__(self, skill: Skill, percept_size: int | None = None, max_steps: int | None = None):
         """Lay the skill out.
 
-        Args:
-            skill: the skill.
-            percept_size: D; what its networks read if not given.
-            max_steps: actions on all levels after which it has timed out; `most_steps` by default.
-
-        Raises:
-            ActionError: a node's action is neither a built-in routine nor one that only computes.
-            SettingsError: the percept's size is not given and no network tells it.
+        The `percept_size` is D, what its networks read if not given; after `max_steps` actions on
+        all levels, `most_steps` by default, it has timed out. ActionError if an action is neither a
+        built-in routine nor one that only computes, SettingsError if nothing tells D.
         """
         super().__init__()
         self.name = skill.name

@@ -17,13 +17,10 @@ ABOUT = "skill.json"
 
 
 def to_module(skill: Skill) -> bytes:
-    """The skill's `SkillStep` as a .pt2 archive.
+    """The skill's `SkillStep` as a .pt2 archive; ActionError if an action does more than compute.
 
     Its graph and its description are JSON and its weights raw numbers; unlike torch's own archives
     it holds no example inputs, which would be the one pickle in it.
-
-    Raises:
-        ActionError: an action does more than compute, see `SkillStep`.
     """
     step, program = SkillStep(skill), exported(skill)
     program.example_inputs = None

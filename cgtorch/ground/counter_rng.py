@@ -34,10 +34,7 @@ OCTAVES, STEPS = 40, 32
 
 
 def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Threefry-2x32 with 20 rounds, element by element.
-
-    Key, counter and result are two tensors (...) long each, of 32-bit words, 0 … 2³² - 1.
-    """
+    """Threefry-2x32, 20 rounds, on pairs of tensors (...) long of 32-bit words, by element."""
     keys = (*key, key[0] ^ key[1] ^ PARITY)
     x, y = (counter[0] + keys[0]) & WORD, (counter[1] + keys[1]) & WORD
     for number in range(20):
@@ -141,10 +138,7 @@ def pick(draw: Tensor, count: Tensor | int) -> Tensor:
 
 
 def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
-    """(P, *shape) long, for each draw (P, *shape) an index of a True of its row of `mask` (P, N).
-
-    All are equally likely; 0 where there is none.
-    """
+    """(P, *shape) long: for each draw (P, *shape) a random True of its `mask` (P, N) row, or 0."""
     order = torch.argsort((~mask).long(), dim=1, stable=True)
     at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)

@@ -88,10 +88,7 @@ def cores() -> int:
 
 @dataclass(frozen=True)
 class Group:
-    """A process group: ranks that share out rows among them, and the index of this one.
-
-    The handle is torch's; None for all ranks, or for one alone.
-    """
+    """Ranks that share out rows, the index of this one, and torch's handle, None for all or one."""
 
     index: int
     size: int
@@ -106,8 +103,7 @@ def all_ranks() -> Group:
 def held(parts: int, rank: int | None = None) -> range:
     """The parts, out of so many, that a rank, this one if not given, holds: at least one.
 
-    Parts are shared out in order, as evenly as can be. Of more ranks than parts, those next to one
-    another hold the same part.
+    They are shared out evenly, in order; of more ranks than parts, neighbours hold the same one.
     """
     rank = _index() if rank is None else rank
     first = rank * parts // count()

@@ -11,11 +11,7 @@ MEMORY = 0.9  # weight of the past in smoothed numbers
 
 @dataclass
 class Estimate:
-    """Smoothed speed, and upper bounds on the time left by what is known of a run.
-
-    They hold as long as generations and what lies between two evolutions (tests in the world, fits)
-    take no longer than they did so far.
-    """
+    """Smoothed speed, and upper bounds on the time left if nothing takes longer than so far."""
 
     clock: Callable[[], float] = time.monotonic
     speed: float | None = None  # transitions per second

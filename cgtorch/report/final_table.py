@@ -21,8 +21,7 @@ Result = Mapping[str, Any]
 def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
     """The results of stages in order, and the last test on all kinds of scenarios, for a terminal.
 
-    What is missing or null becomes a dash. Where others report nothing of the domain there is no
-    column for them.
+    What is missing or null is a dash. A column for others' reports is there only if there are any.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table

@@ -45,10 +45,9 @@ class Panel:
 def draw_skill(skill: Skill) -> "Figure":
     """The skill as in the paper's figures: start node red and square, edges labelled by outcome.
 
-    Nodes are coloured by action, skills within the skill have a double rim and a panel of their
-    own below. A terminal outcome ends in a small mark with its name. Edges that lead back up are
-    brown. Every artist that stands for something has a gid: "node:", "edge:" or "end:" and
-    the skill's path, then the node, edge or end.
+    Nodes are coloured by action; skills within have a double rim and a panel below. A terminal
+    outcome ends in a small named mark; edges that lead back up are brown. Every artist that stands
+    for something has a gid: "node:", "edge:" or "end:", the path, then node, edge or end.
     """
     return draw_clusters(clusters_of(skill))
 

@@ -49,14 +49,10 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
     """A figure made under `STYLE`, its texts printable, as an `svg` element of an HTML page.
 
     Every colour becomes a CSS variable that is called after it, such as `var(--c-1c1f24, #1c1f24)`,
-    so that the page can have another in the dark. On a narrow screen it shrinks, but not so far
-    that nobody can read it.
-
-    Args:
-        figure: its background is left out.
-        key: tells its identifiers from those of other pictures: letters, digits and hyphens.
-        label: what it shows, for who cannot see it.
-        scale: pixels on the page for each that the figure has at 96 an inch.
+    so that the page can have another in the dark. The background is left out. On a narrow screen it
+    shrinks, but not so far that nobody can read it; elsewhere `scale` is pixels for each that the
+    figure has at 96 an inch. The `key` (letters, digits, hyphens) tells its identifiers from those
+    of other pictures, and the `label` says what it shows to who cannot see it.
     """
     from matplotlib import rc_context
 
@@ -91,10 +87,7 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
 
 
 def _rename(root: etree._Element, key: str) -> None:
-    """Give colours names, and identifiers that are referred to those of this picture.
-
-    Of the others matplotlib's go, and those of artists become `data-part`.
-    """
+    """Name colours; identifiers in use get the key, artists' become `data-part`, others go."""
     used = set()
     for element in root.iter(etree.Element):
         for name in ("clip-path", "style"):

@@ -24,8 +24,7 @@ class Rows:
     Attributes:
         rows: the items of each row, from left to right.
         node: the item of each node.
-        chains: for each edge that is no loop, its items from the upper end to the lower; an end
-            is an item of its own.
+        chains: the items of each edge that is no loop, from the top; an end is its own item.
         upward: which of these edges lead upwards.
         above: the items that each item is connected to in the row above.
         below: the same in the row below.
@@ -44,10 +43,7 @@ class Rows:
 
 
 def in_rows(nodes: Sequence[str], start: str, edges: Sequence[Edge]) -> Rows:
-    """Rows for a graph whose nodes can all be reached from `start`; loops are left out.
-
-    Edges to what is no node are ends. Orders depth first and breadth first are tried.
-    """
+    """Rows of a graph whose nodes `start` all reaches, without loops; edges to no node are ends."""
     graph = nx.DiGraph((e.tail, e.head) for e in edges if e.head in nodes)
     graph.add_node(start)
     deep = list(nx.dfs_postorder_nodes(graph, start))[::-1]

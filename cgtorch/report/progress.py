@@ -21,11 +21,10 @@ ENOUGH = 30  # scenarios solved in the search, to say how many of them the world
 
 
 class ProgressDisplay:
-    """A `Watch` that shows on a console what happens.
+    """A `Watch` that shows on a console what happens, as a context manager; nothing if `quiet`.
 
     In a terminal a few lines are kept up to date, and accepted skills stay above them. Elsewhere
-    there is a line for each stage, fit, test in the world and accepted skill. Use it as a context
-    manager; with `quiet` it says nothing.
+    there is a line for each stage, fit, test in the world and accepted skill.
     """
 
     def __init__(self, console: Console | None = None, quiet: bool = False):

@@ -108,9 +108,8 @@ class Records:
 def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
     """A histogram for each of S tags of finite values (P, S), P at least 1, in one record.
 
-    Bins are of equal widths from the least to the greatest value; where all of a column is one
-    value, they are around it, 1 wide together. TensorBoard's own, one by one, take longer than a
-    generation.
+    Bins are of equal widths from the least to the greatest value, or around the only one, 1 wide
+    together. TensorBoard's own, one by one, take longer than a generation.
     """
     from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
 

@@ -47,22 +47,18 @@ class TensorBoardWatch:
         histogram_every: int = 20,
         picture_seconds: float = 60.0,
     ):
-        """Open a new event file in a folder, which is made if it is missing.
+        """Open a new event file in a folder, made if missing; RunError if that cannot be written.
 
         Args:
             folder: of the event files.
             settings: hyper-parameters by name, as for `Records`.
-            first_step: first models fitted (one step), generations evaluated and stages finished
-                so far, where a run goes on. What earlier files hold from this step on is hidden by
-                TensorBoard, and written again as it is told.
+            first_step: first models (one step), generations and stages so far, if a run goes on;
+                TensorBoard hides what earlier files hold from it on, which is written again.
             recalled: generations among these that will be told to be recalled.
             actions: of evolved graphs; without them none is drawn before a skill is accepted.
             draw_scenarios: draws what an accepted skill has solved (`Domain.draw_scenarios`).
             histogram_every: generations between histograms of one evolution.
             picture_seconds: least time between pictures of graphs that are not accepted yet.
-
-        Raises:
-            RunError: the folder cannot be written.
         """
         self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)

@@ -1,8 +1,7 @@
 """What the autonomous loop aims at, and when that holds.
 
-A skill is tested again and again while it gets better, and among many looks at chance one is lucky
-in the end. So whether the goal holds is decided on placements drawn for nothing else after the
-skill was made, and the more often that was tried, the more confidence is asked for.
+A skill is tested again and again, and among many looks at chance one is lucky in the end. So what
+decides are placements drawn for nothing else afterwards, and every try needs more confidence.
 """
 
 from dataclasses import dataclass
@@ -23,11 +22,7 @@ DECISIVE, SCREENING = 40, 10
 
 @dataclass(frozen=True)
 class Goal:
-    """What to reach and what may be spent on it; a run can go on with another goal.
-
-    Raises:
-        SettingsError: a value that cannot work.
-    """
+    """What to reach and what to spend, changeable later; SettingsError if a value cannot work."""
 
     target: float = option(
         0.99,
@@ -60,10 +55,7 @@ EPISODES, DECISIVE_EPISODES = 100, 200
 
 
 def mean_holds(returns: list[float], target: float) -> bool:
-    """Whether the mean of returns is at least the target, and by their standard error above it.
-
-    Where all returns are equal there is no doubt, so the target itself will do.
-    """
+    """Whether the mean of returns, less its standard error, is at least the target."""
     n = len(returns)
     if n < 2:
         return False

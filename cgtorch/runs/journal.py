@@ -4,10 +4,9 @@ RUN/journal/STAGE/00007.safetensors       what the stage's seventh long step cam
 RUN/journal/STAGE/00008-3.safetensors     where the eighth stood when it was kept for the third time
 RUN/journal/STAGE/00008-3.0.safetensors   the first part of what it goes on from: of an island each
 
-Every file appears whole and carries a checksum; that of where a step stands comes after its parts
-and names their checksums. Of where a step stands the last two are kept. What is damaged is named
-and counts as never done, with all that came after it; so nothing is lost but time. The folder goes
-when the stage is finished.
+Every file appears whole and carries a checksum; that of where a step stands, of which the last two
+are kept, comes after its parts and names theirs. What is damaged is named and counts as never done,
+with all that came after it; so only time is lost. The folder goes with the finished stage.
 """
 
 import hashlib

@@ -103,8 +103,7 @@ def _keys(scenarios: ScenarioBatch) -> list[str]:
 def enter(folder: Path, entry: Entry) -> None:
     """Write a skill into the ledger of the run in `folder`, first the skill, then the index.
 
-    An entry of the same name, as of a stage that was interrupted and is made again, is replaced.
-    RunError if a file cannot be written, or the index is damaged.
+    It replaces one of the same name, as of a stage made again. RunError if unwritable or damaged.
     """
     ledger = folder / FOLDER
     with writing(ledger):
@@ -122,10 +121,7 @@ def enter(folder: Path, entry: Entry) -> None:
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:
-    """The history of the run in `folder`: the summary of every skill, the first accepted first.
-
-    That of a run that has accepted nothing is empty. RunError if the index is damaged.
-    """
+    """The summaries of all skills of the run in `folder`, oldest first; RunError if damaged."""
     path = folder / FOLDER / "index.json"
     if not path.is_file():
         return []

@@ -12,10 +12,9 @@ MODELS = ("auto", "learned", "none")
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What decides the result of a run, besides its domain, and is stored in it.
+    """What decides a run's result besides its domain; SettingsError if a value cannot work.
 
-    Once a run has begun, some can be taken over by name (`cgtorch.runs.resume_settings`).
-    SettingsError if a value cannot work.
+    It is stored in the run; some can be taken over by name later (`cgtorch.runs.resume_settings`).
     """
 
     domain: str = option(

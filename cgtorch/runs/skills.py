@@ -37,14 +37,12 @@ def chosen_skill(
     kind: str | None,
     domain: str | None = None,
 ) -> Chosen:
-    """The skill that a path stands for; CgtorchError if there is none, or it cannot be read.
+    """The skill of a path: of a run, which stands for its last, of a stage in it, or of a file.
 
-    Args:
-        path: of a run, which stands for its last skill, of a stage in it, or of a skill file.
-        name: of another skill in the run's ledger.
-        actions: further actions that may be imported.
-        kind: of scenarios; what the run is about, or the usual one of the domain, if not given.
-        domain: what a file is for, or the run's if that is code that may be imported.
+    It may be another of the run's ledger by `name`, and use further `actions`, which may be
+    imported. The `kind` of scenarios, if not given, is what the run is about, or the usual one of
+    the domain. The `domain` is what a file is for, or the run's if that is code that may be
+    imported. CgtorchError if there is none, or it cannot be read.
     """
     if path.is_file():
         made, kind, skill = lone_skill(path, actions, kind, domain or RunSettings.domain)
@@ -90,8 +88,7 @@ def lone_skill(
 ) -> tuple[Domain[Any], str, Skill]:
     """The domain, kind of scenarios and skill of a file that stands for itself.
 
-    GraphError if it describes no skill, for no variant of the domain; ActionError if an action is
-    not known.
+    GraphError if it is no skill for a variant of the domain, ActionError if an action is unknown.
     """
     made = make_domain(domain)
     kind = made.usual_kind if kind is None else kind

@@ -179,10 +179,7 @@ def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
 
 
 def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioBatch:
-    """Scenarios like others, of which there may be none, from what `scenarios_to_list` gave.
-
-    RunError if an entry lacks a field, or its numbers are not of the right kind and count.
-    """
+    """Scenarios like others from what `scenarios_to_list` gave; RunError if a field is wrong."""
     if not isinstance(data, list):
         raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
     parts: dict[str, Tensor] = vars(like)

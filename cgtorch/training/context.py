@@ -41,8 +41,7 @@ OWN = 40  # the generator of what C is judged by, derived like an island's
 class Training:
     """What a training works with.
 
-    Populations are evaluated on the device, and between two notes of where an evolution stands are
-    at least `checkpoint_seconds`.
+    Populations are evaluated on the device; checkpoints are `checkpoint_seconds` apart or more.
     """
 
     run: Run
@@ -107,8 +106,7 @@ def evolution_settings(run: Run) -> EvolutionSettings:
 def initial_progress(training: Training) -> Progress[Any]:
     """Data, labels, Γ and C before the first stage (section V), made once and kept in the run.
 
-    A run whose skills are evolved in the world itself has none. What can be done side by side is,
-    where compiled code may use more than one thread.
+    A run evolved in the world has none. Work goes side by side where compiled code may use threads.
     """
     run, working = training.run, training.working
     nothing = run.like()

@@ -19,8 +19,7 @@ _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 class Exercise:
     """What a stage is to solve: so many tests of its own, then what failed before, then practice.
 
-    `targets` (B,) bool are the tests and what failed before; `draw` gives fresh scenarios, on which
-    an accepted skill is tested.
+    `targets` (B,) bool are all but practice; `draw` gives fresh scenarios to test accepted skills.
     """
 
     scenarios: Any

@@ -18,8 +18,7 @@ class Course:
 
     Attributes:
         steps: TensorBoard's, of each generation.
-        ends: the generations with which evolutions ended, as a candidate was tried in the world or
-            a stage ended.
+        ends: the last generation of each evolution, at a test in the world or a stage's end.
         stages: name, first and last generation of each finished stage that had any; empty where
             the event files do not hold all generations of the run.
     """

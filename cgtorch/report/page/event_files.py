@@ -32,10 +32,7 @@ class Told:
 
 
 def read_event_files(folder: Path) -> Told:
-    """All scalars and histograms; what is hidden, as it was done again, stays hidden.
-
-    A file that ends in the middle of a record, as after a power cut, is read up to there.
-    """
+    """Scalars and histograms, but those hidden as done again; a file that is cut, up to the cut."""
     if not any(folder.glob("events.out.tfevents.*")):
         return Told({}, {})
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

@@ -29,11 +29,9 @@ PACKAGE = "cgtorch.report.page"
 def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
-    It is UTF-8, and of the same run always the same bytes. The folder's run may be unfinished; what
-    is `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`.
-
-    Raises:
-        CgtorchError: there is no run, or a file of it is damaged.
+    It is UTF-8, and of the same run, which may be unfinished, always the same bytes. What is
+    `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`. CgtorchError if there is no
+    run, or a file of it is damaged.
     """
     contents = read_contents(folder, trusted, domain)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()

@@ -33,10 +33,7 @@ Shares = Sequence[tuple[str, int, int]]
 def draw_success(
     shares: Shares, others: Shares, label: str, other: str, published: tuple[str, float] | None
 ) -> Figure:
-    """Success by stage, and on other scenarios, with 95 % confidence intervals.
-
-    The share of all scenarios that somebody has reported is a line.
-    """
+    """Success by stage and on other scenarios, with 95 % intervals, and the published share."""
     figure, (axes,) = plain_figure(WIDTH, 2.9)
     for data, shift, marker, colour, name in (
         (shares, -0.08, "o", GOOD, label),
@@ -67,10 +64,7 @@ def draw_success(
 
 
 def draw_fitness(told: Told, course: Course, rewarded: bool) -> Figure:
-    """Fitness over generations, above the share that is worth nothing and graph sizes.
-
-    A line is an evolution; in a world with rewards fitness is the mean return of episodes.
-    """
+    """Each evolution's fitness or mean return, the share that is worth nothing, and graph sizes."""
     worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = plain_figure(WIDTH, 5.4, (2.2, 1, 1))
     for axes, tags in (

@@ -16,10 +16,7 @@ ENGINE, TORCH = "engine", "torch"
 
 
 def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """What a run's run.json tells that it went on with otherwise than before, oldest first.
-
-    They are the stage that was made next, the setting or version, its old and its new value.
-    """
+    """The next stage, what changed, and its old and new value, of each change of a run in order."""
     history = about.get("history", [])
     found = []
     for entry in history if isinstance(history, list) else []:
@@ -31,10 +28,7 @@ def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, Any]) -> list[str]:
-    """The commands that train a run again, as its run.json and summary.json tell.
-
-    What was taken over on the way is taken over at the same place.
-    """
+    """The commands that train a run again, and take over what it took over at the same place."""
     names = {ENGINE, *run.all_settings()}
     taken = [c for c in changes_of(about) if c[1] in names]
     at_first = {name: old for _, name, old, _ in reversed(taken)}
