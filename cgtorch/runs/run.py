@@ -104,9 +104,12 @@ def versions() -> dict[str, str]:
 def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
     """A run as `create_run` would begin it in an empty or new folder; nothing is written.
 
-    The domain has its default settings if none are given. DomainError if it cannot be made or
-    breaks its interface, ActionError if an action is not found, RunError if the folder cannot be
-    used.
+    The settings of the domain are the defaults if they are not given.
+
+    Raises:
+        DomainError: the domain cannot be made, or breaks its interface.
+        ActionError: an action cannot be found.
+        RunError: the folder cannot be written or holds other things.
     """
     check_options(settings.domain, NAMES)
     domain = make_domain(settings.domain, domain_settings)
@@ -144,13 +147,19 @@ def write_run(run: Run) -> None:
 
 
 def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Run:
-    """Open the run in a folder.
+    """Open a run.
 
-    The `trusted` are "package.module:Class" of actions that may be imported, and `domain` is the
-    same of the domain, None if that is not code of its own. What a file names is not imported just
-    because the file says so. RunError if there is no run, or it is of another version, or damaged;
-    DomainError if its domain is not trusted or cannot be found; ActionError if it uses an action
-    that is not trusted or cannot be found, or does not use one that is trusted.
+    Args:
+        folder: where it is.
+        trusted: "package.module:Class" of actions that may be imported. What a file names is not
+            imported just because the file says so.
+        domain: the same of the domain; None for one that is not code of its own.
+
+    Raises:
+        RunError: there is none, or it is of another version, or damaged.
+        DomainError: its domain is not trusted or cannot be found.
+        ActionError: it uses an action that is not trusted or cannot be found, or does not use
+            one that is trusted.
     """
     about = read_about(folder)
     settings = from_plain(RunSettings, about.get("settings"))
