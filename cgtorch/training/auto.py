@@ -36,8 +36,11 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
 
     A run that has stages or rounds goes on from its last one. `goal.minutes` are those of this
     call, `goal.rounds` all the run's; a round that has begun is finished. Returned is the result of
-    every stage and round, as in its result.json. NotImprovedError if a round ended and there is
-    still no skill at all, RunError if a file cannot be written or read.
+    every stage and round, as in its result.json.
+
+    Raises:
+        NotImprovedError: a round ended and there is still no skill at all.
+        RunError: a file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
     last = run.folder / run.stages[-1] if run.stages else None
@@ -133,7 +136,10 @@ def _tested(
     progress: Progress[Any],
     generator: Generator,
 ) -> tuple[Progress[Any], list[Score], bool]:
-    """Try a round's skill on fresh scenarios, which join W or M; again where that may decide."""
+    """Try a round's skill on fresh scenarios, which join W or M: the tests, and if the goal holds.
+
+    There is a second test, which decides, if the first makes it worth it.
+    """
     domain, scores = training.run.domain, list[Score]()
     if domain.rewarded:  # what counts is the mean of the returns
         target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)

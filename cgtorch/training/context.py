@@ -41,7 +41,8 @@ OWN = 40  # the generator of what C is judged by, derived like an island's
 class Training:
     """What a training works with.
 
-    Populations are evaluated on the device; checkpoints are `checkpoint_seconds` apart or more.
+    Populations are evaluated on the device, and between two notes of where an evolution stands are
+    at least `checkpoint_seconds`.
     """
 
     run: Run

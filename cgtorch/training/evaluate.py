@@ -78,7 +78,8 @@ def evaluate_skill(
 ) -> Score:
     """Try a skill on `count` fresh scenarios of a kind, drawn with their noise from a seed.
 
-    `done` hears how many more were tried. SettingsError if kind, count or percepts are not right.
+    `done` is told of how many more scenarios it has been tried. SettingsError if the kind is
+    unknown, the count negative, or the skill for other percepts.
     """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")

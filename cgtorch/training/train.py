@@ -91,8 +91,10 @@ class Tally:
 def train(training: Training, stage: str) -> list[dict[str, Any]]:
     """Make all stages up to one, except those the run has; the results as in each result.json.
 
-    NotImprovedError if a stage ended without a skill that meets eq. 1, SettingsError if there is no
-    such stage, RunError if a file cannot be written or read, or the run has gone on in rounds.
+    Raises:
+        NotImprovedError: a stage ended without a skill that meets eq. 1.
+        RunError: a file cannot be written or read, or the run has gone on in rounds.
+        SettingsError: no such stage, or the run is about scenarios that have none.
     """
     run = training.run
     names = stages_to_make(run, stage)
