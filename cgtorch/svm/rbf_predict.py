@@ -14,14 +14,13 @@ centres to multiples of 16 and outputs to 2, with weight 0, and sums over featur
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from cgtorch.svm.compiled import LOG2E
-from cgtorch.svm.threads import one_thread_each
+from cgtorch.svm.threads import kept_threads, one_thread_each
 
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2
 _CHUNK_BYTES = 1024**2
@@ -59,8 +58,7 @@ def fused_rbf(
         useful = min(threads, len(blocks), len(x) * len(centres) // _WORTH_SHARING)
         if useful > 1 and x.device.type == "cpu":
             # Two threads of one torch thread each beat two of torch's, whose every operation waits.
-            with ThreadPoolExecutor(useful, "cgtorch", torch.set_num_threads, (1,)) as pool:
-                list(pool.map(fill, *parts))
+            list(kept_threads(useful).map(fill, *parts))
         else:
             for part in zip(*parts, strict=True):
                 fill(*part)

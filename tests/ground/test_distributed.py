@@ -1,8 +1,6 @@
 """Several ranks come to what one does, to the last bit."""
 
 import json
-import os
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +13,10 @@ import torch
 from islands_on_ranks import everything
 from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from measure_ranks import torchrun
 
 from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
@@ -77,24 +79,10 @@ with ranks.together():
 """
 
 
-def torchrun(count: int, *words: str) -> str:
-    """What so many ranks print."""
-    program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
-    ended = subprocess.run(
-        [*program, f"--nproc-per-node={count}", *words],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr[-3000:]
-    return ended.stdout + ended.stderr
-
-
 def test_ranks_that_were_started_again_meet(tmp_path: Path) -> None:
     script = tmp_path / "restarted.py"
     script.write_text(RESTARTED)
-    assert "met again" in torchrun(3, "--max-restarts=2", str(script))
+    assert "met again" in torchrun(3, ["--max-restarts=2", str(script)])
 
 
 def test_no_start_of_ranks_is_called_as_one_before() -> None:
@@ -127,7 +115,7 @@ def test_alone_everything_is_ones_own() -> None:
 
 def test_uneven_parts_are_gathered_in_order(tmp_path: Path) -> None:
     (tmp_path / "gather.py").write_text(GATHER)
-    assert "all gathered" in torchrun(5, str(tmp_path / "gather.py"))
+    assert "all gathered" in torchrun(5, [str(tmp_path / "gather.py")])
 
 
 def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
@@ -137,7 +125,7 @@ def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
 
     def found(count: int, folder: str, stop: int) -> list[Any]:
         words = str(tmp_path / folder), str(stop)
-        return json.loads(torchrun(count, islands_on_ranks.__file__, *words).splitlines()[0])
+        return json.loads(torchrun(count, [islands_on_ranks.__file__, *words]).splitlines()[0])
 
     whole = everything(tmp_path / "whole", -1)
     one, three = everything(tmp_path / "one", 4), found(3, "three", 4)
@@ -170,7 +158,7 @@ def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_pat
     ]
     run = tmp_path / "run"
     words = ["-m", "cgtorch.commands.train", "--stage", "S0", "--quiet", "--run-dir", str(run)]
-    printed = torchrun(count, *words, *options)
+    printed = torchrun(count, [*words, *options])
     assert printed.count("S0     perimeter") == 1  # only one of them says so
     for name in ("start/gamma", "start/classifier", "S0/data", "S0/specialists"):
         path = f"{name}.safetensors"
