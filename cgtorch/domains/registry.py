@@ -51,7 +51,7 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
             "'package.module:Class'"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
-    advice = "is it spelt right and its package installed or on PYTHONPATH?"
+    advice = "is it spelt right, and its file (a folder is none) here, on PYTHONPATH or installed?"
     found = _foreign(entry.load, f"cannot import domain {spec!r}", advice)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")

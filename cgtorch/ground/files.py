@@ -109,6 +109,11 @@ def whole_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(partial_path, ignore_errors=True)
 
 
+def place_of(folder: Path) -> Path:
+    """A folder as a text names it: as it was given, or by its name alone if that is absolute."""
+    return folder if folder.name and not folder.is_absolute() else Path(folder.resolve().name)
+
+
 def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, Any]:
     """Read a JSON object that says its format and version; RunError if these are others."""
     data = read_json(path)

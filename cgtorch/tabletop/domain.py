@@ -20,7 +20,7 @@ from cgtorch.environment import Dataset
 from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
 from cgtorch.ground.errors import RobotError
-from cgtorch.ground.files import read_bytes, write_bytes
+from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
@@ -231,7 +231,7 @@ class Tabletop(Domain[Scenarios]):
         pairs = zip(_stored(folder), robot_files(), strict=True)
         if all(own.read_bytes() == built_in.read_bytes() for own, built_in in pairs):
             return {"urdf": "", "robot": TabletopSettings.robot}
-        urdf, robot = _stored(Path(folder.resolve().name))
+        urdf, robot = _stored(place_of(folder))
         return {"urdf": urdf.as_posix(), "robot": robot.as_posix()}
 
     def about(self) -> list[tuple[str, str]]:

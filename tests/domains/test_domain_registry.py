@@ -103,6 +103,13 @@ def test_a_module_that_breaks_is_named(tmp_path: Path, monkeypatch: pytest.Monke
     assert "(ValueError: no rail at all)" in refused(domain_class, "broken_rail:Cart")
 
 
+def test_a_folder_is_no_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "folder_of_a_run").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    message = refused(domain_class, "folder_of_a_run:Cart")
+    assert message.endswith("its file (a folder is none) here, on PYTHONPATH or installed?")
+
+
 class Fussy(Cart):
     """One whose constructor wants more."""
 

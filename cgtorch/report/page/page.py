@@ -10,6 +10,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from cgtorch.domains.registry import is_code
+from cgtorch.ground.files import place_of
 from cgtorch.ground.interval import wilson
 from cgtorch.ground.version import __version__
 from cgtorch.report.estimate import as_time
@@ -29,9 +30,9 @@ PACKAGE = "cgtorch.report.page"
 def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
-    It is UTF-8, and of the same run, which may be unfinished, always the same bytes. What is
-    `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`. CgtorchError if there is no
-    run, or a file of it is damaged.
+    It is UTF-8, and of the same run under the same name, which may be unfinished, always the same
+    bytes. What is `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`. CgtorchError if
+    there is no run, or a file of it is damaged.
     """
     contents = read_contents(folder, trusted, domain)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
@@ -61,6 +62,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "settings": _settings(run),
         "changes": changes_of(contents.about),
         "training": training_commands(run, contents.about, contents.summary),
+        "place": place_of(run.folder).as_posix(),
         "using": _using(contents),
         "time": as_time,
         "interval": _interval,
@@ -142,7 +144,7 @@ def _text(value: object) -> str:
 def _using(contents: Contents) -> list[str]:
     """Commands for the run as it is."""
     settings = contents.run.settings
-    name = shlex.quote(contents.run.folder.resolve().name)
+    name = shlex.quote(place_of(contents.run.folder).as_posix())
     rest = [f" --domain {shlex.quote(settings.domain)}"] if is_code(settings.domain) else []
     rest += [f" --actions {shlex.quote(a)}" for a in settings.actions if ":" in a]
     commands = [

@@ -58,6 +58,7 @@ def _legs(
         for f in fields(Goal)
         if type(summary.get(f.name)) in (int, float)
         and f.name != "rounds"
+        and summary[f.name] != f.default
         and not (run.domain.rewarded and f.name == "target")
     ]
     made = [(name, [f"--stage {name}"]) for name in stages]
@@ -65,6 +66,9 @@ def _legs(
         (name, [f"--stage {AUTO}", *goal, f"--rounds {count}"])
         for count, name in enumerate(run.rounds or ([] if own else [""]), 1)
     ]
+    told = summary.get("stages")
+    if summary.get("reached") and isinstance(told, list) and len(told) == len(run.stages):
+        made[-1][1].pop()  # it ends by itself after as many rounds
     legs: list[tuple[list[str], str | None]] = []
     for i, (name, words) in enumerate(made):
         if i in (0, len(stages)) or name in changed:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from lxml import html
 from reaching import TABLE
-from report_pages import REFERENCE, STAGES, final_text, thinned, words
+from report_pages import REFERENCE, STAGES, final_text, parsed, thinned, words
 
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
@@ -303,6 +303,15 @@ def test_how_to_reproduce(page: html.HtmlElement) -> None:
     seed = SUMMARY["seed"]
     assert f"cgtorch-train --stage S3 --seed {seed} --run-dir runs/again\n" in text
     assert "cgtorch-evaluate reference --scenarios perimeter --count 1000\n" in text
+
+
+def test_commands_name_the_run_as_it_was_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From a folder in which the report was made, what it says can be called."""
+    monkeypatch.chdir(REFERENCE.parents[1])
+    text = parsed(Path("runs/reference")).get_element_by_id("reproduce").text_content()
+    assert "Where this run is runs/reference, it can be tried" in text
+    assert "cgtorch-evaluate runs/reference --scenarios perimeter" in text
+    assert "tensorboard --logdir runs/reference\n" in text
 
 
 def test_the_same_run_is_the_same_page(tmp_path: Path) -> None:

@@ -125,6 +125,25 @@ def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
     assert changes_of(about)[1] == ("S1", "torch", "2.4", "2.5")
 
 
+@pytest.mark.parametrize(
+    ("summary", "words"),
+    [
+        ({"target": 0.99, "minutes": 10.0, "rounds": 3}, "auto --rounds 2"),
+        ({"target": 0.9, "minutes": 10.0, "reached": False}, "auto --target 0.9 --rounds 2"),
+        ({"target": 0.99, "reached": True, "stages": [{}, {}]}, "auto"),
+        ({"target": 0.99, "reached": True, "stages": [{}]}, "auto --rounds 2"),
+        ({"target": 0.99, "reached": True, "stages": 2}, "auto --rounds 2"),
+    ],
+)
+def test_of_a_goal_is_said_what_nobody_knows(
+    tmp_path: Path, summary: dict[str, Any], words: str
+) -> None:
+    """A run that has reached its goal ends after as many rounds by itself."""
+    create_run(tmp_path / "run", RunSettings())
+    (line,) = training_commands(with_stages(tmp_path / "run", "auto-1", "auto-2"), {}, summary)
+    assert line.partition(" --seed")[0] == f"cgtorch-train --stage {words}"
+
+
 def test_another_robot_and_actions_are_named(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "it's", "S0", models=False, events=False)
     path = folder / "robot" / "robot.json"
