@@ -27,7 +27,7 @@ from cgtorch.runs.resume_settings import (
     remember_goal,
     take_over,
 )
-from cgtorch.runs.run import AUTO, Run, open_run, planned_run, write_run
+from cgtorch.runs.run import AUTO, Run, only_begun, open_run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.training.auto import reached, train_until
 from cgtorch.training.context import Training
@@ -52,19 +52,19 @@ class Wish:
 
 
 def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, wish: Wish) -> None:
-    """Begin a run, or go on with one that was begun with the same settings."""
+    """Begin a run, anew if it made nothing yet, or go on with one that has the same settings."""
     domain_settings = with_name(settings.domain, domain_settings)
-    if ranks.broadcast(not (folder / "run.json").is_file()):
+    given = {**to_plain(settings), **to_plain(domain_settings)}
+    new = ranks.broadcast(not (folder / "run.json").is_file())
+    run = None if new else open_run(folder, settings.actions, settings.domain)
+    if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
         # On every rank, as they share what the world has to compute.
-        run = planned_run(folder, settings, domain_settings)
+        run = planned_run(folder, settings, domain_settings, anew=not new)
         _stage(run, wish, {})
         ranks.wait()  # all have seen the folder before anyone writes
         if ranks.first():
             write_run(run)
         ranks.wait()
-    else:
-        run = open_run(folder, settings.actions, settings.domain)
-    given = {**to_plain(settings), **to_plain(domain_settings)}
     refuse_others(run, given, "choose another --run-dir")
     _train(run, settings, wish)
 

@@ -65,9 +65,10 @@ def explore(
             break
     if have < transitions or rarer < RARE * tests:
         raise DataError(
-            f"{have} of {transitions} random controls could be carried out, and {rarer} of "
-            f"{len(labels)} tests had the rarer result; give scenarios that begin nearer to "
-            "success, implement explore, or evolve in the world itself: --models none"
+            f"{have} random controls could be carried out where {transitions} are needed, and "
+            f"success was {'met' if rarer == labels.sum() else 'missed'} in {rarer} of "
+            f"{len(labels)} tests where {RARE:.0%} of {tests} are needed; give scenarios that "
+            "begin nearer to success, implement explore, or evolve in the world: --models none"
         )
     p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
     pick = torch.randperm(have, generator=generator)[:transitions]

@@ -14,6 +14,7 @@ events.out.…        TensorBoard
 
 import itertools
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,10 +102,12 @@ def versions() -> dict[str, str]:
     return {"cgtorch": __version__, "torch": str(torch.__version__), "engine": engine}
 
 
-def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+def planned_run(
+    folder: Path, settings: RunSettings, domain_settings: Any = None, anew: bool = False
+) -> Run:
     """A run as `create_run` would begin it in an empty or new folder; nothing is written.
 
-    The settings of the domain are the defaults if they are not given.
+    The domain's settings are the defaults if not given; `anew` if the folder has `only_begun`.
 
     Raises:
         DomainError: the domain cannot be made, or breaks its interface.
@@ -114,11 +117,16 @@ def planned_run(folder: Path, settings: RunSettings, domain_settings: Any = None
     check_options(settings.domain, NAMES)
     domain = make_domain(settings.domain, domain_settings)
     run = _checked(folder, settings, domain)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
     if folder.resolve() == Path.cwd():
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     return run
+
+
+def only_begun(folder: Path) -> bool:
+    """Whether a run has made nothing yet, and so would lose nothing under other settings."""
+    return all(p.name == "run.json" or ".tfevents." in p.name for p in folder.iterdir())
 
 
 def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
@@ -141,7 +149,7 @@ def write_run(run: Run) -> None:
         "settings": to_plain(run.settings),
         "domain_settings": to_plain(run.domain.settings),
     }
-    with whole_folder(folder) as new:
+    with nullcontext(folder) if (folder / "run.json").exists() else whole_folder(folder) as new:
         run.domain.write(new)
         write_json(new / "run.json", about)
 

@@ -122,6 +122,32 @@ def test_a_run_that_begun_about_another_domain(shell: Shell, carts: Path) -> Non
     assert (carts / "run" / "run.json").read_bytes() == before
 
 
+NEVER = """
+
+class Never(Cart):
+    \"\"\"One in which success is never met.\"\"\"
+
+    def world(self, scenarios):
+        world = super().world(scenarios)
+        world.succeeded = lambda state: state[:, 0] > 9
+        return world
+"""
+
+
+def test_a_run_that_had_nothing_to_learn_is_begun_anew(shell: Shell, tmp_path: Path) -> None:
+    """The message says with which settings, so these are taken in the same folder."""
+    (tmp_path / "never_cart.py").write_text(EXAMPLE + NEVER)
+    words = [*("--domain", "never_cart:Never", "--run-dir", "run", "--quiet"), *SMALL]
+    message = shell(TRAIN, *words).err
+    assert "success was met in 0 of" in message
+    assert message.endswith("or evolve in the world: --models none\n")
+    shell(TRAIN, *words, "--models", "none")
+    assert about(tmp_path / "run")["settings"]["models"] == "none"
+    (tmp_path / "run" / "auto-1").mkdir()  # from here on there is something to lose
+    message = shell.refuses(TRAIN, *words, "--models", "learned")
+    assert "has --models none, not learned, and cannot change it" in message
+
+
 DAMAGED: list[Any] = [
     None,
     3,
