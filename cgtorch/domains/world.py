@@ -2,8 +2,9 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -23,6 +24,13 @@ class World(ABC):
         percept_size: D, numbers of a percept.
         control_size: U, numbers of a control.
     """
+
+    made_of: ClassVar[Mapping[str, str]] = {
+        "start": "start (first_state, perceived)",
+        "step": "step (next_state, perceived)",
+        "success": "success (succeeded)",
+    }
+    """What errors call the methods that are made of others."""
 
     def __init__(self, scenarios: ScenarioBatch) -> None:
         """The world of B scenarios."""

@@ -97,34 +97,35 @@ def expect_lanes(
 
 def check_environment(environment: Environment, device: torch.device | str = "cpu") -> None:
     """Try each method of an environment on two of its scenarios; WorldError if one is wrong."""
-    name = type(environment).__name__
+    name, parts = type(environment).__name__, getattr(environment, "made_of", {})
+    start, step, success = (f"{name}.{parts.get(m, m)}" for m in ("start", "step", "success"))
     _check_size(environment, "num_scenarios")
     scenario = two_rows(environment.num_scenarios, device)
-    first = returned(WorldError, f"{name}.start", environment.start, scenario)
-    state, percept = expect_pair(WorldError, f"{name}.start", "states, percepts", first)
+    first = returned(WorldError, start, environment.start, scenario)
+    state, percept = expect_pair(WorldError, start, "states, percepts", first)
     for attribute in ("percept_size", "control_size"):  # which may be found out by a start
         _check_size(environment, attribute)
     given = isinstance(percept, Tensor) and percept.is_floating_point()
     floats = percept.dtype if given else torch.float32
     shape = (ROWS, environment.percept_size)
-    expect(WorldError, f"{name}.start", "percepts", percept, shape, floats)
+    expect(WorldError, start, "percepts", percept, shape, floats)
     if not isinstance(state, Tensor) or state.dim() != 2 or len(state) != ROWS:
-        raise WorldError(f"{name}.start returned states as {kind(state)}; return a tensor (2, S)")
+        raise WorldError(f"{start} returned states as {kind(state)}; return a tensor (2, S)")
     lanes = start_lanes(environment, scenario, environment.control_size, 0)
     kept = copied(lanes)
     control = percept.new_zeros(ROWS, environment.control_size)
-    step = returned(WorldError, f"{name}.step", environment.step, lanes, control)
-    after, done = expect_pair(WorldError, f"{name}.step", "lanes, whether it could be done", step)
-    expect_lanes(WorldError, f"{name}.step", lanes, kept, after)
-    expect(WorldError, f"{name}.step", "whether it could be done", done, (ROWS,), torch.bool)
+    moved = returned(WorldError, step, environment.step, lanes, control)
+    after, done = expect_pair(WorldError, step, "lanes, whether it could be done", moved)
+    expect_lanes(WorldError, step, lanes, kept, after)
+    expect(WorldError, step, "whether it could be done", done, (ROWS,), torch.bool)
     seen = returned(WorldError, f"{name}.observe", environment.observe, lanes)
     expect_lanes(WorldError, f"{name}.observe", lanes, kept, seen)
-    found = returned(WorldError, f"{name}.success", environment.success, lanes)
-    tested, chance = expect_pair(WorldError, f"{name}.success", "lanes, probabilities", found)
-    expect_lanes(WorldError, f"{name}.success", lanes, kept, tested)
-    expect(WorldError, f"{name}.success", "probabilities", chance, (ROWS,), floats)
+    found = returned(WorldError, success, environment.success, lanes)
+    tested, chance = expect_pair(WorldError, success, "lanes, probabilities", found)
+    expect_lanes(WorldError, success, lanes, kept, tested)
+    expect(WorldError, success, "probabilities", chance, (ROWS,), floats)
     if ((chance < 0) | (chance > 1)).any():
-        raise WorldError(f"{name}.success returned {chance.tolist()}; return probabilities")
+        raise WorldError(f"{success} returned {chance.tolist()}; return probabilities")
 
 
 def _check_size(environment: Environment, attribute: str) -> None:
