@@ -54,10 +54,10 @@ def test_json_reads_back_as_the_same_skill(shell: Shell, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_every_format(shell: Shell, tmp_path: Path, form: str) -> None:
-    output = tmp_path / "out"
+    output = tmp_path / "out.pt2"
     ended = shell(EXPORT, REFERENCE / "S0", "--format", form, "--output", output)
     assert (ended.code, ended.err) == (0, "")
-    assert listing(tmp_path) == {"out"}
+    assert listing(tmp_path) == {"out.pt2"}
     data = output.read_bytes()
     match form:
         case "json":
@@ -107,6 +107,12 @@ def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> Non
     assert json.loads((tmp_path / "mine.json").read_text())["name"] == "S3"
 
 
+def test_a_module_has_a_name_that_torch_reads(shell: Shell, tmp_path: Path) -> None:
+    words = (EXPORT, REFERENCE / "S0", "--format", "module", "--output", "S0.pt")
+    assert "reads no 'S0.pt'; give a name in .pt2; see cgtorch-export" in shell.refuses(*words)
+    assert listing(tmp_path) == set()
+
+
 ASKS = '''
 from cgtorch.actions import Action
 
@@ -129,14 +135,14 @@ def test_an_action_of_ones_own(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "own.json").write_text(text.replace('"action": "MoveBase"', '"action": "Asks"'))
     words = (EXPORT, "own.json", "--actions", "asking_actions:Asks", "--output")
     for form in ("module", "onnx"):
-        line = shell.refuses(*words, "out", "--format", form)
+        line = shell.refuses(*words, "out.pt2", "--format", form)
         assert "action 'Asks' cannot be exported: it asks its environment for 'observe'" in line
         assert "state-machine" in line
     for form in ("json", "state-machine", "dot", "graphml", "mermaid"):
         ended = shell(*words, f"out.{form}", "--format", form)
         assert (ended.code, ended.err) == (0, ""), ended
     assert "class Asks(State):" in (tmp_path / "out.state-machine").read_text()
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out.pt2").exists()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from cgtorch.export.plain.machine import FAILURE, SUCCESS, State, Userdata
 
 
 class MoveBase(State):
-    """Carries out the message; of a mobile base, drives by it in the robot's own frame."""
+    """Carries out the message as a control."""
 
     outcomes = (SUCCESS, FAILURE)
     control_size = 3
@@ -19,9 +19,9 @@ class MoveBase(State):
         return SUCCESS if self.move(userdata, *motion) else FAILURE
 
     def move(self, userdata: Userdata, *motion: float) -> bool:
-        """Drive by dx, dy (m), then turn by dθ (rad); then keep the new `userdata.percept`.
+        """Carry the control out, then keep the new `userdata.percept`.
 
-        Another robot has other controls. False, without moving, where something is in the way.
+        False, without moving, where it cannot be carried out.
         """
         raise NotImplementedError("MoveBase.move is to be filled in")
 
@@ -42,14 +42,14 @@ class Detect(State):
 
 
 class Grasp(State):
-    """Tries to grasp the object."""
+    """Tests success; a robot at a table tries to grasp the object."""
 
     outcomes = (SUCCESS, FAILURE)
 
     def execute(self, userdata: Userdata) -> str:
-        """Whether it was grasped."""
+        """Whether success is met."""
         return SUCCESS if self.grasp(userdata) else FAILURE
 
     def grasp(self, userdata: Userdata) -> bool:
-        """Try with either arm; whether the robot holds the object."""
+        """Whether the task has succeeded, such as whether the robot now holds the object."""
         raise NotImplementedError("Grasp.grasp is to be filled in")
