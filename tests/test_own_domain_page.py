@@ -39,9 +39,18 @@ def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
     assert actions["hasty"] < actions["tried"]
 
 
-@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced"])
+@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Far"])
 def test_its_domains_keep_the_interface(page: dict[str, Any], name: str) -> None:
-    check_domain(page[name](), "any")
+    domain = page[name]()
+    check_domain(domain, domain.usual_kind)
+
+
+def test_experience_begins_nearer_to_success(page: dict[str, Any]) -> None:
+    far = page["Far"]()
+    assert far.usual_kind == "far"
+    assert far.draw("far", 50, seeded(0)).place.abs().min() >= 2
+    data, same = (d.explore(d.usual_kind, 200, 200, seeded(0)) for d in (far, page["Cart"]()))
+    assert torch.equal(data.tested, same.tested)
 
 
 def test_settings_are_heeded(page: dict[str, Any]) -> None:
