@@ -110,7 +110,7 @@ def test_it_is_reported_and_exported(trained: tuple[str, Path], tmp_path: Path) 
     ended("cgtorch-report", str(run), "--domain", domain, "--output", str(page))
     assert domain in page.read_text()
     for form in ("json", "module", "onnx", "state-machine", "graphml"):
-        output = tmp_path / f"skill.{form}"
+        output = tmp_path / ("skill.pt2" if form == "module" else f"skill.{form}")
         words = ["--domain", domain, "--format", form, "--output", str(output)]
         ended("cgtorch-export", str(run), *words)
         assert output.stat().st_size > 100
