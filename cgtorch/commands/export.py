@@ -54,7 +54,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     """
     options.check_output(output, force)
     if form == "module" and output.suffix != ".pt2":
-        raise click.UsageError(f"torch.export.load reads no {str(output)!r}; give a name in .pt2")
+        raise click.UsageError(f"torch.export.load wants a name in .pt2, not {str(output)!r}")
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill

@@ -107,9 +107,9 @@ def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> Non
     assert json.loads((tmp_path / "mine.json").read_text())["name"] == "S3"
 
 
-def test_a_module_has_a_name_that_torch_reads(shell: Shell, tmp_path: Path) -> None:
+def test_a_module_has_the_name_that_torch_wants(shell: Shell, tmp_path: Path) -> None:
     words = (EXPORT, REFERENCE / "S0", "--format", "module", "--output", "S0.pt")
-    assert "reads no 'S0.pt'; give a name in .pt2; see cgtorch-export" in shell.refuses(*words)
+    assert "wants a name in .pt2, not 'S0.pt'; see cgtorch-export" in shell.refuses(*words)
     assert listing(tmp_path) == set()
 
 
