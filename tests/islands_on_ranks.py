@@ -46,7 +46,8 @@ def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
     with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
         setup = search(stochastic_actions(), settings, BUDGET, journal)
         stage = Stage(setup, "S0", generator, watch)
-        champion, solved = evolve_candidate(stage, "x", model(0, 7))
+        best = evolve_candidate(stage, "x", model(0, 7))
+        champion, solved = best.champion, best.solved
         after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
         found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
         return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import networkx as nx
@@ -16,6 +17,8 @@ from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
+from cgtorch.runs.run import Run, planned_run, write_run
+from cgtorch.runs.settings import RunSettings
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
 from cgtorch.tabletop.kinematics import ArmModel
@@ -248,3 +251,10 @@ def tool_pose(arm: ArmModel, q: Tensor) -> Tensor:
     """Poses (..., 4, 4) of an arm's tool frame in the base frame, at joint positions (..., n)."""
     tool = arm.frames(q.reshape(-1, q.shape[-1]))[-1]
     return tool.reshape(*q.shape[:-1], 4, 4)
+
+
+def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+    """A run that has just begun in a folder, which holds nothing yet."""
+    run = planned_run(folder, settings, domain_settings)
+    write_run(run)
+    return run

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from safetensors.torch import load
+from support import create_run
 from torch import Tensor
 
 from cgtorch.improvement.events import Event, WorldTested
-from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.svm.storage import notes_of
 from cgtorch.training.context import Training

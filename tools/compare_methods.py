@@ -29,7 +29,7 @@ from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run, open_run, round_name
+from cgtorch.runs.run import Run, open_run, planned_run, round_name, write_run
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
@@ -245,7 +245,9 @@ def begun(folder: Path, settings: RunSettings) -> Run:
     """A run in a folder, new or as it is."""
     if (folder / "run.json").is_file():
         return open_run(folder, settings.actions)
-    return create_run(folder, settings)
+    run = planned_run(folder, settings)
+    write_run(run)
+    return run
 
 
 def seeds_in(text: str) -> list[int]:

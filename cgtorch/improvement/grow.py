@@ -39,7 +39,7 @@ def grow(
         # The last skill's graph is a population of one.
         seeds = Population(skill.graph, initial_strategy(1)) if skill else None
         name = f"{stage.name}.{number + 1}"
-        champion, _ = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds)
+        champion = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds).champion
         candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
         trial = attempt(setup, candidate, state.scenarios)
         counts = solved_of(trial.succeeded, state.keep)

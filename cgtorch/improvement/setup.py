@@ -33,6 +33,7 @@ class Setup(Generic[S]):
         rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
         group_of: chooses the scenarios that a specialist is evolved on.
         group: how many these are.
+        widest: how many they become, by doubling, for one with a fitness of `Budget.satisfied`.
         replicas: of each scenario of a whole group, of fewer ones more: 2 so that it is met under
             different errors of Γ, or other noise.
         trials: runs in the world, with different noise, that a member must all pass to count as
@@ -55,6 +56,7 @@ class Setup(Generic[S]):
     rounds: int = 3
     group_of: Grouping = local_group
     group: int = 12
+    widest: int = 32
     replicas: int = 2
     trials: int = 3
     core: int = 1000

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from cgtorch.environment import Environment
 from cgtorch.evolution import Population, evolve
-from cgtorch.graphs import widened
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.checkpoint import (
     checkpoint_of,
@@ -30,12 +29,11 @@ def evolve_candidate(
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
-) -> tuple[Population, Tensor]:
+) -> Found:
     """Evolve until all scenarios are solved in the models and the fitness has settled.
 
     The environment of B scenarios runs on the setup's device; `keep` (B,) bool and `seeds` are
-    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again. Returned are
-    the best individual, a population of one, and (B,) bool what it solves in the models.
+    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again.
     """
     setup, generator, step = stage.setup, stage.generator, f"evolution {name}"
     settings, journal = setup.evolution, setup.journal
@@ -45,7 +43,7 @@ def evolve_candidate(
         found = found_from(known, setup.actions, len(keep))
         stage.watch(EvolutionRecalled(stage.name, name, found))
         restore(generator, known)
-        return _roomy(found.champion, settings.capacity), found.solved
+        return found
     if checkpoint := journal.recall_checkpoint(step):
         found = found_from(checkpoint.about, setup.actions, len(keep))
         islands = islands_from(checkpoint, setup.actions, generator, settings.islands)
@@ -74,8 +72,4 @@ def evolve_candidate(
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.broadcast(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
-    return _roomy(found.champion, settings.capacity), found.solved
-
-
-def _roomy(individual: Population, capacity: int) -> Population:
-    return Population(widened(individual.graphs, capacity), individual.strategy)
+    return found

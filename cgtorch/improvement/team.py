@@ -113,19 +113,7 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
     """
     setup, tried = stage.setup, state.tried + 1
     name = f"{stage.name}.{tried}"
-    group = setup.group_of(state.percepts, missed, setup.group, stage.generator)
-    environment = setup.imagine(
-        state.knowledge,
-        state.scenarios[group],
-        state.percepts[group],
-        setup.replicas * setup.group // len(group),
-        stage.generator,
-        setup.device,
-    )
-    seeds = state.hints or state.population
-    champion, solved = evolve_candidate(stage, name, environment, seeds=seeds)
-    how = setup.max_transitions, setup.evolution.fitness, setup.device
-    champion = shrunk(champion, setup.actions, environment, *how)
+    group, champion, solved = _evolved(stage, state, name, missed)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, state.scenarios)
     kept, promised = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
@@ -144,6 +132,31 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
         hints = join(champion, state.population) if state.population else champion
         state = replace(state, knowledge=knowledge, hints=hints)
     return state
+
+
+def _evolved(
+    stage: Stage[S], state: StageState[S], name: str, missed: Tensor
+) -> tuple[Tensor, Population, Tensor]:
+    """A specialist's scenarios, the best individual on them, and what it solves in the models.
+
+    Where it is as good as it has to be, it goes on with twice as many, up to `Setup.widest`: what
+    is good by chance on a few is found out, and most of the search is on a few.
+    """
+    setup = stage.setup
+    rows = setup.group_of(state.percepts, missed, max(setup.group, setup.widest), stage.generator)
+    size, seeds = setup.group, state.hints or state.population
+    how = setup.max_transitions, setup.evolution.fitness, setup.device
+    while True:
+        group = rows[:size]
+        replicas = max(setup.replicas, setup.replicas * setup.group // len(group))
+        about = state.knowledge, state.scenarios[group], state.percepts[group], replicas
+        environment = setup.imagine(*about, stage.generator, setup.device)
+        step = name if size == setup.group else f"{name} on {size}"
+        found = evolve_candidate(stage, step, environment, seeds=seeds)
+        if size >= len(rows) or found.best < setup.budget.satisfied:
+            champion = shrunk(found.champion, setup.actions, environment, *how)
+            return group, champion, found.solved
+        size, seeds = 2 * size, found.champion
 
 
 def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:

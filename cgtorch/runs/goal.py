@@ -6,6 +6,7 @@ decides are placements drawn for nothing else afterwards, and every try needs mo
 
 from dataclasses import dataclass
 from math import sqrt
+from statistics import NormalDist, fmean, stdev
 
 from cgtorch.domains.settings import check_options, option
 from cgtorch.ground.interval import wilson
@@ -54,14 +55,15 @@ EPISODES, DECISIVE_EPISODES = 100, 200
 """Episodes of the test before the one that decides, and of that, where a domain gives rewards."""
 
 
-def mean_holds(returns: list[float], target: float) -> bool:
-    """Whether the mean of returns, less its standard error, is at least the target."""
-    n = len(returns)
-    if n < 2:
+def mean_holds(returns: list[float], target: float, decision: int) -> bool:
+    """Whether the mean of returns, less one standard error, is at least the target.
+
+    Later decisions of a run (`decision` counts from 1) ask for more errors, as in `holds`.
+    """
+    if len(returns) < 2:
         return False
-    mean = sum(returns) / n
-    error = sqrt(sum((r - mean) ** 2 for r in returns) / (n - 1) / n)
-    return mean - error >= target
+    errors = NormalDist().inv_cdf(NormalDist().cdf(-1) * 2 / (decision * (decision + 1)))
+    return fmean(returns) + errors * stdev(returns) / sqrt(len(returns)) >= target
 
 
 def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:

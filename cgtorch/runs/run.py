@@ -105,7 +105,7 @@ def versions() -> dict[str, str]:
 def planned_run(
     folder: Path, settings: RunSettings, domain_settings: Any = None, anew: bool = False
 ) -> Run:
-    """A run as `create_run` would begin it in an empty or new folder; nothing is written.
+    """A run as `write_run` would begin it in an empty or new folder; nothing is written.
 
     The domain's settings are the defaults if not given; `anew` if the folder has `only_begun`.
 
@@ -127,13 +127,6 @@ def planned_run(
 def only_begun(folder: Path) -> bool:
     """Whether a run has made nothing yet, and so would lose nothing under other settings."""
     return all(p.name == "run.json" or ".tfevents." in p.name for p in folder.iterdir())
-
-
-def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
-    """Begin a run as `planned_run` plans it; nothing is written unless all is in order."""
-    run = planned_run(folder, settings, domain_settings)
-    write_run(run)
-    return run
 
 
 def write_run(run: Run) -> None:

@@ -122,9 +122,8 @@ def _round(
             "mean_holds": met if run.domain.rewarded else None,
         }
 
-    everything = torch.ones(len(missed), dtype=torch.bool)
     # Fresh scenarios are drawn at the round's end.
-    task = Exercise(missed, everything, 0, lambda generator: run.like())
+    task = Exercise(missed, torch.ones(len(missed)).bool(), 0, lambda generator: run.like())
     return make_stage(training, name, progress, task, generator, test)
 
 
@@ -153,13 +152,12 @@ def _tested(
         training.watch(FreshTested(name, *counted, target, decisive, mean))
         progress = _with(progress, score)
         scores.append(score)
-        if domain.rewarded:
-            if mean is None or mean < target:
-                break
-        elif not worth_deciding(goal, *counted):
+        by_mean = mean is not None and mean >= target
+        if not (by_mean if domain.rewarded else worth_deciding(goal, *counted)):
             break
     if domain.rewarded:
-        met = score.returns is not None and mean_holds(score.returns.tolist(), target)
+        returns = score.returns
+        met = returns is not None and mean_holds(returns.tolist(), target, decisions + 1)
     else:
         met = holds(goal, *counted, decisions + 1)
     return progress, scores, len(scores) == 2 and met

@@ -111,7 +111,8 @@ def events(models: Models) -> list[Event]:
         budget = Budget(limit, patience=10**6, stall=10**6, enough=2.0)
         setup = search(actions, EvolutionSettings(population=60, capacity=12), budget)
         stage = Stage(setup, "S1", generator, told.append)
-        champion, solved = evolve_candidate(stage, name, world, keep=kept)
+        found = evolve_candidate(stage, name, world, keep=kept)
+        champion, solved = found.champion, found.solved
         members.append(Skill(name, champion.graphs, actions))
         result = try_skill(members[-1], world).succeeded
         kept = result & keep

@@ -5,10 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support import create_run
 from trained import SMALL, Trained, copied
 
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.run import create_run, open_run, planned_run, write_run
+from cgtorch.runs.run import open_run, planned_run, write_run
 from cgtorch.runs.skills import stored_domain
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings

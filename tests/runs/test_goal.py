@@ -1,11 +1,12 @@
 """When a goal holds: how often chance says so, and how often it is missed."""
 
 from math import exp, lgamma, log
+from statistics import NormalDist
 
 import pytest
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.goal import SLACK, Goal, holds, worth_deciding
+from cgtorch.runs.goal import SLACK, Goal, holds, mean_holds, worth_deciding
 
 
 def allowed(goal: Goal, decision: int) -> int:
@@ -80,3 +81,33 @@ def test_deciding_begins_where_it_can_end_well() -> None:
 def test_impossible_goals(name: str, value: object) -> None:
     with pytest.raises(SettingsError, match=f"{name} is {value!r}; give a"):
         Goal(**{name: value})  # type: ignore[arg-type]
+
+
+def returns_above(target: float, errors: float) -> list[float]:
+    """200 returns whose mean is so many standard errors above a target."""
+    returns = [target + 1, target - 1] * 100
+    error = (200 / 199) ** 0.5 / 200**0.5
+    return [value + errors * error for value in returns]
+
+
+def least_errors(decision: int) -> float:
+    """How many standard errors above the target the mean has to be, by bisection."""
+    low, high = 0.0, 10.0
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        holds_there = mean_holds(returns_above(-100.0, middle), -100.0, decision)
+        low, high = (low, middle) if holds_there else (middle, high)
+    return high
+
+
+def test_a_mean_has_to_be_surer_the_more_often_it_is_looked_at() -> None:
+    """At the target itself, chance says yes in one run of three at most, however many looks."""
+    errors = [least_errors(decision) for decision in range(1, 31)]
+    assert errors[0] == pytest.approx(1, abs=1e-4)
+    assert errors == sorted(errors)
+    assert sum(1 - NormalDist().cdf(each) for each in errors) < 1 / 3
+
+
+@pytest.mark.parametrize("returns", [[], [5.0]])
+def test_the_mean_of_hardly_any_returns_says_nothing(returns: list[float]) -> None:
+    assert not mean_holds(returns, 0.0, 1)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from support import random_skill
+from support import create_run, random_skill
 from trained import SMALL, Trained, copied
 
 from cgtorch.actions import paper_actions
@@ -26,7 +26,7 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
-from cgtorch.runs.run import create_run, open_run
+from cgtorch.runs.run import open_run
 from cgtorch.runs.skills import last_skill, lone_skill
 from cgtorch.runs.storage import load_progress
 from cgtorch.tabletop.domain import ACTIONS, Tabletop

@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 import torch
-from support import seeded
+from support import create_run, seeded
 from trained import SMALL, Trained, copied
 
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_progress, load_result
 from cgtorch.training.auto import act, reached, train_until

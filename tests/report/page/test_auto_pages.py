@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from lxml import html
 from report_pages import parsed, rewrite, words
-from support import random_graphs, seeded
+from support import create_run, random_graphs, seeded
 
 from cgtorch.graphs import Skill, save_skill
-from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import save_scenarios
 from cgtorch.tabletop.settings import TabletopSettings

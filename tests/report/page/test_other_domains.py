@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 from lxml import html
 from report_pages import final_text, words
+from support import create_run
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report.page import report_page
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, create_run
+from cgtorch.runs.run import Run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training

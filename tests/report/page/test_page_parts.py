@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 from report_pages import REFERENCE, thinned
+from support import create_run
 from torch.utils.tensorboard import SummaryWriter
 
 from cgtorch.commands.train import command
@@ -15,7 +16,7 @@ from cgtorch.report.page.contents import read_contents
 from cgtorch.report.page.course import course_of
 from cgtorch.report.page.event_files import read_event_files
 from cgtorch.report.page.reproduce import changes_of, training_commands
-from cgtorch.runs.run import Run, create_run, open_run
+from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.settings import TabletopSettings
 
