@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from cgtorch.evolution import Generation, Population
+from cgtorch.evolution.population import slim
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Found:
     """What an evolution has come to so far.
 
     Attributes:
-        champion: the best individual, as a population of one.
+        champion: the best individual, as a population of one without unused slots.
         solved: (B,) bool what it solves in the models.
         best: its fitness, -inf before the first generation.
         since: generations without a better one.
@@ -63,7 +64,7 @@ class Found:
         fitness = generation.best
         if fitness <= self.best + 1e-3:
             return counted
-        champion, solved = generation.champion, generation.succeeded
+        champion, solved = slim(generation.champion), generation.succeeded  # on any rank the same
         return replace(counted, champion=champion, solved=solved, best=fitness, since=0)
 
     def ends(self, budget: Budget) -> bool:
