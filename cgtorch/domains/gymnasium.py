@@ -92,7 +92,9 @@ class Gymnasium(Domain[Starts]):
         assert isinstance(settings, GymnasiumSettings)  # noqa: S101  as the class says
         data = read_json(folder / FILE)
         try:
-            scaling = Scaling(*(torch.tensor(data[name]).double() for name in ("centre", "scale")))
+            scaling = Scaling(
+                *(torch.tensor(data[n], dtype=torch.float64) for n in ("centre", "scale"))
+            )
             target = float(data["target_return"])
             if not (scaling.scale > 0).all() or not scaling.centre.isfinite().all():
                 raise ValueError("a scale is not above 0")
@@ -175,11 +177,15 @@ def _control(space: Any, environment: str) -> tuple[Field, ...]:
 
 
 def _explored(episodes: Episodes) -> Scaling:
-    """The scaling of observations: by their bounds if they have some, else by random episodes."""
+    """The scaling of observations: by what is seen in random episodes.
+
+    Bounds can be far from where episodes begin, and networks would see almost nothing of a number
+    that keeps near its middle; so they count only for what does not change in these episodes.
+    """
     space = episodes.observation
     low, high = (torch.from_numpy(bound).double() for bound in (space.low, space.high))
     bounded = (low > -1e6) & (high < 1e6)
+    allowed = torch.where(bounded, (high - low) / 4, 1.0)
     seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()
-    centre = torch.where(bounded, (low + high) / 2, seen.mean(0))
-    scale = torch.where(bounded, (high - low) / 4, seen.std(0))
-    return Scaling(centre, scale.clamp_min(1e-3))
+    spread = seen.std(0)
+    return Scaling(seen.mean(0), torch.where(spread > allowed / 1000, spread, allowed))

@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from support import seeded
 
 from cgtorch.domains.check import check_domain
-from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium import Gymnasium, _explored
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_vector import VectorSteps
 from cgtorch.domains.gymnasium_world import PlayedWorld
@@ -144,6 +145,26 @@ def test_the_target_is_the_environments_own_or_given() -> None:
 def test_what_is_no_domain_is_told(name: str, reason: str) -> None:
     with pytest.raises(DomainError, match=reason):
         make_domain(name, GymnasiumSettings(target_return=0.0))
+
+
+def test_percepts_have_the_spread_of_random_episodes() -> None:
+    domain = domain_of("Acrobot-v1")  # whose velocities have bounds far from where it begins
+    assert domain.scaling.scale[4] < domain.episodes.observation.high[4] / 4
+    seen = domain.episodes.random_observations(20, 200)
+    world = domain.world(domain.draw("starts", 1, seeded(0)))
+    percepts = world._percepts(seen)
+    assert torch.allclose(percepts.mean(0), torch.zeros(6), atol=1e-4)
+    assert torch.allclose(percepts.std(0), torch.ones(6), atol=1e-4)
+
+
+def test_a_number_that_random_episodes_do_not_change_is_scaled_by_its_bounds() -> None:
+    low, high = np.array([[-1, -np.inf, 2], [1, np.inf, 10]], dtype=np.float32)
+    box = gymnasium.spaces.Box(low, high)
+    seen = np.stack([np.linspace(-1, 1, 9), np.full(9, 7.0), np.full(9, 3.0)], 1)
+    episodes: Any = SimpleNamespace(observation=box, random_observations=lambda *_: seen)
+    scaling = _explored(episodes)
+    assert scaling.centre.tolist() == pytest.approx([0, 7, 3])
+    assert scaling.scale.tolist() == pytest.approx([seen[:, 0].std(ddof=1), 1, 2])
 
 
 def test_it_is_kept_with_a_run(tmp_path: Path) -> None:
