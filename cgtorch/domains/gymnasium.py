@@ -75,11 +75,9 @@ class Gymnasium(Domain[Starts]):
 
     def world(self, scenarios: Starts) -> GymnasiumWorld:
         """See `Domain.world`."""
-        size, target = len(self.control), self.target_return
-        common = self.episodes, scenarios.seed, self.scaling, size, target
-        if self.vector is not None:
-            return VectorWorld(self.vector, *common)
-        return PlayedWorld(*common)
+        size, seeds = len(self.control), scenarios.seed
+        common = self.episodes, seeds, self.scaling, size, self.target_return
+        return VectorWorld(self.vector, *common) if self.vector else PlayedWorld(*common)
 
     def write(self, folder: Path) -> None:
         """See `Domain.write`: the scaling of observations, and what counts as solved."""
@@ -177,15 +175,10 @@ def _control(space: Any, environment: str) -> tuple[Field, ...]:
 
 
 def _explored(episodes: Episodes) -> Scaling:
-    """The scaling of observations: by what is seen in random episodes.
+    """The scaling of observations by what random episodes show; what is the same in all is not.
 
-    Bounds can be far from where episodes begin, and networks would see almost nothing of a number
-    that keeps near its middle; so they count only for what does not change in these episodes.
+    Bounds can be far from there, and of a velocity divided by them a network sees next to nothing.
     """
-    space = episodes.observation
-    low, high = (torch.from_numpy(bound).double() for bound in (space.low, space.high))
-    bounded = (low > -1e6) & (high < 1e6)
-    allowed = torch.where(bounded, (high - low) / 4, 1.0)
     seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()
     spread = seen.std(0)
-    return Scaling(seen.mean(0), torch.where(spread > allowed / 1000, spread, allowed))
+    return Scaling(seen.mean(0), torch.where(spread > 1e-6, spread, 1.0))
