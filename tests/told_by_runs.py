@@ -6,5 +6,5 @@ from torch import Tensor
 
 
 def tensors_of(runs: Any) -> dict[str, Tensor]:
-    """All of it; returns are missing where an environment gives no rewards."""
-    return {name: value for name, value in vars(runs).items() if value is not None}
+    """What it says of lanes; returns are missing where an environment gives no rewards."""
+    return {name: value for name, value in vars(runs).items() if isinstance(value, Tensor)}

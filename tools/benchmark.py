@@ -30,6 +30,7 @@ from benchmarks.growth import growth_10x, padding
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from benchmarks.operators import operators_vs_networkx
+from benchmarks.own import own_action, own_action_unused, own_world
 from benchmarks.rollouts import paper_way, strong_cpu, tensor_way
 from benchmarks.touching import touching
 from rich.console import Console
@@ -53,6 +54,9 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "overhead_share": overhead_share,
     "growth_10x": growth_10x,
     "padding": padding,
+    "own_action_unused": own_action_unused,
+    "own_action": own_action,
+    "own_world": own_world,
     "touching": touching,
     "cold_start": cold_start,
 }

@@ -65,6 +65,11 @@ class Lanes:
         """The lanes at `index` (k,)."""
         return type(self)(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
 
+    def moved(self, state: Tensor, percept: Tensor) -> Self:
+        """The same lanes with other states (n, S) and percepts (n, D); faster than `replace`."""
+        rest = self.message, self.has_message, self.memory, self.scenario, self.step
+        return type(self)(percept, state, *rest)
+
     def part(self, which: slice) -> Self:
         """Some of the lanes, which lie where these do."""
         return type(self)(*(getattr(self, f.name)[which] for f in fields(self)))

@@ -53,7 +53,8 @@ class Evaluation:
         scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0, or
             `WORST`, where W is lost.
         succeeded: (P, B) bool; False where an individual had already lost W and was not run.
-        transitions: actions executed in all.
+        transitions: actions until the ends of all runs, also those of endless loops.
+        executed: how many of them were executed, and not only counted.
         not_finite: individuals whose parameters, last percepts, C(p_t) or scores were not all
             finite; nothing of what they did counts.
     """
@@ -62,6 +63,7 @@ class Evaluation:
     scores: Tensor
     succeeded: Tensor
     transitions: int
+    executed: int
     not_finite: int = 0
 
 
@@ -73,8 +75,8 @@ with the actions of section VI."""
 Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
 """What P individuals of an action set achieve in an environment."""
 
-Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int]
-"""Fitness (P,), scores (P, B), successes (P, B), actions executed, and how many are not finite."""
+Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int, int]
+"""Fields of an `Evaluation`."""
 
 
 def evaluator(
@@ -109,12 +111,14 @@ def evaluator(
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
         found = [parts(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
-        *tensors, transitions, not_finite = zip(*found, strict=True)
+        *tensors, transitions, executed, not_finite = zip(*found, strict=True)
         means, scores, succeeded = (
             ranks.all_gather(torch.cat(column) if column[1:] else column[0], p, group)
             for column in tensors
         )
-        counts = (ranks.all_reduce(sum(each), group) for each in (transitions, not_finite))
+        counts = (
+            ranks.all_reduce(sum(each), group) for each in (transitions, executed, not_finite)
+        )
         return Evaluation(means, scores, succeeded, *counts)
 
     return evaluation
@@ -136,13 +140,14 @@ def _by_rollouts(
     succeeded = torch.zeros_like(score, dtype=torch.bool)
     alive = torch.arange(p, device=device)
     finite = graphs.parameters.isfinite().flatten(1).all(1)
-    transitions = torch.zeros_like(alive)
+    transitions, executed = torch.zeros_like(alive), 0
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
             continue
         some, limit = graphs[alive], max_transitions
         runs = rollout(some, actions, environment, scenarios=part, max_transitions=limit)
         transitions[alive] += runs.transitions.sum(1)
+        executed += runs.executed
         succeeded[alive[:, None], part] = runs.succeeded
         probability, real = last_success(runs, environment, part)
         worth = fitness(runs, probability).float()
@@ -152,7 +157,7 @@ def _by_rollouts(
     counts = torch.zeros_like(finite).index_fill_(0, alive, True) & finite
     score = torch.where(counts[:, None], score, least)
     results = row_means(score).to(home), score.to(home), (succeeded & finite[:, None]).to(home)
-    return *results, int(transitions.sum()), p - int(finite.sum())
+    return *results, int(transitions.sum()), executed, p - int(finite.sum())
 
 
 def last_success(

@@ -38,7 +38,8 @@ class Generation:
             smallest, of these that of the first island.
         best: its fitness.
         succeeded: (B,) bool, what it solves in the models.
-        transitions: actions executed by all.
+        transitions: actions of all until the ends of their runs, also those of endless loops.
+        executed: how many of them were executed, and not only counted.
         not_finite: individuals that count for nothing, as something about them was not finite.
     """
 
@@ -49,6 +50,7 @@ class Generation:
     best: float
     succeeded: Tensor
     transitions: int
+    executed: int
     not_finite: int = 0
 
     @property
@@ -124,9 +126,11 @@ def _generation(
             ranks.all_gather_parts, [x.widened(settings.capacity) for x in leaders], count
         )
     best = min(leaders, key=lambda x: (-float(x.fitness), int(x.population.graphs.num_nodes)))
-    transitions, not_finite = (
+    transitions, executed, not_finite = (
         int(ranks.all_gather_parts(torch.tensor(numbers), count).sum())
-        for numbers in zip(*((r.transitions, r.not_finite) for r in results), strict=True)
+        for numbers in zip(
+            *((r.transitions, r.executed, r.not_finite) for r in results), strict=True
+        )
     )
     return Generation(
         number=islands[0].state.generation,
@@ -136,6 +140,7 @@ def _generation(
         best=float(best.fitness),
         succeeded=best.succeeded[0],
         transitions=transitions,
+        executed=executed,
         not_finite=not_finite,
     )
 

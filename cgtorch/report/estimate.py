@@ -14,7 +14,7 @@ class Estimate:
     """Smoothed speed, and upper bounds on the time left if nothing takes longer than so far."""
 
     clock: Callable[[], float] = time.monotonic
-    speed: float | None = None  # transitions per second
+    speed: float | None = None  # transitions that are executed per second
     _per_generation: float | None = None  # s
     _between: float = 0.0  # s from the end of one evolution to the beginning of the next
     _limit: int = 0
@@ -39,7 +39,7 @@ class Estimate:
                 self._between = max(self._between, now - seconds - self._latest)
         self._limit, self._done, self._latest = event.limit, event.generation.number + 1, now
         self._per_generation = _smoothed(self._per_generation, seconds)
-        self.speed = _smoothed(self.speed, event.generation.transitions / seconds)
+        self.speed = _smoothed(self.speed, event.generation.executed / seconds)
 
     def evolution_over(self) -> None:
         """The candidate is being tested."""

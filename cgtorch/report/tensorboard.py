@@ -134,7 +134,7 @@ class TensorBoardWatch:
                 "graph/nodes_mean": _nodes(population.graphs) / size,
                 "population/unsolved": (size - len(counts) + np.count_nonzero(counts == 0)) / size,
                 "population/not_finite": generation.not_finite,
-                "speed/transitions_per_second": generation.transitions / max(event.seconds, 1e-9),
+                "speed/transitions_per_second": generation.executed / max(event.seconds, 1e-9),
             }
         )
         if generation.number % self._histogram_every == 0:

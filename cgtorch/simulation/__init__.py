@@ -1,5 +1,6 @@
 """Algorithm 3: running skills in an environment, the learned models or a world."""
 
+from cgtorch.simulation.model import CompiledModels as CompiledModels
 from cgtorch.simulation.model import ModelEnvironment as ModelEnvironment
 from cgtorch.simulation.recording import Recording as Recording
 from cgtorch.simulation.rollout import MAX_STEPS as MAX_STEPS

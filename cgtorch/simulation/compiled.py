@@ -1,7 +1,7 @@
 """Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, graph after graph.
 
-It says what the batched engine in torch says, which runs everything else: actions, models and
-worlds of others, and other devices. `rollout` asks here first.
+It says what the batched engine in torch says. Graphs with other actions, and other environments,
+are for `cgtorch.simulation.resumable`; `rollout` asks here first.
 """
 
 from dataclasses import dataclass
@@ -10,25 +10,27 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet
+from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.graphs import Graphs
-from cgtorch.native import WRONG_GRAPHS, constants, function, structure, threads
-from cgtorch.native.interface import agree
-from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table, ends
-from cgtorch.simulation.model import ModelEnvironment
-from cgtorch.simulation.program import check_numbers, skill_tables
+from cgtorch.native import WRONG_GRAPHS, constants, function, structure, suits, threads
+from cgtorch.simulation.action_table import FAILURE, SUCCESS
+from cgtorch.simulation.compiled_actions import (
+    LARGEST,
+    NETWORKS,
+    ROUTINES,
+    CompiledActions,
+    compiled_actions,
+)
+from cgtorch.simulation.model import CompiledModels, ModelEnvironment
+from cgtorch.simulation.program import check_numbers
 from cgtorch.simulation.rollouts import Rollouts
 
-EXACT = ("EDGE", "EDGE_BRANCHING")
-"""Read percepts of one length only."""
-LARGEST = 2**30
-"""Nodes, transitions and scenarios that it can count."""
 RESULTS = (
     "again", "percept", "state", "status", "transitions", "fitness", "score", "succeeded", "chunks",
 )  # fmt: skip
-NUMBERS = ("keep", "executed", "not_finite", "wrong", "num_chunks")
-"""Fields of a `Task` of lanes.h that are not always given: pointers, and numbers."""
+NUMBERS = ("keep", "counted", "executed", "not_finite", "wrong", "num_chunks")
+"""Fields of a `Task` of task.h that are not always given: pointers, and numbers."""
 
 
 @dataclass(frozen=True)
@@ -37,28 +39,28 @@ class CompiledEngine:
 
     Attributes:
         actions: what a node can be.
-        dtype: of all numbers.
-        longest: the most transitions of any sub-skill.
-        program: fields of a `Program` of program.h without those of graphs.
-        models: Γ, C, errors and first percepts, a `Models` of lanes.h.
+        known: the same for compiled code.
+        models: what functions of these models' name get.
+        environment: a `ModelEnvironment` of models.h.
+        percept_size: D.
     """
 
     actions: ActionSet
-    dtype: torch.dtype
-    longest: int
-    program: dict[str, Any]
-    models: Any
+    known: CompiledActions
+    models: CompiledModels
+    environment: Any
+    percept_size: int
 
     def rollouts(
         self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int
     ) -> Rollouts | None:
-        """The rollouts of P graphs on scenarios (B,), or None where they have to be run in torch.
+        """The rollouts of P graphs on scenarios (B,), or None where not all of it is compiled.
 
         GraphError if a graph has an action, a head or a start that is none of its own. MemoryError
         if there is none for the first percepts of so many scenarios.
         """
         sizes, like = (len(graphs), len(scenarios)), graphs.parameters
-        percept, state = like.new_empty(*sizes, self.models.size), like.new_empty(*sizes, 3)
+        percept, state = like.new_empty(*sizes, self.percept_size), like.new_empty(*sizes, 3)
         status, transitions = torch.empty(2, *sizes, dtype=torch.long).unbind()
         task = self._ran(
             "rollouts", graphs, scenarios, max_transitions, max_steps,
@@ -66,7 +68,7 @@ class CompiledEngine:
         )  # fmt: skip
         succeeded = status == SUCCESS
         timed_out = ~succeeded & (status != FAILURE)
-        return task and Rollouts(succeeded, timed_out, percept, state, transitions)
+        return task and Rollouts(succeeded, timed_out, percept, state, transitions, task.executed)
 
     def evaluation(
         self,
@@ -76,10 +78,10 @@ class CompiledEngine:
         max_transitions: int,
         max_steps: int,
         again: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor, Tensor, int, int] | None:
+    ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
         """What P graphs achieve by eq. 3 on all scenarios (B,), of which the first `kept` are of W.
 
-        Returned are the fields of an `Evaluation`, or None where it has to be done in torch. Scores
+        Returned are the fields of an `Evaluation`, or None where not all of it is compiled. Scores
         are C(p_t), half of it without success, and 0 where W is lost. Γ, C, networks and the check
         of motions are done `again` (4,) times more, to measure how long each takes, which changes
         no result. Errors are those of `rollouts`.
@@ -91,7 +93,9 @@ class CompiledEngine:
             "evaluations", graphs, scenarios, max_transitions, max_steps,
             keep=kept, again=again, fitness=fitness, score=score, succeeded=succeeded,
         )  # fmt: skip
-        return task and (fitness, score.float(), succeeded, task.executed, task.not_finite)
+        if task is None:
+            return None
+        return fitness, score.float(), succeeded, task.counted, task.executed, task.not_finite
 
     def _ran(
         self,
@@ -102,28 +106,17 @@ class CompiledEngine:
         max_steps: int,
         **rest: Any,
     ) -> Any:
-        """A `Task` of lanes.h that is done, or None where compiled code does not know all of it."""
-        whole = graphs.action, graphs.edges, graphs.start, scenarios
-        nodes, longest = graphs.action.numel() + self.program["rows"], (max_transitions, max_steps)
-        if (
-            max(nodes, *longest, self.longest) > LARGEST
-            or graphs.edges.shape[2] > self.actions.outcome_capacity
-            or graphs.parameters.dtype != self.dtype
-            or not graphs.parameters.is_cpu
-            or not all(x.is_cpu and x.dtype == torch.long for x in whole)
-        ):
+        """A `Task` of task.h that is done, or None where compiled code does not know all of it."""
+        program = program_of(graphs, self.known, (max_transitions, max_steps))
+        if program is None or not is_whole(scenarios) or self._needs_python(graphs):
             return None
-        program = structure("Program", self.dtype)(
-            **self.program, action=graphs.action, edges=graphs.edges, start=graphs.start,
-            parameters=graphs.parameters, nodes=graphs.capacity, seen=graphs.edges.shape[2],
-            each=graphs.parameters.shape[2],
-        )  # fmt: skip
-        task = structure("Task", self.dtype)(
-            program=program, models=self.models, scenarios=scenarios, graphs=len(graphs),
+        dtype = self.known.dtype
+        task = structure("Task", dtype)(
+            program=program, environment=self.environment, scenarios=scenarios, graphs=len(graphs),
             count=len(scenarios), max_transitions=max_transitions, max_steps=max_steps,
             **{**dict.fromkeys(RESULTS), **dict.fromkeys(NUMBERS, 0), **rest},
         )  # fmt: skip
-        failure = function(name, self.dtype)(task, threads())
+        failure = function(f"{self.models.name}_{name}", dtype)(task, threads())
         if failure == WRONG_GRAPHS:
             check_numbers(graphs, len(self.actions))
         elif failure:
@@ -132,48 +125,67 @@ class CompiledEngine:
             )
         return task
 
+    def _needs_python(self, graphs: Graphs) -> bool:
+        """Whether any of the graphs uses an action that is not compiled."""
+        needs, action = self.known.needs_python, graphs.action
+        if not any(self.known.in_python):
+            return False
+        known = (action >= 0) & (action < len(needs) - 1)
+        return bool(needs[torch.where(known, action, -1)].any())
+
+
+def is_whole(numbers: Tensor) -> bool:
+    """Whether numbers are of the type that compiled code takes for indices."""
+    return numbers.is_cpu and numbers.dtype == torch.long
+
+
+def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) -> Any:
+    """A `Program` of program.h, or None where graphs or limits are none that it can be made of."""
+    whole = graphs.action, graphs.edges, graphs.start
+    nodes = graphs.action.numel() + known.program["rows"]
+    if (
+        max(nodes, *limits, known.longest) > LARGEST
+        or graphs.edges.shape[2] > known.program["most"]
+        or graphs.parameters.dtype != known.dtype
+        or not graphs.parameters.is_cpu
+        or not all(map(is_whole, whole))
+    ):
+        return None
+    return structure("Program", known.dtype)(
+        **known.program, action=graphs.action, edges=graphs.edges, start=graphs.start,
+        parameters=graphs.parameters, nodes=graphs.capacity, seen=graphs.edges.shape[2],
+        each=graphs.parameters.shape[2],
+    )  # fmt: skip
+
 
 def compiled_engine(actions: ActionSet, environment: Environment) -> CompiledEngine | None:
-    """The engine of actions in models, or None where rollouts have to be run in torch."""
-    if type(environment) is not ModelEnvironment or environment.num_scenarios > LARGEST:
+    """The engine of actions in models, or None where no compiled code knows the environment."""
+    found = compiled_models(environment)
+    if found is None:
         return None
-    dtype, size = environment.percepts.dtype, environment.percept_size
-    action, table = structure("Action", dtype), action_table(actions)
-    models = environment.compiled(environment) if action and environment.compiled else None
-    if models is None or table.depth > constants("engine_limits", dtype)["MOST_DEPTH"]:
+    models, own = found
+    size, kinds = environment.percept_size, (*ROUTINES, *NETWORKS, *models.networks)
+    known = compiled_actions(actions, size, models.dtype, kinds)
+    if known is None or known.table.message_size < environment.control_size:
         return None
-    agree(constants("ends", dtype), {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "TIMEOUT": TIMEOUT})
-    fields = [_fields(each, size, dtype) for each in table.primitives]
-    if not all(fields) or any(s.graph.parameters.dtype != dtype for s in table.skills):
-        return None
-    tables, entry = skill_tables(table, 0, torch.device("cpu"))
-    skills = [torch.cat(parts) for parts in zip(*tables, strict=True)] or [torch.empty(0)] * 3
-    primitives = [action(**each) for each in fields]
-    program = {
-        "primitives": (type(primitives[0]) * len(primitives))(*primitives),
-        "kinds": table.kinds(actions),
-        "ends": ends(actions),
-        **dict(zip(("kind", "heads", "learned"), skills, strict=True)),
-        "entry": torch.tensor(entry, dtype=torch.long),
-        "limit": torch.tensor(table.limits, dtype=torch.long),
-        "actions": len(actions),
-        "most": actions.outcome_capacity,
-        "count": len(primitives),
-        "outcomes": table.outcomes,
-        "width": table.width,
-        "rows": len(skills[0]),
-        "depth": table.depth,
-    }
-    return CompiledEngine(actions, dtype, max([0, *table.limits]), program, models)
+    return CompiledEngine(actions, known, models, own, size)
 
 
-def _fields(action: Action, percept_size: int, dtype: torch.dtype) -> dict[str, int]:
-    """An `Action` of program.h, empty if compiled code has no counterpart or no room for it."""
-    kinds, most = constants("action_kinds", dtype), constants("engine_limits", dtype)
-    kind, inputs = vars(type(action)).get("native_kind", ""), getattr(action, "percept_size", 0)
-    sizes = {name: getattr(action, name, 0) for name in ("inputs", "hidden", "outputs")}
-    fits = inputs == percept_size if kind in EXACT else inputs <= percept_size
-    fits &= sizes["hidden"] <= most["MOST_HIDDEN"] and sizes["outputs"] <= most["MOST_MESSAGE"]
-    if kind not in kinds or "forward" in vars(action) or not fits:
-        return {}
-    return {"kind": kinds[kind], **sizes}
+def compiled_models(e: Environment) -> tuple[CompiledModels, Any] | None:
+    """An environment's models as compiled code knows them, and a `ModelEnvironment` of models.h."""
+    if type(e) is not ModelEnvironment or e.compiled is None:
+        return None
+    errors, limits = e.errors, constants("engine_limits", e.percepts.dtype)
+    given = [e.percepts, e.first_state, *([] if errors is None else [errors])]
+    if not limits or not suits(*given) or e.num_scenarios > LARGEST:
+        return None
+    if e.percept_size > limits["MOST_PERCEPT"] or e.control_size > limits["MOST_MESSAGE"]:
+        return None
+    models = e.compiled(e)
+    if models is None:
+        return None
+    return models, structure("ModelEnvironment", models.dtype)(
+        models=models.structure, percepts=e.percepts, state=e.first_state, errors=errors,
+        size=e.percept_size, turns=1 if errors is None else errors.shape[1],
+        controls=e.control_size, most_novel=e.most_novel,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """Γ and C as an environment: the place where skills are evolved (section V)."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import torch
@@ -20,8 +20,26 @@ Classifier: TypeAlias = Callable[[Tensor], Tensor]
 Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
 
-Compile: TypeAlias = Callable[["ModelEnvironment"], Any]
-"""From models to a `Models` of native/engine/lanes.h, or None where compiled code has none."""
+
+@dataclass(frozen=True)
+class CompiledModels:
+    """Models as compiled rollouts know them.
+
+    Attributes:
+        name: what the names of their functions begin with, as in `tabletop_rollouts`.
+        dtype: of their numbers.
+        structure: what these functions get as `models` (native/engine/models.h).
+        networks: kinds of networks of their own, which read percepts of one length only.
+    """
+
+    name: str
+    dtype: torch.dtype
+    structure: Any
+    networks: tuple[str, ...] = ()
+
+
+Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
+"""From models to what compiled rollouts know, or None where these have no such models."""
 
 UNKNOWN = -1.0
 

@@ -13,8 +13,10 @@ from cgtorch.environment import Environment, Lanes, Rewarded, rows_where, start_
 from cgtorch.graphs import Graphs
 from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table
 from cgtorch.simulation.call_stack import advance, first_frames
-from cgtorch.simulation.compiled import LARGEST, compiled_engine
+from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.compiled_actions import LARGEST
 from cgtorch.simulation.program import Program, compile_graphs
+from cgtorch.simulation.resumable import resumable_rollout
 from cgtorch.simulation.rollouts import Rollouts
 
 MAX_TRANSITIONS = 20
@@ -61,12 +63,15 @@ def rollout(
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
     max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
-    if trace is None and (engine := compiled_engine(actions, environment)):
-        found = engine.rollouts(graphs, scenarios, max_transitions, max_steps)
-        if found is not None:
+    limits = max_transitions, max_steps
+    if trace is None:
+        engine = compiled_engine(actions, environment)
+        found = engine and engine.rollouts(graphs, scenarios, *limits)
+        given = graphs, actions, environment, scenarios, *limits, MOST_IDLE
+        if found := found or resumable_rollout(*given):
             return found
     program = compile_graphs(graphs, actions)
-    return rollout_in_torch(program, environment, scenarios, max_transitions, max_steps, trace)
+    return rollout_in_torch(program, environment, scenarios, *limits, trace)
 
 
 def most_steps(actions: ActionSet, max_transitions: int) -> int:
@@ -99,11 +104,13 @@ def rollout_in_torch(
     percept, state = lanes.percept.clone(), lanes.state.clone()
     active = torch.arange(p * b, device=status.device)
     over, idle = torch.zeros_like(active, dtype=torch.bool), torch.zeros_like(active)
+    executed = 0
     while len(active):
         order, groups = _grouped(program, frames.node, active, over)
         if not len(order):
             break
         active, lanes, frames = active[order], lanes.rows(order), frames.rows(order)
+        executed += len(active)
         node = frames.node
         before = None if rewards is None else lanes.state.clone()
         outcome, changed = _act(program, lanes, node, groups, environment)
@@ -135,6 +142,7 @@ def rollout_in_torch(
         percept=percept.view(p, b, percept.shape[1]),
         state=state.view(p, b, state.shape[1]),
         transitions=transitions.view(p, b),
+        executed=executed,
         returns=None if returns is None else returns.view(p, b),
     )
 

@@ -212,7 +212,7 @@ def test_time_left_is_a_bound(events: list[Event]) -> None:
     assert estimate.evolution_left is None
     for number in range(5):
         now += 2.0
-        generation = replace(first.generation, number=number, transitions=1000)
+        generation = replace(first.generation, number=number, executed=1000)
         estimate.generation_done(replace(first, generation=generation, limit=20, seconds=2.0))
     assert estimate.speed == pytest.approx(500)
     assert estimate.evolution_left == pytest.approx(15 * 2)

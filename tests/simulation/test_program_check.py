@@ -13,7 +13,7 @@ from cgtorch.evolution import evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
-from cgtorch.simulation import compiled as engine
+from cgtorch.simulation import compiled_actions as engine
 from cgtorch.simulation import rollout
 
 ACTIONS = as_double_actions(paper_actions())

@@ -82,7 +82,9 @@ def test_lanes_end_with_their_episodes_and_no_others_change(
     wanted, _ = expected(graphs, actions, place, limit, steps)
     assert tensors_of(found).keys() == wanted.keys()
     for name, value in tensors_of(found).items():
-        assert torch.equal(value, wanted[name]), name
+        # Networks round otherwise where they are compiled, and walks go on from there.
+        exact = {"atol": 1e-5, "rtol": 1e-5} if value.is_floating_point() else {}
+        torch.testing.assert_close(value, wanted[name], **exact, msg=name)
 
 
 @pytest.mark.parametrize("actions", SETS)

@@ -1,4 +1,4 @@
-/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.engine_inputs).
+/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.compiled).
 
    Nodes are counted from the first of all sub-skills, which are laid out once; after theirs come those
    of the graph that runs. */
@@ -10,6 +10,7 @@
 #define FAILURE (-2)
 #define TIMEOUT (-3)
 
+/* `outputs`: of an action that Python runs, its parameters. */
 typedef struct {
   int64_t kind, inputs, hidden, outputs;
 } Action;
@@ -17,7 +18,8 @@ typedef struct {
 typedef struct {
   const Action *primitives;
   const int64_t *kinds, *ends; /* (A,) of each action, and (A, O) where its outcomes end */
-  const int64_t *kind, *heads, *entry, *limit; /* of sub-skills: (T,), (T, outcomes), (S,), (S,) */
+  const int64_t *kind, *heads; /* of sub-skills' nodes: (T,), (T, outcomes) */
+  const int64_t *entry, *began, *limit; /* (S,) starts of sub-skills, their first nodes, their limits */
   const real *learned;                         /* (T, width) their parameters */
   int64_t actions, most, count, outcomes, width, rows, depth; /* A, O, of primitives; T */
   const int64_t *action, *edges, *start; /* of graphs: (P, N), (P, N, seen), (P,) */
@@ -53,4 +55,16 @@ INLINE int64_t head_of(const Program *p, GraphRows g, int64_t node, int64_t outc
 INLINE const real *parameters_of_node(const Program *p, GraphRows g, int64_t node) {
   int64_t place = node - p->rows;
   return place < 0 ? p->learned + node * p->width : g.parameters + place * p->each;
+}
+
+INLINE int outside(int64_t number, int64_t count) { return number < NO_NODE || number >= count; }
+
+/* Whether a graph can be run: all of its numbers are of its nodes or actions. If not, `wrong` is set. */
+INLINE int good(const Program *p, int64_t graph, int64_t *wrong) {
+  GraphRows g = graph_of(p, graph);
+  int bad = p->start[graph] < 0 || p->start[graph] >= p->nodes;
+  for (int64_t i = 0; i < p->nodes; i++) bad |= outside(g.action[i], p->actions);
+  for (int64_t i = 0; i < p->nodes * p->seen; i++) bad |= outside(g.edges[i], p->nodes);
+  if (bad) __atomic_store_n(wrong, 1, __ATOMIC_RELAXED);
+  return !bad;
 }

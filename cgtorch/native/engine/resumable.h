@@ -1,0 +1,216 @@
+/* Lanes that run until they need Python. Included where the models are known (models.h). */
+#pragma once
+#include "actions.h"
+#include "columns.h"
+#include "library.h"
+#include "walk.h"
+
+/* Some lanes that go on together: those of a share's queue, the first of them to fill up. */
+typedef struct {
+  int64_t lane[WIDTH];
+  int count;
+  vwhole here;
+  const real *rows[WIDTH];
+} Together;
+
+INLINE void rows_of(Together *t, const real *tensor, int64_t size) {
+  for (int i = 0; i < WIDTH; i++) t->rows[i] = tensor + t->lane[i] * size;
+}
+
+INLINE const real *weights_of(const Waiting *w, int64_t node) {
+  const Program *p = w->program;
+  int64_t own = w->graphs * p->nodes;
+  return node < own ? p->parameters + node * p->each : p->learned + (node - own) * p->width;
+}
+
+INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_BRANCHING; }
+
+INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Together *t) {
+  vec percept[MOST_PERCEPT], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  int32_t node = w->node[t->lane[0]], differ = 0;
+  rows_of(t, w->percept, w->percept_size);
+  into_columns_of(t->rows, (int)(reads_all(a->kind) ? w->percept_size : a->inputs), percept);
+  for (int i = 1; i < WIDTH; i++) differ |= w->node[t->lane[i]] ^ node;
+  if (differ) {
+    int hidden = (int)a->hidden, outputs = (int)a->outputs;
+    for (int i = 0; i < WIDTH; i++) t->rows[i] = weights_of(w, w->node[t->lane[i]]);
+    into_columns_of(t->rows, hidden * ((int)a->inputs + 1) + outputs * (hidden + 1), columns);
+    answer_with(a, NULL, columns, layout, percept, out);
+  } else {
+    answer(a, weights_of(w, node), layout, percept, out);
+  }
+  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return (Done){branch(out), every(0)};
+  vwhole changed = every(0);
+  for (int i = 0; i < t->count; i++) {
+    real *message = w->message + t->lane[i] * w->message_size;
+    int other = !w->has_message[t->lane[i]];
+    for (int64_t j = 0; j < a->outputs; j++) {
+      other |= message[j] != out[j][i];
+      message[j] = out[j][i];
+    }
+    w->has_message[t->lane[i]] = 1;
+    changed[i] = -other;
+  }
+  return (Done){every(0), changed};
+}
+
+INLINE real *state_of(const Waiting *w, int64_t lane) {
+  return (real *)(w->state + lane * w->state_bytes);
+}
+
+INLINE void read_percept_and_state(const Waiting *w, Together *t, Lanes *lanes) {
+  vec *state[3] = {&lanes->moves, &lanes->lost, &lanes->chance};
+  rows_of(t, w->percept, w->percept_size);
+  into_columns_of(t->rows, (int)w->percept_size, lanes->percept);
+  for (int i = 0; i < WIDTH; i++)
+    for (int j = 0; j < 3; j++) (*state[j])[i] = state_of(w, t->lane[i])[j];
+}
+
+/* `ModelEnvironment.step` */
+APART Done move_of(const Waiting *w, Layout layout, Together *t) {
+  const ModelEnvironment *m = w->environment;
+  Lanes lanes;
+  read_percept_and_state(w, t, &lanes);
+  rows_of(t, w->message, w->message_size);
+  into_columns_of(t->rows, (int)m->controls, lanes.message);
+  for (int i = 0; i < WIDTH; i++) lanes.has_message[i] = -(w->has_message[t->lane[i]] != 0);
+  vwhole moved = move(m, NULL, layout, &lanes, t->here);
+  for (uint32_t bits = bits_of(moved); bits; bits &= bits - 1) {
+    int i = __builtin_ctz(bits);
+    real *percept = w->percept + t->lane[i] * w->percept_size, *state = state_of(w, t->lane[i]);
+    int64_t turn = (int64_t)state[0] % m->turns, scenario = w->scenario[t->lane[i]];
+    const real *error = m->errors ? m->errors + (scenario * m->turns + turn) * m->size : NULL;
+    for (int j = 0; j < layout.size; j++)
+      percept[j] = error ? lanes.percept[j][i] + error[j] : lanes.percept[j][i];
+    state[0] = lanes.moves[i], state[1] = lanes.lost[i], state[2] = lanes.chance[i];
+  }
+  return (Done){~moved, moved};
+}
+
+APART Done grasp_of(const Waiting *w, Layout layout, Together *t) {
+  Lanes lanes;
+  read_percept_and_state(w, t, &lanes);
+  vwhole asked = ask_chance(w->environment, NULL, layout, &lanes, t->here);
+  for (int i = 0; i < t->count; i++) state_of(w, t->lane[i])[2] = lanes.chance[i];
+  return (Done){lanes.chance <= (real)0.5, asked};
+}
+
+INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together *t) {
+  switch (a->kind) {
+  case MOVE_BASE: return move_of(w, layout, t);
+  case GRASP: return grasp_of(w, layout, t);
+  case DETECT: return (Done){every(0), every(0)};
+  default: return network_of(w, layout, a, t);
+  }
+}
+
+/* A share of the lanes: where they begin, how long its queues are, and how many wait for Python. */
+typedef struct {
+  int64_t begin, end, lanes;
+  int64_t *sizes, *waiting;
+} Share;
+
+INLINE void go_on(const Waiting *w, const Share *s, int64_t i, int64_t outcome, int changed,
+                  int state_changed, int over, int64_t *executed) {
+  *executed += 1;
+  if (walk(w, i, outcome, changed, state_changed, over))
+    wait_for(w, i, s->begin, s->lanes, s->sizes, s->waiting);
+  else w->waits[i] = (int32_t)kinds_of(w);
+}
+
+/* All that wait for an action of compiled code; who comes to wait for it meanwhile takes a place that has
+   been read. */
+static void run_queue(const Waiting *w, const Share *s, Layout layout, int64_t kind, int64_t *executed) {
+  int32_t *queue = w->queue + kind * s->lanes + s->begin;
+  int64_t total = s->sizes[kind];
+  s->sizes[kind] = 0;
+  for (int64_t from = 0; from < total; from += WIDTH) {
+    Together t = {.count = (int)(total - from < WIDTH ? total - from : WIDTH)};
+    for (int i = 0; i < WIDTH; i++) t.lane[i] = queue[from + (i < t.count ? i : 0)];
+    for (int i = 0; i < WIDTH; i++) t.here[i] = -(i < t.count);
+    Done done = together(w, layout, w->program->primitives + kind, &t);
+    for (int i = 0; i < t.count; i++)
+      go_on(w, s, t.lane[i], done.second[i] != 0, done.changed[i] != 0, 0, 0, executed);
+  }
+}
+
+/* What Python made of row k of those that it was asked for. Whether anything has changed, bit 1, and
+   whether that was the state, bit 2. */
+INLINE int take_back(const Waiting *w, int64_t k, int64_t i) {
+  int changed = 0;
+  if (w->new_percept)
+    changed |= copied_row(w->new_percept + k * w->percept_size, w->percept + i * w->percept_size,
+                          w->percept_size);
+  if (w->new_message)
+    changed |= copied_row(w->new_message + k * w->message_size, w->message + i * w->message_size,
+                          w->message_size);
+  if (w->new_memory) {
+    const int64_t *part = w->memory + 2 * w->kind;
+    changed |= copied_row(w->new_memory + k * part[1], w->common + i * w->memory_size + part[0],
+                          part[1]);
+  }
+  if (w->new_has) changed |= w->new_has[k] != w->has_message[i], w->has_message[i] = w->new_has[k];
+  if (!w->new_state) return changed;
+  const unsigned char *from = w->new_state + k * w->state_bytes;
+  unsigned char *to = w->state + i * w->state_bytes;
+  int other;
+  if (w->state_is_real)
+    other = copied_row((const real *)from, (real *)to, w->state_bytes / (int64_t)sizeof(real));
+  else if ((other = memcmp(from, to, (size_t)w->state_bytes) != 0))
+    memcpy(to, from, (size_t)w->state_bytes);
+  return changed | (other ? 3 : 0);
+}
+
+/* The outcome of row k, -1 if there is no such one. */
+INLINE int64_t outcome_of(const Waiting *w, int64_t k) {
+  if (w->done) return !w->done[k];
+  if (w->chance) return w->chance[k] <= (real)0.5;
+  if (!w->outcome) return 0;
+  int64_t outcome = w->outcome[k];
+  return outcome < 0 || outcome >= w->program->outcomes ? -1 : outcome;
+}
+
+INLINE int64_t first_at_least(const int64_t *sorted, int64_t count, int64_t value) {
+  int64_t low = 0, high = count;
+  while (low < high) {
+    int64_t middle = (low + high) / 2;
+    if (sorted[middle] < value) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+static void answered(Waiting *w, const Share *s, int64_t *executed) {
+  int64_t k = w->everyone ? s->begin : first_at_least(w->rows, w->asked, s->begin);
+  int always = !w->deterministic[w->kind];
+  for (; k < w->asked; k++) {
+    int64_t i = w->everyone ? k : w->rows[k], outcome = outcome_of(w, k);
+    if (i >= s->end) return;
+    if (outcome < 0) {
+      __atomic_store_n(&w->wrong_outcome, 1 + w->outcome[k], __ATOMIC_RELAXED);
+      outcome = 0;
+    }
+    int changed = take_back(w, k, i);
+    s->waiting[w->kind]--;
+    go_on(w, s, i, outcome, (changed & 1) | always, changed >> 1, w->over ? w->over[k] : 0, executed);
+  }
+}
+
+static void run_share(void *what, int64_t begin, int64_t end) {
+  Waiting *w = what;
+  int64_t kinds = kinds_of(w), number = begin / SHARE, executed = 0;
+  int64_t sizes[kinds + 1];
+  Share s = {begin, end, w->graphs * w->count, sizes, w->waiting + number * kinds};
+  Layout layout = layout_of(w->percept_size);
+  memset(sizes, 0, sizeof sizes);
+  if (w->kind >= 0) answered(w, &s, &executed);
+  else
+    for (int64_t i = begin; i < end; i++) wait_for(w, i, s.begin, s.lanes, s.sizes, s.waiting);
+  for (;;) {
+    int64_t most = 0;
+    for (int64_t k = 1; k < kinds; k++) most = sizes[k] > sizes[most] ? k : most;
+    if (!kinds || !sizes[most]) break;
+    run_queue(w, &s, layout, most, &executed);
+  }
+  w->executed[number] += executed;
+}

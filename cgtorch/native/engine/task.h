@@ -1,0 +1,57 @@
+/* What rollouts in models have to do, and what comes out. */
+#pragma once
+#include "lanes.h"
+
+/* Some scenarios, WIDTH at most: the lanes at their beginnings, and as many errors of Γ (T, D). */
+typedef struct {
+  int64_t from, count;
+  const vec *errors;
+  Lanes lanes;
+} Chunk;
+
+/* P graphs on `count` scenarios, of which the first `keep` are those of W. What comes out is
+   (P, B, ...), of rollouts the second, of evaluations the third group of fields. */
+typedef struct {
+  const Program *program;
+  const ModelEnvironment *environment;
+  const int64_t *scenarios;
+  int64_t graphs, count, keep, max_transitions, max_steps;
+  const int64_t *again; /* (PARTS,) how often more each part is done, by which it can be timed; or NULL */
+
+  real *percept, *state;
+  int64_t *status, *transitions;
+
+  float *fitness; /* (P,) */
+  real *score;
+  unsigned char *succeeded;
+  int64_t counted, executed; /* transitions of evaluations, and those that were made, of both */
+  int64_t not_finite;        /* graphs with a number that is none; nothing of what they did counts */
+
+  int64_t wrong; /* set where a graph has numbers that are none of its nodes or actions */
+  const Chunk *chunks;
+  int64_t num_chunks;
+} Task;
+
+INLINE int all_finite(const real *x, int64_t count) {
+  real total = 0; /* 0 times what is not finite is not a number */
+#pragma omp simd reduction(+ : total)
+  for (int64_t i = 0; i < count; i++) total += x[i] * 0;
+  return total == 0;
+}
+
+#define MEAN_LANES 8
+#define SUMS 4
+
+/* The mean of numbers in the order of cgtorch.ground.numerics.row_means. */
+INLINE float mean_of(const real *x, int64_t count) {
+  float sums[SUMS][MEAN_LANES] = {{0}}, total = 0;
+  int64_t lanes = count < MEAN_LANES ? 1 : MEAN_LANES, groups = count / lanes;
+  int64_t even = groups / SUMS * SUMS;
+  for (int64_t g = 0; g < groups; g++)
+    for (int64_t i = 0; i < lanes; i++) sums[g < even ? g % SUMS : 0][i] += (float)x[g * lanes + i];
+  for (int s = 1; s < SUMS; s++)
+    for (int64_t i = 0; i < lanes; i++) sums[0][i] += sums[s][i];
+  for (int64_t i = groups * lanes; i < count; i++) total += (float)x[i];
+  for (int64_t i = 0; i < lanes; i++) total += sums[0][i];
+  return total / (float)count;
+}

@@ -1,0 +1,110 @@
+/* What rollouts that wait for Python begin with, and what Python is asked for. */
+#include "columns.h"
+#include "library.h"
+#include "walk.h"
+
+EXPORT_STRUCT(Waiting)
+EXPORT_CONSTANTS(waiting_limits, SHARE)
+
+/* All nodes of some graphs in one table. */
+static void lay_out(void *what, int64_t begin, int64_t end) {
+  Waiting *w = what;
+  const Program *p = w->program;
+  for (int64_t graph = begin; graph < end; graph++) {
+    if (!good(p, graph, &w->wrong)) continue;
+    GraphRows g = graph_of(p, graph);
+    for (int64_t place = 0; place < p->nodes; place++) {
+      int64_t row = graph * p->nodes + place;
+      w->kinds[row] = (int32_t)kind_of(p, g, p->rows + place);
+      for (int64_t o = 0; o < p->outcomes; o++) {
+        int64_t head = head_of(p, g, p->rows + place, o);
+        w->heads[row * p->outcomes + o] = (int32_t)(head < 0 ? head : head - p->rows + graph * p->nodes);
+      }
+    }
+  }
+}
+
+static void begin_lanes(void *what, int64_t begin, int64_t end) {
+  Waiting *w = what;
+  const Program *p = w->program;
+  for (int64_t i = begin; i < end; i++) {
+    int64_t graph = i / w->count;
+    w->first[i] = (int32_t)(graph * p->nodes);
+    w->node[i] = w->first[i] + (int32_t)p->start[graph];
+    w->left[i] = (int32_t)w->max_transitions;
+    enter_skills(w, i);
+  }
+}
+
+/* Lays everything out; WRONG_GRAPHS if a graph has numbers that are none of its nodes or actions. */
+int begin_waiting(Waiting *w, int64_t threads) {
+  const Program *p = w->program;
+  int64_t own = w->graphs * p->nodes;
+  in_parallel(lay_out, w, w->graphs, 256, threads);
+  if (w->wrong) return WRONG_GRAPHS;
+  for (int64_t row = 0; row < p->rows; row++) {
+    w->kinds[own + row] = (int32_t)p->kind[row];
+    for (int64_t o = 0; o < p->outcomes; o++) {
+      int64_t head = p->heads[row * p->outcomes + o];
+      w->heads[(own + row) * p->outcomes + o] = (int32_t)(head < 0 ? head : head + own);
+    }
+  }
+  in_parallel(begin_lanes, w, w->graphs * w->count, SHARE, threads);
+  return DONE;
+}
+
+/* The parameters of the node that lane i is at, unless they lie there from the last time. */
+static inline void ask_parameters(const Waiting *w, int64_t k, int64_t i) {
+  const Program *p = w->program;
+  int64_t size = p->primitives[w->kind].outputs, own = w->graphs * p->nodes;
+  real *to = (real *)(intptr_t)w->parameters[w->kind];
+  int32_t *held = (int32_t *)(intptr_t)w->held[w->kind], node = w->node[i];
+  if (!to || held[k] == node) return;
+  const real *from = node < own ? p->parameters + node * p->each : p->learned + (node - own) * p->width;
+  copied_row(from, to + k * size, size);
+  held[k] = node;
+}
+
+static inline void ask_row(const Waiting *w, int64_t k, int64_t i) {
+  const int64_t *part = w->memory + 2 * w->kind;
+  w->rows[k] = i;
+  w->asked_scenario[k] = w->scenario[i], w->asked_step[k] = w->step[i];
+  w->asked_has[k] = w->has_message[i];
+  copied_row(w->percept + i * w->percept_size, w->asked_percept + k * w->percept_size, w->percept_size);
+  copied_row(w->message + i * w->message_size, w->asked_message + k * w->message_size, w->message_size);
+  copied_row(w->common + i * w->memory_size + part[0], w->asked_memory + k * part[1], part[1]);
+  if (w->state_is_real)
+    copied_row((const real *)(w->state + i * w->state_bytes),
+               (real *)(w->asked_state + k * w->state_bytes), w->state_bytes / (int64_t)sizeof(real));
+  else memcpy(w->asked_state + k * w->state_bytes, w->state + i * w->state_bytes, (size_t)w->state_bytes);
+}
+
+static void ask_share(void *what, int64_t begin, int64_t end) {
+  Waiting *w = what;
+  int64_t kinds = w->program->count, k = 0, silent = 0;
+  for (int64_t share = 0; share < begin / SHARE; share++) k += w->waiting[share * kinds + w->kind];
+  if (!w->waiting[begin / SHARE * kinds + w->kind]) return;
+  for (int64_t i = begin; i < end; i++) {
+    if (w->waits[i] != w->kind) continue;
+    ask_parameters(w, k, i);
+    if (!w->everyone) ask_row(w, k, i);
+    silent += !w->has_message[i];
+    k++;
+  }
+  __atomic_fetch_add(&w->silent, silent, __ATOMIC_RELAXED);
+}
+
+/* Asks for the action that most lanes wait for. */
+int ask_python(Waiting *w, int64_t threads) {
+  int64_t kinds = w->program->count, lanes = w->graphs * w->count;
+  int64_t shares = (lanes + SHARE - 1) / SHARE;
+  w->kind = -1, w->asked = w->silent = 0;
+  for (int64_t k = 0; k < kinds; k++) {
+    int64_t count = 0;
+    for (int64_t share = 0; share < shares; share++) count += w->waiting[share * kinds + k];
+    if (count > w->asked) w->kind = k, w->asked = count;
+  }
+  w->everyone = w->asked == lanes;
+  if (w->kind >= 0) in_parallel(ask_share, w, lanes, SHARE, threads);
+  return DONE;
+}

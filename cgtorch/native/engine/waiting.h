@@ -1,0 +1,50 @@
+/* Rollouts of any actions in any environment: lanes run until they need Python, and wait
+   (cgtorch.simulation.resumable). Unlike in rollout.h a vector holds lanes of any graphs, all of which
+   are at nodes of one kind. */
+#pragma once
+#include "lanes.h"
+
+#define SHARE 2048 /* lanes that a thread takes at once, with queues of their own */
+
+/* Of some actions, T nodes and L = P * B lanes, which are rows of tensors. */
+typedef struct {
+  const Program *program;
+  const ModelEnvironment *environment; /* or NULL where Python has the environment */
+  const int64_t *memory;               /* (K, 2) where an action's part of the memory begins; its size */
+  const int64_t *deterministic;        /* (K,) */
+  int64_t graphs, count, max_transitions, max_steps;
+  int64_t most_idle; /* actions in a row that may leave the state as it is; 0 for any number */
+
+  real *percept, *message, *common;   /* (L, D), (L, M), (L, C) memory */
+  unsigned char *state, *has_message; /* (L, S) of any type, (L,) */
+  int64_t *scenario, *step;           /* (L,) */
+  int64_t percept_size, message_size, memory_size, state_bytes, state_is_real;
+
+  int32_t *kinds, *heads; /* (T,), (T, outcomes): all graphs' nodes, and then those of sub-skills */
+  int32_t *node, *first, *left, *level, *idle; /* (L,); `first` node of the graph or sub-skill */
+  int32_t *caller, *outer, *outer_first;       /* (L, depth) */
+  uint64_t *visited;                           /* (L,) */
+  int32_t *waits;                              /* (L,) kinds, or K for lanes that have ended */
+  int32_t *queue;                              /* (K, L) */
+  int64_t *waiting;                            /* (shares, K) how many wait for each */
+  int64_t *status, *executed;                  /* (L,), (shares,) */
+
+  /* What Python is asked for: an action, or -1 where all lanes have ended, and for how many lanes.
+     Rows are copied unless these are all. */
+  int64_t kind, asked, everyone, silent; /* `silent`: how many of them have no message */
+  int64_t *rows, *asked_scenario, *asked_step;
+  real *asked_percept, *asked_message, *asked_memory;
+  unsigned char *asked_state, *asked_has;
+  const int64_t *parameters, *held; /* (K,) addresses of (L, width) parameters, and of whose they are */
+
+  /* What Python has made of them: rows of tensors, NULL where nothing has changed, and outcomes as
+     indices, as whether a control could be carried out, or as probabilities of success. */
+  const real *new_percept, *new_message, *new_memory, *chance;
+  const unsigned char *new_state, *new_has, *done;
+  const int64_t *outcome;
+  const unsigned char *over; /* 1 where an episode is over with success, 2 without; or NULL */
+  int64_t wrong, wrong_outcome;
+} Waiting;
+
+/* Asks for the action that most lanes wait for (waiting.c). */
+int ask_python(Waiting *w, int64_t threads);

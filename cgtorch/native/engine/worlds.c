@@ -1,0 +1,8 @@
+/* Rollouts in environments that Python has. */
+#include "no_models.h"
+#include "resumable.h"
+
+int worlds_resumed(Waiting *w, int64_t threads) {
+  in_parallel(run_share, w, w->graphs * w->count, SHARE, threads);
+  return ask_python(w, threads);
+}

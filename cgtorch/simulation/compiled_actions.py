@@ -1,0 +1,116 @@
+"""What compiled rollouts know of an action set: a `Program` of program.h without graphs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import Action, ActionSet
+from cgtorch.graphs import SubSkill
+from cgtorch.native import constants, structure
+from cgtorch.native.interface import agree
+from cgtorch.simulation.action_table import (
+    FAILURE,
+    SUCCESS,
+    TIMEOUT,
+    ActionTable,
+    action_table,
+    ends,
+)
+from cgtorch.simulation.program import skill_tables
+
+LARGEST = 2**30
+"""Nodes, transitions and scenarios that compiled code can count."""
+ROUTINES = ("MOVE_BASE", "GRASP", "DETECT")
+"""Kinds of actions that do what an environment does."""
+NETWORKS = ("CONTINUOUS", "BRANCHING")
+
+
+@dataclass(frozen=True)
+class CompiledActions:
+    """An action set as compiled code knows it, for numbers of one type.
+
+    Attributes:
+        table: all actions and sub-skills.
+        dtype: of all numbers.
+        in_python: (K,) bool, which of the table's primitives Python has to run.
+        needs_python: (A + 1,) bool, which of the set's actions are or use such ones; the last, for
+            slots that hold none, does not.
+        longest: the most transitions of any sub-skill.
+        program: fields of a `Program` without those of graphs.
+    """
+
+    table: ActionTable
+    dtype: torch.dtype
+    in_python: tuple[bool, ...]
+    needs_python: Tensor
+    longest: int
+    program: dict[str, Any]
+
+
+def compiled_actions(
+    actions: ActionSet, percept_size: int, dtype: torch.dtype, kinds: Sequence[str]
+) -> CompiledActions | None:
+    """The set where actions of these kinds are compiled; None where nothing is.
+
+    That is without a compiler, with sub-skills of other numbers, or with too many levels of them.
+    """
+    action, table = structure("Action", dtype), action_table(actions)
+    if action is None or any(s.graph.parameters.dtype != dtype for s in table.skills):
+        return None
+    limits = constants("engine_limits", dtype)
+    if table.depth > limits["MOST_DEPTH"]:
+        return None
+    agree(constants("ends", dtype), {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "TIMEOUT": TIMEOUT})
+    fields = [_fields(each, percept_size, dtype, kinds) for each in table.primitives]
+    tables, entry = skill_tables(table, 0, torch.device("cpu"))
+    skills = [torch.cat(parts) for parts in zip(*tables, strict=True)] or [torch.empty(0)] * 3
+    primitives = [action(**each) for each in fields]
+    program = {
+        "primitives": (type(primitives[0]) * len(primitives))(*primitives),
+        "kinds": table.kinds(actions),
+        "ends": ends(actions),
+        **dict(zip(("kind", "heads", "learned"), skills, strict=True)),
+        "entry": torch.tensor(entry, dtype=torch.long),
+        "began": torch.tensor([0, *(len(t[0]) for t in tables)]).cumsum(0),
+        "limit": torch.tensor(table.limits, dtype=torch.long),
+        "actions": len(actions),
+        "most": actions.outcome_capacity,
+        "count": len(primitives),
+        "outcomes": table.outcomes,
+        "width": table.width,
+        "rows": len(skills[0]),
+        "depth": table.depth,
+    }
+    python = constants("action_kinds", dtype)["IN_PYTHON"]
+    in_python = tuple(each["kind"] == python for each in fields)
+    needs = torch.tensor([_needs_python(a, table, in_python) for a in actions.actions] + [False])
+    return CompiledActions(table, dtype, in_python, needs, max([0, *table.limits]), program)
+
+
+def _fields(
+    action: Action, percept_size: int, dtype: torch.dtype, known: Sequence[str]
+) -> dict[str, int]:
+    """An `Action` of program.h."""
+    kinds, most = constants("action_kinds", dtype), constants("engine_limits", dtype)
+    kind, inputs = vars(type(action)).get("native_kind", ""), getattr(action, "percept_size", 0)
+    sizes = {name: getattr(action, name, 0) for name in ("inputs", "hidden", "outputs")}
+    ordinary = kind in (*ROUTINES, *NETWORKS)
+    fits = inputs <= percept_size if ordinary else inputs == percept_size
+    fits &= inputs <= most["MOST_PERCEPT"] and sizes["hidden"] <= most["MOST_HIDDEN"]
+    fits &= sizes["outputs"] <= most["MOST_MESSAGE"]
+    if kind not in known or "forward" in vars(action) or not fits:
+        numbers = action.num_parameters
+        return {"kind": kinds["IN_PYTHON"], "inputs": 0, "hidden": 0, "outputs": numbers}
+    return {"kind": kinds[kind], **sizes}
+
+
+def _needs_python(action: Action, table: ActionTable, in_python: Sequence[bool]) -> bool:
+    """Whether Python has to run an action, or one that a sub-skill's graph uses."""
+    if not isinstance(action, SubSkill):
+        return in_python[table.numbers[id(action)]]
+    skill = action.skill
+    used = (skill.actions.actions[i] for i in skill.graph.action.unique().tolist() if i >= 0)
+    return any(_needs_python(each, table, in_python) for each in used)
