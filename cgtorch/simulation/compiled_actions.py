@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -40,6 +41,8 @@ class CompiledActions:
             slots that hold none, does not.
         longest: the most transitions of any sub-skill.
         program: fields of a `Program` without those of graphs.
+        memory: (K, 2) long, where the part of each primitive in the memory begins, and its size.
+        deterministic: (K,) long.
     """
 
     table: ActionTable
@@ -48,10 +51,13 @@ class CompiledActions:
     needs_python: Tensor
     longest: int
     program: dict[str, Any]
+    memory: Tensor
+    deterministic: Tensor
 
 
+@lru_cache(maxsize=16)  # it is asked for with every call of `rollout`
 def compiled_actions(
-    actions: ActionSet, percept_size: int, dtype: torch.dtype, kinds: Sequence[str]
+    actions: ActionSet, percept_size: int, dtype: torch.dtype, kinds: tuple[str, ...]
 ) -> CompiledActions | None:
     """The set where actions of these kinds are compiled; None where nothing is.
 
@@ -87,7 +93,16 @@ def compiled_actions(
     python = constants("action_kinds", dtype)["IN_PYTHON"]
     in_python = tuple(each["kind"] == python for each in fields)
     needs = torch.tensor([_needs_python(a, table, in_python) for a in actions.actions] + [False])
-    return CompiledActions(table, dtype, in_python, needs, max([0, *table.limits]), program)
+    return CompiledActions(
+        table=table,
+        dtype=dtype,
+        in_python=in_python,
+        needs_python=needs,
+        longest=max([0, *table.limits]),
+        program=program,
+        memory=torch.tensor([[part.start, part.stop - part.start] for part in table.memory]),
+        deterministic=torch.tensor([int(each.deterministic) for each in table.primitives]),
+    )
 
 
 def _fields(

@@ -19,16 +19,15 @@ from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import WRONG_GRAPHS, constants, function, structure, threads
 from cgtorch.native.library import REALS
-from cgtorch.simulation.action_table import FAILURE, SUCCESS
-from cgtorch.simulation.compiled import compiled_models, is_whole, program_of
+from cgtorch.simulation.action_table import FAILURE, SUCCESS, ActionTable
+from cgtorch.simulation.compiled import CompiledEngine, is_whole, program_of
 from cgtorch.simulation.compiled_actions import (
     LARGEST,
     NETWORKS,
-    ROUTINES,
     CompiledActions,
     compiled_actions,
 )
-from cgtorch.simulation.model import CompiledModels, ModelEnvironment
+from cgtorch.simulation.model import ModelEnvironment
 from cgtorch.simulation.program import check_numbers
 from cgtorch.simulation.rollouts import Rollouts
 
@@ -37,6 +36,8 @@ FIELDS = (
     ("has_message", "new_has"), ("memory", "new_memory"),
 )  # fmt: skip
 """What an action may change of lanes, and where a `Waiting` of waiting.h has it."""
+PLACE = 8
+"""Numbers that a `Place` of waiting.h has room for."""
 OUTCOMES = ("outcome", "done", "chance")
 
 Answer: TypeAlias = tuple[Lanes, Tensor, str]
@@ -52,7 +53,7 @@ class _Rollouts:
         asked: the same room once more, for those that wait for an action.
         parameters: by primitive, room (L, K) for what the action gets, None where it gets nothing.
         waiting: a `Waiting` of waiting.h.
-        status: (L,) long, how they have ended.
+        status: (L,) int8, how they have ended.
         executed: (S,) long, actions that were executed, which only sum up to something.
     """
 
@@ -69,72 +70,96 @@ def resumable_rollout(
     actions: ActionSet,
     environment: Environment,
     scenarios: Tensor,
-    max_transitions: int,
-    max_steps: int,
-    most_idle: int,
+    limits: tuple[int, int, int],
+    engine: CompiledEngine | None,
 ) -> Rollouts | None:
     """What `cgtorch.simulation.rollout` says, or None where it has to be said in torch.
 
     That is without a compiler, on another device, or for numbers of other types. ActionError if an
     action returns an outcome that no action has.
+
+    Args:
+        graphs: P valid ones; GraphError if an action, a head or a start does not exist.
+        actions: what their action indices mean.
+        environment: where they run.
+        scenarios: (B,) long.
+        limits: the most transitions of each graph, the most actions of a lane, and in environments
+            with rewards the most in a row that leave the state as it is.
+        engine: the compiled engine of these actions and this environment, where there is one.
     """
     dtype, (p, b) = graphs.parameters.dtype, (len(graphs), len(scenarios))
     if dtype not in REALS or not 0 < p * b <= LARGEST or not is_whole(scenarios):
         return None
-    models, given = compiled_models(environment) or (None, None)
-    size = environment.percept_size
-    known = compiled_actions(actions, size, dtype, _kinds(environment, models))
-    program = known and program_of(graphs, known, (max_transitions, max_steps))
+    known = engine.known if engine else _known(actions, environment, dtype)
+    program = known and program_of(graphs, known, limits[:2])
     if known is None or program is None:
         return None
-    lanes = _started(environment, scenarios.repeat(p), known)
-    if lanes is None:
+    first = _first_lanes(environment, scenarios, p, known)
+    if first is None:
         return None
-    limits = (max_transitions, max_steps, most_idle * isinstance(environment, Rewarded))
-    rollouts = _laid_out(program, given, known, lanes, (p, b), limits)
+    rewarded, models = isinstance(environment, Rewarded), engine and engine.environment
+    limits = (*limits[:2], limits[2] * rewarded)
+    rollouts = _laid_out(program, models, known, first, (p, b), limits)
     if function("begin_waiting", dtype)(rollouts.waiting, threads()) == WRONG_GRAPHS:
         check_numbers(graphs, len(actions))
-    resume = function(f"{models.name if models else 'worlds'}_resumed", dtype)
+    resume = function(f"{engine.models.name if engine else 'worlds'}_resumed", dtype)
     with torch.no_grad():
         _run(rollouts, resume, known, environment)
         return _ended(rollouts, (p, b), environment)
 
 
-def _kinds(environment: Environment, models: CompiledModels | None) -> tuple[str, ...]:
-    """Kinds of actions that need no Python in an environment."""
-    if models is not None:
-        return (*NETWORKS, *ROUTINES, *models.networks)
+def _known(
+    actions: ActionSet, environment: Environment, dtype: torch.dtype
+) -> CompiledActions | None:
+    """The actions where Python has the environment."""
     # Γ predicts what would be perceived.
-    same = type(environment) is ModelEnvironment
-    return (*NETWORKS, "DETECT") if same else NETWORKS
+    kinds = (*NETWORKS, "DETECT") if type(environment) is ModelEnvironment else NETWORKS
+    return compiled_actions(actions, environment.percept_size, dtype, kinds)
 
 
-def _started(environment: Environment, scenario: Tensor, known: CompiledActions) -> Lanes | None:
-    """Fresh lanes on scenarios (L,) in memory of their own, or None where compiled code cannot."""
-    table = known.table
-    lanes = start_lanes(environment, scenario, table.message_size, table.memory_size)
-    tensors = {f.name: getattr(lanes, f.name) for f in fields(Lanes)}
+def _first_lanes(
+    environment: Environment, scenarios: Tensor, count: int, known: CompiledActions
+) -> Lanes | None:
+    """Fresh lanes on scenarios (B,) so many times, or None where compiled code cannot run them.
+
+    Of learned models, which give every graph the same, once is enough.
+    """
+    scenario = scenarios if type(environment) is ModelEnvironment else scenarios.repeat(count)
+    lanes = start_lanes(environment, scenario, 0, 0)
     over = isinstance(environment, Rewarded) and bool(environment.over(lanes).any())
-    if over or lanes.percept.dtype != known.dtype or not all(t.is_cpu for t in tensors.values()):
-        return None
-    return Lanes(**{name: value.contiguous().clone() for name, value in tensors.items()})
+    on_cpu = lanes.percept.is_cpu and lanes.state.is_cpu
+    return None if over or lanes.percept.dtype != known.dtype or not on_cpu else lanes
+
+
+def _room(first: Lanes, total: int, table: ActionTable) -> Lanes:
+    """Room for so many lanes like those, without messages and with an empty memory."""
+    percept = first.percept.new_empty(total, first.percept.shape[1])
+    return Lanes(
+        percept=percept,
+        state=first.state.new_empty(total, first.state.shape[1]),
+        message=percept.new_zeros(total, table.message_size),
+        has_message=torch.zeros(total, dtype=torch.bool),
+        memory=percept.new_zeros(total, table.memory_size),
+        scenario=first.scenario.repeat(total // len(first)),
+        step=torch.empty(total, dtype=torch.long),
+    )
 
 
 def _laid_out(
     program: Any,
     environment: Any,
     known: CompiledActions,
-    lanes: Lanes,
+    first: Lanes,
     sizes: tuple[int, int],
     limits: tuple[int, int, int],
 ) -> _Rollouts:
-    """Room for rollouts of lanes that have just started; `limits` are those of `Waiting`."""
-    table, total, like = known.table, len(lanes), lanes.percept
+    """Rollouts that are to be begun; `limits` are those of `Waiting`."""
+    table, total, like = known.table, sizes[0] * sizes[1], first.percept
+    lanes = _room(first, total, table)
     count, depth = len(table.primitives), table.depth
     nodes = program.nodes * sizes[0] + program.rows
     shares = -(-total // constants("waiting_limits", known.dtype)["SHARE"])
-    parts = torch.tensor([[p.start, p.stop - p.start] for p in table.memory])
-    widest = int(parts[:, 1].max()) if count else 0
+    widest = max(part.stop - part.start for part in table.memory)
     asked = Lanes(**{f.name: torch.empty_like(getattr(lanes, f.name)) for f in fields(Lanes)})
     asked = replace(asked, memory=like.new_empty(total * widest))
     parameters, held = [], []
@@ -146,27 +171,25 @@ def _laid_out(
         torch.tensor([0 if x is None else x.data_ptr() for x in each], dtype=torch.long)
         for each in (parameters, held)
     ]
-    status, executed = torch.zeros(total, dtype=torch.long), torch.zeros(shares, dtype=torch.long)
-    numbers, levels = torch.empty(6, total, dtype=torch.int32), (3, total, depth)
-    node, first, left, level, idle, waits = numbers.zero_()
-    caller, outer, outer_first = torch.empty(levels, dtype=torch.int32)
+    status, executed = torch.zeros(total, dtype=torch.int8), torch.zeros(shares, dtype=torch.long)
+    caller, outer, outer_first = torch.empty(3, total * (depth > 1), depth, dtype=torch.int32)
     waiting = structure("Waiting", known.dtype)(
-        program=program, environment=environment, memory=parts,
-        deterministic=torch.tensor([int(a.deterministic) for a in table.primitives]),
-        graphs=sizes[0], count=sizes[1], max_transitions=limits[0], max_steps=limits[1],
+        program=program, environment=environment, memory=known.memory,
+        deterministic=known.deterministic, graphs=sizes[0], count=sizes[1], max_transitions=limits[0], max_steps=limits[1],
         most_idle=limits[2], percept=lanes.percept, message=lanes.message, common=lanes.memory,
-        state=lanes.state, has_message=lanes.has_message, scenario=lanes.scenario, step=lanes.step,
+        state=lanes.state, has_message=lanes.has_message, step=lanes.step,
         percept_size=like.shape[1], message_size=lanes.message.shape[1],
         memory_size=lanes.memory.shape[1],
         state_bytes=lanes.state.shape[1] * lanes.state.element_size(),
         state_is_real=int(lanes.state.dtype == known.dtype),
         kinds=torch.empty(nodes, dtype=torch.int32),
-        heads=torch.empty(nodes * table.outcomes, dtype=torch.int32),
-        node=node, first=first, left=left, level=level, idle=idle, caller=caller, outer=outer,
-        outer_first=outer_first, visited=torch.zeros(total, dtype=torch.long), waits=waits,
-        queue=torch.empty(count * total, dtype=torch.int32),
+        ways=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
+        places=torch.empty(total * PLACE, dtype=torch.int32), caller=caller, outer=outer,
+        outer_first=outer_first, queue=torch.empty(count * total, dtype=torch.int32),
         waiting=torch.zeros(shares * count, dtype=torch.long), status=status, executed=executed,
-        kind=-1, asked=0, everyone=0, silent=0, rows=torch.empty(total, dtype=torch.long),
+        kind=-1, asked=0, everyone=0, silent=0, offset=torch.empty(shares, dtype=torch.long),
+        first_percept=first.percept, first_state=first.state, first_scenario=first.scenario,
+        firsts=len(first),
         asked_scenario=asked.scenario, asked_step=asked.step, asked_percept=asked.percept,
         asked_message=asked.message, asked_memory=asked.memory, asked_state=asked.state,
         asked_has=asked.has_message, parameters=places[0], held=places[1],

@@ -67,7 +67,7 @@ def rollout(
     if trace is None:
         engine = compiled_engine(actions, environment)
         found = engine and engine.rollouts(graphs, scenarios, *limits)
-        given = graphs, actions, environment, scenarios, *limits, MOST_IDLE
+        given = graphs, actions, environment, scenarios, (*limits, MOST_IDLE), engine
         if found := found or resumable_rollout(*given):
             return found
     program = compile_graphs(graphs, actions)

@@ -17,22 +17,46 @@
   __builtin_shufflevector(a, b, which(0, B), which(1, B), which(2, B), which(3, B), which(4, B),   \
                           which(5, B), which(6, B), which(7, B))
 #endif
-#define SWAPPED(v, B)                                          \
-  UNROLLED for (int r = 0; r < WIDTH; r++) {                   \
+#define SWAPPED(v, rows, B)                                    \
+  UNROLLED for (int r = 0; r < (rows); r++) {                  \
     if (r >> (B) & 1) continue;                                \
     vec low = v[r], high = v[r + (1 << (B))];                  \
     v[r] = SHUFFLED(low, high, KEPT, B);                       \
     v[r + (1 << (B))] = SHUFFLED(low, high, GIVEN, B);         \
   }
 
-INLINE void transpose(vec *square) {
-  SWAPPED(square, 0)
-  SWAPPED(square, 1)
-  SWAPPED(square, 2)
+/* Of two halves of vectors, each a square of its own, rows become columns. */
+INLINE void transpose_halves(vec *v, int rows) {
+  SWAPPED(v, rows, 0)
+  SWAPPED(v, rows, 1)
 #ifdef REAL_IS_FLOAT
-  SWAPPED(square, 3)
+  SWAPPED(v, rows, 2)
 #endif
 }
+INLINE void transpose(vec *v) {
+  transpose_halves(v, WIDTH);
+#ifdef REAL_IS_FLOAT
+  SWAPPED(v, WIDTH, 3)
+#else
+  SWAPPED(v, WIDTH, 2)
+#endif
+}
+
+#ifdef __AVX512DQ__
+#define HALF_WIDTH (WIDTH / 2)
+/* Up to half a vector's numbers of two rows, side by side. */
+INLINE vec load_two(const real *a, const real *b, int count) {
+#ifdef REAL_IS_FLOAT
+  __mmask8 part = (__mmask8)((1u << count) - 1);
+  return (vec)_mm512_insertf32x8(_mm512_castps256_ps512(_mm256_maskz_loadu_ps(part, a)),
+                                 _mm256_maskz_loadu_ps(part, b), 1);
+#else
+  __mmask8 part = (__mmask8)((1u << count) - 1);
+  return (vec)_mm512_insertf64x4(_mm512_castpd256_pd512(_mm256_maskz_loadu_pd(part, a)),
+                                 _mm256_maskz_loadu_pd(part, b), 1);
+#endif
+}
+#endif
 
 /* `count` numbers of each of WIDTH rows. */
 INLINE void into_columns_of(const real *const *rows, int count, vec *columns) {
@@ -43,8 +67,19 @@ INLINE void into_columns_of(const real *const *rows, int count, vec *columns) {
     transpose(square);
     UNROLLED for (int i = 0; i < WIDTH; i++) columns[j + i] = square[i];
   }
+#ifdef __AVX512DQ__
+  for (; j < count; j += HALF_WIDTH) {
+    vec halves[WIDTH / 2];
+    int here = count - j < HALF_WIDTH ? count - j : HALF_WIDTH;
+    UNROLLED for (int i = 0; i < HALF_WIDTH; i++)
+      halves[i] = load_two(rows[i] + j, rows[i + HALF_WIDTH] + j, here);
+    transpose_halves(halves, HALF_WIDTH);
+    for (int i = 0; i < here; i++) columns[j + i] = halves[i];
+  }
+#else
   for (; j < count; j++)
     for (int i = 0; i < WIDTH; i++) columns[j][i] = rows[i][j];
+#endif
 }
 
 /* Copies a row; whether any number of it is another one. */

@@ -17,18 +17,6 @@
 
 typedef REAL real;
 
-/* Asks for pages of 2 MB: to be given 34 MB in pages of 4 kB takes longer than all operators. */
-static void large_pages(void *memory, size_t bytes) {
-#ifdef MADV_HUGEPAGE
-  const size_t size = (size_t)2 << 20;
-  uintptr_t begin = ((uintptr_t)memory + size - 1) / size * size;
-  uintptr_t end = ((uintptr_t)memory + bytes) / size * size;
-  if (begin < end) madvise((void *)begin, end - begin, MADV_HUGEPAGE);
-#else
-  (void)memory, (void)bytes;
-#endif
-}
-
 /* `same` individuals come first, of whom all stays as it is. */
 typedef struct {
   const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */

@@ -27,13 +27,13 @@ INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_BRANCHI
 
 INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Together *t) {
   vec percept[MOST_PERCEPT], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
-  int32_t node = w->node[t->lane[0]], differ = 0;
+  int32_t node = w->places[t->lane[0]].node, differ = 0;
   rows_of(t, w->percept, w->percept_size);
   into_columns_of(t->rows, (int)(reads_all(a->kind) ? w->percept_size : a->inputs), percept);
-  for (int i = 1; i < WIDTH; i++) differ |= w->node[t->lane[i]] ^ node;
+  for (int i = 1; i < WIDTH; i++) differ |= w->places[t->lane[i]].node ^ node;
   if (differ) {
     int hidden = (int)a->hidden, outputs = (int)a->outputs;
-    for (int i = 0; i < WIDTH; i++) t->rows[i] = weights_of(w, w->node[t->lane[i]]);
+    for (int i = 0; i < WIDTH; i++) t->rows[i] = weights_of(w, w->places[t->lane[i]].node);
     into_columns_of(t->rows, hidden * ((int)a->inputs + 1) + outputs * (hidden + 1), columns);
     answer_with(a, NULL, columns, layout, percept, out);
   } else {
@@ -58,19 +58,23 @@ INLINE real *state_of(const Waiting *w, int64_t lane) {
   return (real *)(w->state + lane * w->state_bytes);
 }
 
-INLINE void read_percept_and_state(const Waiting *w, Together *t, Lanes *lanes) {
-  vec *state[3] = {&lanes->moves, &lanes->lost, &lanes->chance};
+INLINE void read_percept(const Waiting *w, Together *t, Lanes *lanes) {
   rows_of(t, w->percept, w->percept_size);
   into_columns_of(t->rows, (int)w->percept_size, lanes->percept);
-  for (int i = 0; i < WIDTH; i++)
-    for (int j = 0; j < 3; j++) (*state[j])[i] = state_of(w, t->lane[i])[j];
+}
+INLINE void read_state(const Waiting *w, Together *t, Lanes *lanes) {
+  vec state[3];
+  for (int i = 0; i < WIDTH; i++) t->rows[i] = state_of(w, t->lane[i]);
+  into_columns_of(t->rows, 3, state);
+  lanes->moves = state[0], lanes->lost = state[1], lanes->chance = state[2];
 }
 
 /* `ModelEnvironment.step` */
 APART Done move_of(const Waiting *w, Layout layout, Together *t) {
   const ModelEnvironment *m = w->environment;
   Lanes lanes;
-  read_percept_and_state(w, t, &lanes);
+  read_percept(w, t, &lanes);
+  read_state(w, t, &lanes);
   rows_of(t, w->message, w->message_size);
   into_columns_of(t->rows, (int)m->controls, lanes.message);
   for (int i = 0; i < WIDTH; i++) lanes.has_message[i] = -(w->has_message[t->lane[i]] != 0);
@@ -78,7 +82,7 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
   for (uint32_t bits = bits_of(moved); bits; bits &= bits - 1) {
     int i = __builtin_ctz(bits);
     real *percept = w->percept + t->lane[i] * w->percept_size, *state = state_of(w, t->lane[i]);
-    int64_t turn = (int64_t)state[0] % m->turns, scenario = w->scenario[t->lane[i]];
+    int64_t turn = (int64_t)state[0] % m->turns, scenario = w->first_scenario[t->lane[i] % w->firsts];
     const real *error = m->errors ? m->errors + (scenario * m->turns + turn) * m->size : NULL;
     for (int j = 0; j < layout.size; j++)
       percept[j] = error ? lanes.percept[j][i] + error[j] : lanes.percept[j][i];
@@ -89,9 +93,15 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
 
 APART Done grasp_of(const Waiting *w, Layout layout, Together *t) {
   Lanes lanes;
-  read_percept_and_state(w, t, &lanes);
+  read_state(w, t, &lanes);
+  vwhole unknown = t->here & (lanes.chance == UNKNOWN);
+  if (!bits_of(unknown)) return (Done){lanes.chance <= (real)0.5, unknown};
+  read_percept(w, t, &lanes);
   vwhole asked = ask_chance(w->environment, NULL, layout, &lanes, t->here);
-  for (int i = 0; i < t->count; i++) state_of(w, t->lane[i])[2] = lanes.chance[i];
+  for (uint32_t bits = bits_of(asked); bits; bits &= bits - 1) {
+    int i = __builtin_ctz(bits);
+    state_of(w, t->lane[i])[2] = lanes.chance[i];
+  }
   return (Done){lanes.chance <= (real)0.5, asked};
 }
 
@@ -104,33 +114,21 @@ INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together 
   }
 }
 
-/* A share of the lanes: where they begin, how long its queues are, and how many wait for Python. */
-typedef struct {
-  int64_t begin, end, lanes;
-  int64_t *sizes, *waiting;
-} Share;
-
-INLINE void go_on(const Waiting *w, const Share *s, int64_t i, int64_t outcome, int changed,
-                  int state_changed, int over, int64_t *executed) {
-  *executed += 1;
-  if (walk(w, i, outcome, changed, state_changed, over))
-    wait_for(w, i, s->begin, s->lanes, s->sizes, s->waiting);
-  else w->waits[i] = (int32_t)kinds_of(w);
-}
-
-/* All that wait for an action of compiled code; who comes to wait for it meanwhile takes a place that has
-   been read. */
-static void run_queue(const Waiting *w, const Share *s, Layout layout, int64_t kind, int64_t *executed) {
-  int32_t *queue = w->queue + kind * s->lanes + s->begin;
-  int64_t total = s->sizes[kind];
-  s->sizes[kind] = 0;
+/* All that wait for an action of compiled code. Those who come to wait for something are written at the
+   end of its queue; for the same, in a place that has been read. */
+static void run_queue(const Waiting *w, Layout layout, const Action *a, const int32_t *queue,
+                      int64_t total, int32_t **ends) {
+  Walk v = walk_of(w);
   for (int64_t from = 0; from < total; from += WIDTH) {
     Together t = {.count = (int)(total - from < WIDTH ? total - from : WIDTH)};
     for (int i = 0; i < WIDTH; i++) t.lane[i] = queue[from + (i < t.count ? i : 0)];
     for (int i = 0; i < WIDTH; i++) t.here[i] = -(i < t.count);
-    Done done = together(w, layout, w->program->primitives + kind, &t);
-    for (int i = 0; i < t.count; i++)
-      go_on(w, s, t.lane[i], done.second[i] != 0, done.changed[i] != 0, 0, 0, executed);
+    Done done = together(w, layout, a, &t);
+    uint32_t second = bits_of(done.second), changed = bits_of(done.changed);
+    for (int i = 0; i < t.count; i++) {
+      int32_t kind = walk(&v, t.lane[i], second >> i & 1, changed >> i & 1, 0, 0);
+      if (kind >= 0) *ends[kind]++ = (int32_t)t.lane[i];
+    }
   }
 }
 
@@ -170,47 +168,48 @@ INLINE int64_t outcome_of(const Waiting *w, int64_t k) {
   return outcome < 0 || outcome >= w->program->outcomes ? -1 : outcome;
 }
 
-INLINE int64_t first_at_least(const int64_t *sorted, int64_t count, int64_t value) {
-  int64_t low = 0, high = count;
-  while (low < high) {
-    int64_t middle = (low + high) / 2;
-    if (sorted[middle] < value) low = middle + 1;
-    else high = middle;
-  }
-  return low;
-}
-
-static void answered(Waiting *w, const Share *s, int64_t *executed) {
-  int64_t k = w->everyone ? s->begin : first_at_least(w->rows, w->asked, s->begin);
+/* The lanes of a share that Python has answered go on. */
+static void answered(Waiting *w, int64_t share, const int32_t *queue, int64_t total, int32_t **ends) {
   int always = !w->deterministic[w->kind];
-  for (; k < w->asked; k++) {
-    int64_t i = w->everyone ? k : w->rows[k], outcome = outcome_of(w, k);
-    if (i >= s->end) return;
+  Walk v = walk_of(w);
+  for (int64_t at = 0; at < total; at++) {
+    int64_t i = w->everyone ? share * SHARE + at : queue[at], k = w->offset[share] + at;
+    int64_t outcome = outcome_of(w, k);
     if (outcome < 0) {
       __atomic_store_n(&w->wrong_outcome, 1 + w->outcome[k], __ATOMIC_RELAXED);
       outcome = 0;
     }
-    int changed = take_back(w, k, i);
-    s->waiting[w->kind]--;
-    go_on(w, s, i, outcome, (changed & 1) | always, changed >> 1, w->over ? w->over[k] : 0, executed);
+    int changed = take_back(w, k, i), over = w->over ? w->over[k] : 0;
+    int32_t kind = walk(&v, i, outcome, (changed & 1) | always, changed >> 1, over);
+    if (kind >= 0) *ends[kind]++ = (int32_t)i;
   }
 }
 
 static void run_share(void *what, int64_t begin, int64_t end) {
   Waiting *w = what;
-  int64_t kinds = kinds_of(w), number = begin / SHARE, executed = 0;
-  int64_t sizes[kinds + 1];
-  Share s = {begin, end, w->graphs * w->count, sizes, w->waiting + number * kinds};
+  int64_t kinds = w->program->count, share = begin / SHARE, lanes = w->graphs * w->count;
+  int64_t *waiting = w->waiting + share * kinds, executed = 0;
+  int32_t *ends[kinds + 1];
   Layout layout = layout_of(w->percept_size);
-  memset(sizes, 0, sizeof sizes);
-  if (w->kind >= 0) answered(w, &s, &executed);
-  else
-    for (int64_t i = begin; i < end; i++) wait_for(w, i, s.begin, s.lanes, s.sizes, s.waiting);
-  for (;;) {
-    int64_t most = 0;
-    for (int64_t k = 1; k < kinds; k++) most = sizes[k] > sizes[most] ? k : most;
-    if (!kinds || !sizes[most]) break;
-    run_queue(w, &s, layout, most, &executed);
+  for (int64_t k = 0; k < kinds; k++) ends[k] = w->queue + k * lanes + begin + waiting[k];
+  if (w->kind >= 0) {
+    executed = waiting[w->kind];
+    ends[w->kind] -= executed;
+    answered(w, share, ends[w->kind], executed, ends);
+  } else {
+    for (int64_t i = begin; i < end; i++) *ends[w->kinds[w->places[i].node]]++ = (int32_t)i;
   }
-  w->executed[number] += executed;
+  for (;;) {
+    int64_t most = 0, kind = -1;
+    for (int64_t k = 0; k < kinds; k++) {
+      int64_t size = ends[k] - (w->queue + k * lanes + begin);
+      waiting[k] = size;
+      if (size > most && w->program->primitives[k].kind != IN_PYTHON) most = size, kind = k;
+    }
+    if (kind < 0) break;
+    ends[kind] -= most;
+    executed += most;
+    run_queue(w, layout, w->program->primitives + kind, ends[kind], most, ends);
+  }
+  w->executed[share] += executed;
 }

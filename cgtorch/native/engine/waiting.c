@@ -18,7 +18,12 @@ static void lay_out(void *what, int64_t begin, int64_t end) {
       w->kinds[row] = (int32_t)kind_of(p, g, p->rows + place);
       for (int64_t o = 0; o < p->outcomes; o++) {
         int64_t head = head_of(p, g, p->rows + place, o);
-        w->heads[row * p->outcomes + o] = (int32_t)(head < 0 ? head : head - p->rows + graph * p->nodes);
+        Way way = {(int32_t)head, -1};
+        if (head >= 0) {
+          way.kind = (int32_t)kind_of(p, g, head);
+          way.head = (int32_t)(head - p->rows + graph * p->nodes);
+        }
+        w->ways[row * p->outcomes + o] = way;
       }
     }
   }
@@ -29,9 +34,13 @@ static void begin_lanes(void *what, int64_t begin, int64_t end) {
   const Program *p = w->program;
   for (int64_t i = begin; i < end; i++) {
     int64_t graph = i / w->count;
-    w->first[i] = (int32_t)(graph * p->nodes);
-    w->node[i] = w->first[i] + (int32_t)p->start[graph];
-    w->left[i] = (int32_t)w->max_transitions;
+    int32_t first = (int32_t)(graph * p->nodes), start = (int32_t)p->start[graph];
+    int64_t from = i % w->firsts;
+    copied_row(w->first_percept + from * w->percept_size, w->percept + i * w->percept_size,
+               w->percept_size);
+    memcpy(w->state + i * w->state_bytes, w->first_state + from * w->state_bytes,
+           (size_t)w->state_bytes);
+    w->places[i] = (Place){.node = first + start, .first = first, .left = (int32_t)w->max_transitions};
     enter_skills(w, i);
   }
 }
@@ -46,9 +55,17 @@ int begin_waiting(Waiting *w, int64_t threads) {
     w->kinds[own + row] = (int32_t)p->kind[row];
     for (int64_t o = 0; o < p->outcomes; o++) {
       int64_t head = p->heads[row * p->outcomes + o];
-      w->heads[(own + row) * p->outcomes + o] = (int32_t)(head < 0 ? head : head + own);
+      Way way = {(int32_t)(head < 0 ? head : head + own), head < 0 ? -1 : (int32_t)p->kind[head]};
+      w->ways[(own + row) * p->outcomes + o] = way;
     }
   }
+  size_t lanes = (size_t)(w->graphs * w->count);
+  large_pages(w->places, lanes * sizeof *w->places);
+  large_pages(w->percept, lanes * (size_t)w->percept_size * sizeof(real));
+  large_pages(w->state, lanes * (size_t)w->state_bytes);
+  large_pages(w->message, lanes * (size_t)w->message_size * sizeof(real));
+  large_pages(w->queue, lanes * (size_t)p->count * sizeof *w->queue);
+  large_pages(w->step, lanes * sizeof *w->step);
   in_parallel(begin_lanes, w, w->graphs * w->count, SHARE, threads);
   return DONE;
 }
@@ -58,7 +75,7 @@ static inline void ask_parameters(const Waiting *w, int64_t k, int64_t i) {
   const Program *p = w->program;
   int64_t size = p->primitives[w->kind].outputs, own = w->graphs * p->nodes;
   real *to = (real *)(intptr_t)w->parameters[w->kind];
-  int32_t *held = (int32_t *)(intptr_t)w->held[w->kind], node = w->node[i];
+  int32_t *held = (int32_t *)(intptr_t)w->held[w->kind], node = w->places[i].node;
   if (!to || held[k] == node) return;
   const real *from = node < own ? p->parameters + node * p->each : p->learned + (node - own) * p->width;
   copied_row(from, to + k * size, size);
@@ -67,8 +84,7 @@ static inline void ask_parameters(const Waiting *w, int64_t k, int64_t i) {
 
 static inline void ask_row(const Waiting *w, int64_t k, int64_t i) {
   const int64_t *part = w->memory + 2 * w->kind;
-  w->rows[k] = i;
-  w->asked_scenario[k] = w->scenario[i], w->asked_step[k] = w->step[i];
+  w->asked_scenario[k] = w->first_scenario[i % w->firsts], w->asked_step[k] = w->places[i].step;
   w->asked_has[k] = w->has_message[i];
   copied_row(w->percept + i * w->percept_size, w->asked_percept + k * w->percept_size, w->percept_size);
   copied_row(w->message + i * w->message_size, w->asked_message + k * w->message_size, w->message_size);
@@ -81,15 +97,15 @@ static inline void ask_row(const Waiting *w, int64_t k, int64_t i) {
 
 static void ask_share(void *what, int64_t begin, int64_t end) {
   Waiting *w = what;
-  int64_t kinds = w->program->count, k = 0, silent = 0;
-  for (int64_t share = 0; share < begin / SHARE; share++) k += w->waiting[share * kinds + w->kind];
-  if (!w->waiting[begin / SHARE * kinds + w->kind]) return;
-  for (int64_t i = begin; i < end; i++) {
-    if (w->waits[i] != w->kind) continue;
+  (void)end;
+  int64_t share = begin / SHARE, kinds = w->program->count, lanes = w->graphs * w->count, silent = 0;
+  const int32_t *queue = w->queue + w->kind * lanes + begin;
+  for (int64_t at = 0; at < w->waiting[share * kinds + w->kind]; at++) {
+    int64_t i = w->everyone ? begin + at : queue[at], k = w->offset[share] + at;
     ask_parameters(w, k, i);
-    if (!w->everyone) ask_row(w, k, i);
+    if (w->everyone) w->step[i] = w->places[i].step;
+    else ask_row(w, k, i);
     silent += !w->has_message[i];
-    k++;
   }
   __atomic_fetch_add(&w->silent, silent, __ATOMIC_RELAXED);
 }
@@ -105,6 +121,10 @@ int ask_python(Waiting *w, int64_t threads) {
     if (count > w->asked) w->kind = k, w->asked = count;
   }
   w->everyone = w->asked == lanes;
+  for (int64_t share = 0, next = 0; w->kind >= 0 && share < shares; share++) {
+    w->offset[share] = next;
+    next += w->waiting[share * kinds + w->kind];
+  }
   if (w->kind >= 0) in_parallel(ask_share, w, lanes, SHARE, threads);
   return DONE;
 }

@@ -6,6 +6,19 @@
 
 #define SHARE 2048 /* lanes that a thread takes at once, with queues of their own */
 
+/* Where a lane is. */
+typedef struct {
+  int32_t node, first; /* rows of the table of nodes; `first` of the graph or sub-skill */
+  int32_t left, step;  /* transitions left on this level; actions so far */
+  int32_t level, idle; /* of sub-skills; actions in a row that left the state as it was */
+  uint64_t visited;    /* a bit for each node it was at since anything has changed, on this level */
+} Place;
+
+/* Where an outcome leads: a row or an end, and the kind of the node there. */
+typedef struct {
+  int32_t head, kind;
+} Way;
+
 /* Of some actions, T nodes and L = P * B lanes, which are rows of tensors. */
 typedef struct {
   const Program *program;
@@ -15,24 +28,30 @@ typedef struct {
   int64_t graphs, count, max_transitions, max_steps;
   int64_t most_idle; /* actions in a row that may leave the state as it is; 0 for any number */
 
+  const real *first_percept;          /* of as many lanes as `firsts`, in turn */
+  const unsigned char *first_state;
+  const int64_t *first_scenario;
+  int64_t firsts;
+
   real *percept, *message, *common;   /* (L, D), (L, M), (L, C) memory */
   unsigned char *state, *has_message; /* (L, S) of any type, (L,) */
-  int64_t *scenario, *step;           /* (L,) */
+  int64_t *step;                      /* (L,) */
   int64_t percept_size, message_size, memory_size, state_bytes, state_is_real;
 
-  int32_t *kinds, *heads; /* (T,), (T, outcomes): all graphs' nodes, and then those of sub-skills */
-  int32_t *node, *first, *left, *level, *idle; /* (L,); `first` node of the graph or sub-skill */
-  int32_t *caller, *outer, *outer_first;       /* (L, depth) */
-  uint64_t *visited;                           /* (L,) */
-  int32_t *waits;                              /* (L,) kinds, or K for lanes that have ended */
-  int32_t *queue;                              /* (K, L) */
-  int64_t *waiting;                            /* (shares, K) how many wait for each */
-  int64_t *status, *executed;                  /* (L,), (shares,) */
+  int32_t *kinds; /* (T,) of all graphs' nodes, and then of those of sub-skills */
+  Way *ways;      /* (T, outcomes) */
+  Place *places;  /* (L,) */
+  int32_t *caller, *outer, *outer_first; /* (L, depth) */
+  int32_t *queue;   /* (K, L) the lanes of each share that wait for each kind */
+  int64_t *waiting; /* (shares, K) how many these are */
+  int64_t *offset;  /* (shares,) the first row of those that Python was asked for */
+  int8_t *status; /* (L,) how lanes have ended */
+  int64_t *executed;   /* (shares,) */
 
   /* What Python is asked for: an action, or -1 where all lanes have ended, and for how many lanes.
      Rows are copied unless these are all. */
   int64_t kind, asked, everyone, silent; /* `silent`: how many of them have no message */
-  int64_t *rows, *asked_scenario, *asked_step;
+  int64_t *asked_scenario, *asked_step;
   real *asked_percept, *asked_message, *asked_memory;
   unsigned char *asked_state, *asked_has;
   const int64_t *parameters, *held; /* (K,) addresses of (L, width) parameters, and of whose they are */

@@ -3,86 +3,94 @@
 #include "kinds.h"
 #include "waiting.h"
 
-#define NODES_SEEN 64 /* that `visited` can tell apart */
+#define NODES_SEEN 64 /* that `visited` can tell apart; in loops over more all transitions are made */
 
 INLINE int64_t kinds_of(const Waiting *w) { return w->program->count; }
 
 INLINE uint64_t seen_bit(int32_t place) { return (uint64_t)1 << (place & (NODES_SEEN - 1)); }
 
-static void enter_skills(const Waiting *w, int64_t i) {
+APART void enter_skills(const Waiting *w, int64_t i) {
   const Program *p = w->program;
+  Place *at = w->places + i;
   int32_t own = (int32_t)(w->graphs * p->nodes), skill;
-  while ((skill = w->kinds[w->node[i]] - (int32_t)p->count) >= 0) {
-    int64_t at = i * p->depth + w->level[i];
-    w->outer[at] = w->left[i], w->outer_first[at] = w->first[i];
-    w->level[i]++;
-    w->caller[at + 1] = w->node[i];
-    w->left[i] = (int32_t)p->limit[skill];
-    w->node[i] = w->first[i] = own + (int32_t)p->entry[skill];
-    w->first[i] = own + (int32_t)p->began[skill];
-    w->visited[i] = 0;
+  while ((skill = w->kinds[at->node] - (int32_t)p->count) >= 0) {
+    int64_t level = i * p->depth + at->level++;
+    w->outer[level] = at->left, w->outer_first[level] = at->first;
+    w->caller[level + 1] = at->node;
+    at->left = (int32_t)p->limit[skill];
+    at->node = own + (int32_t)p->entry[skill];
+    at->first = own + (int32_t)p->began[skill];
+    at->visited = 0;
   }
 }
 
 /* Out of the sub-skills that end with `head`, and into those where it goes on: how the lane ended, 0 if
    it goes on. */
-static int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
+APART int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
   const Program *p = w->program;
-  while (head < 0 && w->level[i] > 0) {
+  Place *at = w->places + i;
+  while (head < 0 && at->level > 0) {
     /* A sub-skill's first outcome is success, its second failure; a timeout is a failure. */
-    int64_t at = i * p->depth + w->level[i]--;
-    head = w->heads[w->caller[at] * p->outcomes + (head != SUCCESS)];
-    w->left[i] = w->outer[at - 1] - 1, w->first[i] = w->outer_first[at - 1];
-    if (head >= 0 && w->left[i] <= 0) head = TIMEOUT;
+    int64_t level = i * p->depth + at->level--;
+    head = w->ways[w->caller[level] * p->outcomes + (head != SUCCESS)].head;
+    at->left = w->outer[level - 1] - 1, at->first = w->outer_first[level - 1];
+    if (head >= 0 && at->left <= 0) head = TIMEOUT;
   }
   if (head < 0) return head;
-  w->visited[i] = 0;
-  w->node[i] = head;
+  at->visited = 0;
+  at->node = head;
   enter_skills(w, i);
   return 0;
 }
 
-/* `call_stack.advance`; whether the lane goes on, else its status is set. `changed`: whether anything
-   has on which a later action could depend. `over` as in Waiting. */
-INLINE int walk(const Waiting *w, int64_t i, int64_t outcome, int changed, int state_changed,
-                int over) {
+/* What the walks of many lanes have in common. */
+typedef struct {
+  const Waiting *waiting;
+  const Way *ways;
+  Place *places;
+  int64_t outcomes, count, depth, max_steps, most_idle;
+} Walk;
+
+INLINE Walk walk_of(const Waiting *w) {
   const Program *p = w->program;
-  int32_t node = w->node[i], head = w->heads[node * p->outcomes + outcome];
-  int32_t left = w->left[i] - 1, skipped = 0, end = head < 0 ? head : 0, first = w->first[i];
-  int enters = 0;
-  if (head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
-    uint64_t bit = seen_bit(head - first);
-    enters = w->kinds[head] >= p->count;
-    int same = !changed & !enters & ((head - first) / NODES_SEEN == (node - first) / NODES_SEEN);
-    if (same & ((w->visited[i] & bit) != 0)) skipped = left, left = 0;
-    end = left <= 0 ? TIMEOUT : 0;
-    w->visited[i] = (same ? w->visited[i] : 0) | bit;
-    w->node[i] = head;
-  }
-  w->left[i] = left;
-  if (p->depth > 1) {
-    if (end && w->level[i] > 0) end = leave_skills(w, i, end);
-    else if (!end && enters) enter_skills(w, i);
-  }
-  int64_t step = w->step[i] + 1 + skipped;
-  int last = step >= w->max_steps;
-  if (last & (skipped > 0)) end = TIMEOUT;
-  if (w->most_idle) {
-    w->idle[i] = state_changed ? 0 : w->idle[i] + 1;
-    if (!end && w->idle[i] > w->most_idle) end = TIMEOUT;
-  }
-  if (over) end = over == 1 ? SUCCESS : FAILURE;
-  w->step[i] = last ? w->max_steps : step;
-  if (!(last | (end != 0))) return 1;
-  w->status[i] = end;
-  return 0;
+  return (Walk){w,           w->ways,      w->places,   p->outcomes, p->count,
+                p->depth, w->max_steps, w->most_idle};
 }
 
-/* The lane is where its next action is: into the queue of those that wait for it. */
-INLINE void wait_for(const Waiting *w, int64_t i, int64_t begin, int64_t lanes, int64_t *sizes,
-                     int64_t *waiting) {
-  int32_t kind = w->kinds[w->node[i]];
-  w->waits[i] = kind;
-  if (w->program->primitives[kind].kind == IN_PYTHON) waiting[kind]++;
-  else w->queue[kind * lanes + begin + sizes[kind]++] = (int32_t)i;
+/* `call_stack.advance`: the kind of the node where the lane goes, or -1 where it ends, which sets its
+   status. `changed`: whether anything has on which a later action could depend. `over` as in Waiting. */
+INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int state_changed,
+                    int over) {
+  Place *at = v->places + i;
+  Way way = v->ways[at->node * v->outcomes + outcome];
+  int32_t left = at->left - 1, skipped = 0, end = way.head < 0 ? way.head : 0, step = at->step + 1;
+  int enters = 0;
+  if (way.head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
+    uint64_t bit = seen_bit(way.head - at->first);
+    enters = way.kind >= v->count;
+    int32_t apart = (way.head - at->first) ^ (at->node - at->first);
+    int same = !changed & !enters & (apart < NODES_SEEN);
+    if (same & ((at->visited & bit) != 0)) skipped = left, left = 0;
+    end = left <= 0 ? TIMEOUT : 0;
+    at->visited = (same ? at->visited : 0) | bit;
+    at->node = way.head;
+  }
+  at->left = left;
+  if (v->depth > 1) {
+    if (end && at->level > 0) end = leave_skills(v->waiting, i, end), way.kind = -1;
+    else if (!end && enters) enter_skills(v->waiting, i), way.kind = -1;
+    if (way.kind < 0 && !end) way.kind = v->waiting->kinds[at->node];
+  }
+  step += skipped;
+  int last = step >= v->max_steps;
+  if (last & (skipped > 0)) end = TIMEOUT;
+  if (v->most_idle) {
+    at->idle = state_changed ? 0 : at->idle + 1;
+    if (!end && at->idle > v->most_idle) end = TIMEOUT;
+  }
+  if (over) end = over == 1 ? SUCCESS : FAILURE;
+  at->step = last ? (int32_t)v->max_steps : step;
+  if (!(last | (end != 0))) return way.kind;
+  v->waiting->status[i] = (int8_t)end, v->waiting->step[i] = at->step;
+  return -1;
 }
