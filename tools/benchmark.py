@@ -31,6 +31,7 @@ from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from benchmarks.operators import operators_vs_networkx
 from benchmarks.own import own_action, own_action_unused, own_world
+from benchmarks.own_models import own_models
 from benchmarks.rollouts import paper_way, strong_cpu, tensor_way
 from benchmarks.touching import touching
 from rich.console import Console
@@ -57,6 +58,7 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "own_action_unused": own_action_unused,
     "own_action": own_action,
     "own_world": own_world,
+    "own_models": own_models,
     "touching": touching,
     "cold_start": cold_start,
 }

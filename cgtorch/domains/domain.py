@@ -30,6 +30,7 @@ from cgtorch.environment.fields import Field
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping
+from cgtorch.simulation.model import anything
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,7 +212,7 @@ class Domain(ABC, Generic[S]):
         """The models as an environment; see `cgtorch.domains.knowledge.imagine`."""
         return learned.imagine(
             knowledge, percepts, replicas, generator, device,
-            possible=self.possible, noisy=self.noisy,
+            possible=self._own("possible") or anything, noisy=self.noisy,
         )  # fmt: skip
 
     # What can be given: files and pictures

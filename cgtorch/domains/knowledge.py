@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch import native
+from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
@@ -116,7 +117,7 @@ def imagine(
     *,
     possible: Possible,
     noisy: Callable[[Tensor], Tensor] = torch.ones_like,
-    compiled: Compile | None = None,
+    compiled: Compile | None = compiled_models,
 ) -> ModelEnvironment:
     """The models as an environment for percepts (B, D), each `replicas` times with other errors.
 

@@ -1,39 +1,30 @@
 """C sources below this folder, compiled once for this very CPU and kept in the user's cache.
 
 A computational graph runs one short step after another, which take a tenth of what they would as
-tensor operations (docs/decisions.md). Nothing has to be compiled: where there is no compiler, or
-`CGTORCH_NATIVE=0` is set, everything runs in torch, slower and with other roundings.
+tensor operations (docs/decisions.md). Nothing has to be compiled: where there is no compiler, what
+was compiled for the wheel is used, if it was installed from one that suits this machine. Else, or
+with `CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
 """
 
 import ctypes
-import hashlib
 import os
 import platform
-import shutil
 import subprocess
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from cgtorch.native import compiler
 from cgtorch.native.interface import Interface, agree, interface_of
 
-SOURCES = Path(__file__).parent
-FLAGS = (
-    "-O3", "-march=native", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd",
-    "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math",
-)  # fmt: skip
-LINK = ("-shared", "-pthread")
-LONGEST = ("rollout", "rbf", "models")
-SECONDS = 120
-"""A compiler that has not ended by then is taken for none."""
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 """What `REAL` is in C for numbers of these types."""
+FROM_WHEEL = Path(__file__).parent / "compiled"
+"""Where libraries lie that came with a wheel."""
 VECTOR = 64
 """Bytes of a vector of numbers, as in real.h."""
 WRONG_GRAPHS, NO_PARENT = 2, 3
@@ -48,9 +39,9 @@ def available() -> bool:
 
 def to_be_compiled() -> bool:
     """Whether `available` will take seconds: a compiler is there, but not yet what it makes."""
-    compiler = _compiler()
     try:
-        return compiler is not None and not _kept("float", compiler).exists()
+        kept = _kept("float") if _switched_on() else None
+        return kept is not None and not kept.exists()
     except (OSError, subprocess.SubprocessError):
         return False
 
@@ -105,71 +96,55 @@ _threads = 0
 @cache
 def library(dtype: torch.dtype) -> Interface | None:
     """The compiled sources for a type, cached or made now; ImportError if Python disagrees."""
-    compiler = _compiler()
-    if compiler is None or dtype not in REALS:
+    if not _switched_on() or dtype not in REALS:
         return None
-    real = REALS[dtype].__name__.removeprefix("c_")
-    try:
-        path = _kept(real, compiler)
-        if not path.exists():
-            _compile(real, compiler, path)
-        loaded = ctypes.CDLL(str(path))
-    except (OSError, subprocess.SubprocessError):
+    loaded = _loaded(REALS[dtype].__name__.removeprefix("c_"))
+    if loaded is None:
         return None
-    found = interface_of(loaded, _sources().decode(), REALS[dtype])
+    found = interface_of(loaded, compiler.sources().decode(), REALS[dtype])
     agree(found.constants["failures"], FAILURES)
     agree(found.constants["vector"], {"BYTES": VECTOR})
     return found
 
 
-def _compiler() -> str | None:
-    if os.environ.get("CGTORCH_NATIVE", "1") == "0" or os.name != "posix":
+def _switched_on() -> bool:
+    return os.environ.get("CGTORCH_NATIVE", "1") != "0"
+
+
+def _loaded(real: str) -> ctypes.CDLL | None:
+    """The library that is compiled here, or else one from the wheel, or None."""
+    try:
+        if path := _kept(real):
+            if not path.exists():
+                name = compiler.found_compiler() or ""
+                compiler.compile_library(real, name, compiler.own_target(name), path)
+            return ctypes.CDLL(str(path))
+    except (OSError, subprocess.SubprocessError):
+        pass
+    return _from_wheel(real)
+
+
+def _kept(real: str) -> Path | None:
+    """Where the compiled sources lie, or will; None without a compiler."""
+    name = compiler.found_compiler()
+    if name is None:
         return None
-    return shutil.which(os.environ.get("CC") or "cc")
-
-
-def _kept(real: str, compiler: str) -> Path:
-    """Where the compiled sources lie, named by all that they depend on."""
-    about = "\0".join([platform.machine(), *_command(real, compiler), _target(compiler)])
-    name = hashlib.sha256(about.encode() + _sources()).hexdigest()[:32]
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(home) / "cgtorch"  # which nobody else may write to
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder / f"{real}-{name}.so"
+    return folder / compiler.file_name(real, name, compiler.own_target(name))
 
 
-@cache
-def _sources() -> bytes:
-    """All C sources, one after the other."""
-    return b"".join(path.read_bytes() for path in sorted(SOURCES.rglob("*.[ch]")))
-
-
-def _compile(real: str, compiler: str, path: Path) -> None:
-    """Make the file whole or not at all, whoever else is at it, from sources side by side."""
-    with TemporaryDirectory(dir=path.parent) as folder, ThreadPoolExecutor() as pool:
-
-        def compiled(source: Path) -> str:
-            made = str(Path(folder) / f"{source.stem}.o")
-            _run([*_command(real, compiler), f"-I{SOURCES}", "-c", str(source), "-o", made])
-            return made
-
-        # Those that take longest go first.
-        sources = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in LONGEST)
-        whole = Path(folder) / path.name
-        _run([compiler, *LINK, *pool.map(compiled, sources), "-o", str(whole), "-lm"])
-        whole.replace(path)
-
-
-def _command(real: str, compiler: str) -> list[str]:
-    return [compiler, *FLAGS, f"-DREAL={real}", f"-DREAL_IS_{real.upper()}"]
-
-
-@cache
-def _target(compiler: str) -> str:
-    """What the compiler says of its version and of this CPU."""
-    return _run([compiler, *FLAGS, "-E", "-dM", "-x", "c", os.devnull])
-
-
-def _run(command: list[str]) -> str:
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=SECONDS)  # noqa: S603
-    return done.stdout
+def _from_wheel(real: str) -> ctypes.CDLL | None:
+    """The fastest library of the wheel that this CPU can run, of these very sources."""
+    known, able = list(compiler.TARGETS), torch.backends.cpu.get_cpu_capability()
+    if platform.machine() not in ("x86_64", "AMD64") or able not in known:
+        return None
+    for target in known[known.index(able) :]:
+        path = FROM_WHEEL / compiler.wheel_file_name(real, target)
+        if path.exists():
+            try:
+                return ctypes.CDLL(str(path))
+            except OSError:
+                continue
+    return None

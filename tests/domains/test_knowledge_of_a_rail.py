@@ -9,6 +9,7 @@ from rail import GEAR, LAMP, PLACE, WIND, Cart, Rail, SeeingCart
 from support import seeded
 from torch import Tensor
 
+from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn, taken
 from cgtorch.domains.robust_success import robust_success
 from cgtorch.environment import Dataset, start_lanes
@@ -43,7 +44,7 @@ def test_a_domain_is_imagined_with_its_own_controls_and_errors(known: Knowledge)
     assert isinstance(place, ModelEnvironment)
     assert (place.num_scenarios, place.percept_size, place.control_size) == (10, 4, 3)
     assert torch.equal(place.percepts, PERCEPTS.repeat_interleave(2, 0))
-    assert place.compiled is None
+    assert place.compiled is compiled_models
     assert place.errors is not None
     assert place.errors[..., WIND].abs().max() < 1e-6  # of which Γ knows all
     assert place.errors[..., PLACE].abs().max() > 1e-3

@@ -8,21 +8,20 @@ import pytest
 import torch
 
 from cgtorch.evolution import STRATEGY
-from cgtorch.native import available, constants, function, library, structure
+from cgtorch.native import available, compiler, constants, function, library, structure
 from cgtorch.native.interface import agree, interface_of
 from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
-SOURCES = b"".join(path.read_bytes() for path in sorted(library.SOURCES.rglob("*.[ch]"))).decode()
+SOURCES = b"".join(path.read_bytes() for path in sorted(compiler.SOURCES.rglob("*.[ch]"))).decode()
 MACHINE = {"centres": None, "weights": None, "bias": None, "scale": 2.0, "m": 8, "d": 4, "k": 1}
 
 
 @pytest.fixture
 def compiled() -> ctypes.CDLL:
-    compiler = library._compiler()
-    assert compiler is not None
-    return ctypes.CDLL(str(library._kept("double", compiler)))
+    assert library.library(torch.float64) is not None
+    return ctypes.CDLL(str(library._kept("double")))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -84,6 +83,6 @@ def test_what_c_writes_to_must_be_contiguous() -> None:
 
 def test_sources_are_shipped() -> None:
     """Where Python finds them, however they are sorted into folders."""
-    folders = {path.parent.name for path in library.SOURCES.rglob("*.c")}
+    folders = {path.parent.name for path in compiler.SOURCES.rglob("*.c")}
     assert folders == {"native", "engine", "svm", "tabletop"}
-    assert all(Path(path).is_file() for path in library.SOURCES.rglob("*.h"))
+    assert all(Path(path).is_file() for path in compiler.SOURCES.rglob("*.h"))

@@ -162,7 +162,7 @@ def alike(runs: Rollouts, succeeded: Any, percept: Any, transitions: Any) -> tup
 
 def taken(runs: Rollouts, rows: Tensor) -> Rollouts:
     """The rollouts of some individuals."""
-    parts = {name: value[rows] for name, value in vars(runs).items() if value is not None}
+    parts = {n: x[rows] if isinstance(x, Tensor) else x for n, x in vars(runs).items()}
     return Rollouts(**parts)
 
 

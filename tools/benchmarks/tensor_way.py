@@ -66,6 +66,7 @@ def tensor_rollout(
         percept=lanes.percept.view(*shape, -1),
         state=lanes.state.view(*shape, -1),
         transitions=lanes.step.view(shape),
+        executed=int(lanes.step.sum()),
     )
 
 

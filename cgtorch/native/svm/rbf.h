@@ -62,26 +62,47 @@ INLINE void machine_rows(const Machine *f, const real *x, int rows, int outputs,
   }
 }
 
-/* The same of a machine with one value for those of a vector's rows that `bits` has; x (d,). */
-INLINE void tile_of_lanes(const Machine *f, const vec *x, const int *lanes, int rows, int features,
-                          vec *value, vec *nearest) {
-  real at[TILE][MOST_FEATURES], found[1][TILE], near[TILE];
+/* The same for those of a vector's rows that `bits` has; x (d,), values (outputs,). */
+INLINE void tile_of_lanes(const Machine *f, const vec *x, const int *lanes, int rows, int outputs,
+                          int features, vec *values, vec *nearest) {
+  real at[TILE][MOST_FEATURES], found[MOST_OUTPUTS][TILE], near[TILE];
   for (int r = 0; r < rows; r++)
     for (int i = 0; i < features; i++) at[r][i] = x[i][lanes[r]];
-  machine_tile(f, at, rows, 1, features, found, near);
-  for (int r = 0; r < rows; r++) (*value)[lanes[r]] = found[0][r], (*nearest)[lanes[r]] = near[r];
+  machine_tile(f, at, rows, outputs, features, found, near);
+  for (int r = 0; r < rows; r++) {
+    for (int o = 0; o < outputs; o++) values[o][lanes[r]] = found[o][r];
+    (*nearest)[lanes[r]] = near[r];
+  }
 }
-INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int features, vec *value,
-                          vec *nearest) {
+INLINE void lanes_of_outputs(const Machine *f, const vec *x, uint32_t bits, int outputs, int features,
+                             vec *values, vec *nearest) {
   vec scaled[MOST_FEATURES];
   vwhole finite = every(-1);
   int lanes[WIDTH], count = 0, i = 0;
   for (; bits; bits &= bits - 1) lanes[count++] = __builtin_ctz(bits);
   for (int k = 0; k < features; k++) scaled[k] = x[k] * f->scale, finite &= finite_vec(x[k]);
-  *value = *nearest = all(0);
+  for (int o = 0; o < outputs; o++) values[o] = all(0);
+  *nearest = all(0);
   for (; i + TILE <= count; i += TILE)
-    tile_of_lanes(f, scaled, lanes + i, TILE, features, value, nearest);
-  for (; i < count; i++) tile_of_lanes(f, scaled, lanes + i, 1, features, value, nearest);
-  *value = select_vec(finite, *value + f->bias[0], all((real)NAN));
+    tile_of_lanes(f, scaled, lanes + i, TILE, outputs, features, values, nearest);
+  for (; i < count; i++)
+    tile_of_lanes(f, scaled, lanes + i, 1, outputs, features, values, nearest);
+  for (int o = 0; o < outputs; o++)
+    values[o] = select_vec(finite, values[o] + f->bias[o], all((real)NAN));
   *nearest = select_vec(finite, *nearest, all((real)NAN));
+}
+INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int features, vec *value,
+                          vec *nearest) {
+  lanes_of_outputs(f, x, bits, 1, features, value, nearest);
+}
+/* With the number of outputs known, what is added up for them stays in registers. */
+INLINE void machine_outputs(const Machine *f, const vec *x, uint32_t bits, vec *values, vec *nearest) {
+  int features = (int)f->d;
+  switch (f->k) {
+  case 1: lanes_of_outputs(f, x, bits, 1, features, values, nearest); break;
+  case 2: lanes_of_outputs(f, x, bits, 2, features, values, nearest); break;
+  case 3: lanes_of_outputs(f, x, bits, 3, features, values, nearest); break;
+  case 4: lanes_of_outputs(f, x, bits, 4, features, values, nearest); break;
+  default: lanes_of_outputs(f, x, bits, (int)f->k, features, values, nearest);
+  }
 }

@@ -1,0 +1,96 @@
+"""How the C sources below this folder are compiled: for this very machine, or for a wheel.
+
+It needs nothing but Python, as a wheel may be built where there is no torch.
+"""
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+SOURCES = Path(__file__).parent
+REALS = ("float", "double")
+"""What `REAL` is in the sources: a library is compiled for each."""
+FLAGS = (
+    "-O3", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd", "-ffp-contract=fast",
+    "-fno-math-errno", "-fno-trapping-math",
+)  # fmt: skip
+LINK = ("-shared", "-pthread")
+WIDE = "-mprefer-vector-width=512"
+"""Without it compilers take half of the widest vectors that some CPUs have."""
+TARGETS = {"AVX512": ("-march=x86-64-v4", WIDE), "AVX2": ("-march=x86-64-v3",)}
+"""What a wheel has libraries for, the fastest first, by torch's names for what a CPU can do."""
+LONGEST = ("rollouts", "kernel_rollouts", "worlds", "rbf", "models")
+SECONDS = 300
+"""A compiler that has not ended by then is taken for none."""
+
+
+def found_compiler() -> str | None:
+    """The C compiler of this machine."""
+    return shutil.which(os.environ.get("CC") or "cc") if os.name == "posix" else None
+
+
+@cache
+def sources() -> bytes:
+    """All C sources, one after the other."""
+    return b"".join(path.read_bytes() for path in sorted(SOURCES.rglob("*.[ch]")))
+
+
+@cache
+def own_target(compiler: str) -> tuple[str, ...]:
+    """What lets a compiler make the most of this very CPU; OSError or SubprocessError if none."""
+    wide = "-march=native", WIDE
+    try:
+        return wide if "__AVX512F__" in _macros(compiler, wide) else wide[:1]
+    except subprocess.SubprocessError:  # it knows no such option
+        return wide[:1]
+
+
+def file_name(real: str, compiler: str, target: Sequence[str]) -> str:
+    """The name of a library, made of all that it depends on."""
+    about = [platform.machine(), *_command(real, compiler, target), _macros(compiler, target)]
+    key = hashlib.sha256("\0".join(about).encode() + sources()).hexdigest()[:32]
+    return f"{real}-{key}.so"
+
+
+def wheel_file_name(real: str, target: str) -> str:
+    """The name of a library in a wheel, for a target of `TARGETS` and these sources."""
+    return f"{real}-{target}-{hashlib.sha256(sources()).hexdigest()[:32]}.so"
+
+
+def compile_library(real: str, compiler: str, target: Sequence[str], path: Path) -> None:
+    """Make the file whole or not at all, whoever else is at it, from sources side by side."""
+    with TemporaryDirectory(dir=path.parent) as folder, ThreadPoolExecutor() as pool:
+
+        def compiled(source: Path) -> str:
+            made = str(Path(folder) / f"{source.parent.name}-{source.stem}.o")
+            command = _command(real, compiler, target)
+            _run([*command, f"-I{SOURCES}", "-c", str(source), "-o", made])
+            return made
+
+        # Those that take longest go first.
+        files = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in LONGEST)
+        whole = Path(folder) / path.name
+        _run([compiler, *LINK, *pool.map(compiled, files), "-o", str(whole), "-lm"])
+        whole.replace(path)
+
+
+def _command(real: str, compiler: str, target: Sequence[str]) -> list[str]:
+    return [compiler, *FLAGS, *target, f"-DREAL={real}", f"-DREAL_IS_{real.upper()}"]
+
+
+@cache
+def _macros(compiler: str, target: Sequence[str]) -> str:
+    """What the compiler says of its version and of the CPU that it compiles for."""
+    return _run([compiler, *FLAGS, *target, "-E", "-dM", "-x", "c", os.devnull])
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=SECONDS)  # noqa: S603
+    return done.stdout

@@ -1,0 +1,55 @@
+"""What building a wheel adds to it: the C sources compiled, so that no compiler is needed later.
+
+Without a compiler, or on other machines than x86-64 with Linux, the wheel has the sources only.
+"""
+
+import importlib.util
+import platform
+import subprocess
+import sysconfig
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+SUPPORTED = ("Linux", "x86_64")
+
+
+class CompiledLibraries(BuildHookInterface[Any]):
+    """Compiles the sources for each of `TARGETS` of cgtorch/native/compiler.py."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """See hatchling; an editable install compiles nothing, as it has the sources."""
+        if self.target_name != "wheel" or version == "editable":
+            return
+        compiler = _compiler_module(Path(self.root))
+        name = compiler.found_compiler()
+        if name is None or (platform.system(), platform.machine()) != SUPPORTED:
+            self.app.display_warning("nothing is compiled: the wheel has the C sources only")
+            return
+        folder = Path(self.directory) / "compiled"
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            for real in compiler.REALS:
+                for target, options in compiler.TARGETS.items():
+                    path = folder / compiler.wheel_file_name(real, target)
+                    compiler.compile_library(real, name, options, path)
+                    inside = f"cgtorch/native/compiled/{path.name}"
+                    build_data["force_include"][str(path)] = inside
+        except (OSError, subprocess.SubprocessError) as e:
+            raise RuntimeError(f"{name} cannot compile the C sources: {e}") from e
+        build_data["pure_python"] = False
+        platform_tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data["tag"] = f"py3-none-{platform_tag}"
+
+
+def _compiler_module(root: Path) -> ModuleType:
+    """cgtorch/native/compiler.py without the rest of the package, which needs torch."""
+    path = root / "cgtorch" / "native" / "compiler.py"
+    spec = importlib.util.spec_from_file_location("cgtorch_native_compiler", path)
+    if spec is None or spec.loader is None:
+        raise RuntimeError(f"{path} is missing")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
