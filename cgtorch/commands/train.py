@@ -94,7 +94,7 @@ def _option(f: Field[Any], default: Any) -> click.Option:
     default="auto",
     show_default=True,
     shell_complete=completion.one_of(("auto", "cpu", "cuda")),
-    help="auto, cpu, cuda or cuda:N.",
+    help="cpu, cuda, cuda:N, or auto for the fastest, which is the CPU.",
 )
 @number_option(
     "--checkpoint-seconds",

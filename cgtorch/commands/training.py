@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import click
 import torch
 from rich.console import Console
 
@@ -78,12 +79,19 @@ def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], w
 
 
 def device_of(name: str) -> torch.device:
-    """The device called `name`, "auto" for a GPU if there is one; SettingsError if it is none."""
+    """The device called `name`, "auto" for the fastest; SettingsError if it is none.
+
+    That is the CPU, whose rollouts are compiled: on a GPU they are torch operations, which take a
+    hundred times as long for a thousand individuals (docs/decisions.md).
+    """
     if name == "auto":
-        gpu = f"cuda:{os.environ.get('LOCAL_RANK', 0)}"  # each rank of a machine has its own
-        return torch.device(gpu if torch.cuda.is_available() else "cpu")
+        if torch.cuda.is_available() and ranks.first():
+            click.echo("device: cpu, which is faster here; --device cuda takes the GPU", err=True)
+        return torch.device("cpu")
+    # Each rank of a machine has its own.
+    number = f":{os.environ['LOCAL_RANK']}" if name == "cuda" and "LOCAL_RANK" in os.environ else ""
     try:
-        device = torch.device(name)
+        device = torch.device(name + number)
         torch.zeros(1, device=device).item()  # which the meta device refuses
     except (RuntimeError, AssertionError) as e:
         raise SettingsError(f"device {name!r} cannot be used; give auto, cpu or cuda") from e

@@ -171,7 +171,7 @@ class Rewarded(Protocol):
     """
 
     def over(self, lanes: Lanes) -> Tensor:
-        """(n,) bool, whether the episodes of lanes are over."""
+        """(n,) bool, whether the episodes of lanes are over, by their states alone."""
         ...
 
     def returns(self, lanes: Lanes) -> Tensor:
