@@ -127,11 +127,14 @@ class CompiledEngine:
 
     def _needs_python(self, graphs: Graphs) -> bool:
         """Whether any of the graphs uses an action that is not compiled."""
-        needs, action = self.known.needs_python, graphs.action
         if not any(self.known.in_python):
             return False
-        known = (action >= 0) & (action < len(needs) - 1)
-        return bool(needs[torch.where(known, action, -1)].any())
+        needs, action = self.known.needs_python, graphs.action.contiguous()
+        return bool(
+            function("any_in_python", self.known.dtype)(
+                action, action.numel(), needs, len(needs) - 1
+            )
+        )
 
 
 def is_whole(numbers: Tensor) -> bool:

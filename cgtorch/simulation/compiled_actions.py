@@ -37,8 +37,8 @@ class CompiledActions:
         table: all actions and sub-skills.
         dtype: of all numbers.
         in_python: (K,) bool, which of the table's primitives Python has to run.
-        needs_python: (A + 1,) bool, which of the set's actions are or use such ones; the last, for
-            slots that hold none, does not.
+        needs_python: (A + 1,) long, 1 for those of the set's actions that are or use such ones; the
+            last, for slots that hold none, is 0.
         longest: the most transitions of any sub-skill.
         program: fields of a `Program` without those of graphs.
         memory: (K, 2) long, where the part of each primitive in the memory begins, and its size.
@@ -92,12 +92,12 @@ def compiled_actions(
     }
     python = constants("action_kinds", dtype)["IN_PYTHON"]
     in_python = tuple(each["kind"] == python for each in fields)
-    needs = torch.tensor([_needs_python(a, table, in_python) for a in actions.actions] + [False])
+    needs = [int(_needs_python(each, table, in_python)) for each in actions.actions]
     return CompiledActions(
         table=table,
         dtype=dtype,
         in_python=in_python,
-        needs_python=needs,
+        needs_python=torch.tensor([*needs, 0]),
         longest=max([0, *table.limits]),
         program=program,
         memory=torch.tensor([[part.start, part.stop - part.start] for part in table.memory]),

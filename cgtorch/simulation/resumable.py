@@ -19,7 +19,6 @@ from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import WRONG_GRAPHS, function, threads
 from cgtorch.native.library import REALS
-from cgtorch.simulation.action_table import FAILURE, SUCCESS
 from cgtorch.simulation.compiled import CompiledEngine, is_whole, program_of
 from cgtorch.simulation.compiled_actions import (
     LARGEST,
@@ -68,18 +67,18 @@ def resumable_rollout(
     program = known and program_of(graphs, known, limits[:2])
     if known is None or program is None:
         return None
-    first = first_lanes(environment, scenarios, p, known)
+    rewards = environment if isinstance(environment, Rewarded) else None
+    first = first_lanes(environment, scenarios, p, known, rewards)
     if first is None:
         return None
-    rewarded, models = isinstance(environment, Rewarded), engine and engine.environment
-    limits = (*limits[:2], limits[2] * rewarded)
-    rollouts = laid_out(program, models, known, first, (p, b), limits)
+    models, idle = engine and engine.environment, limits[2] if rewards else 0
+    rollouts = laid_out(program, models, known, first, (p, b), (*limits[:2], idle))
     if function("begin_waiting", dtype)(rollouts.waiting, threads()) == WRONG_GRAPHS:
         check_numbers(graphs, len(actions))
     resume = function(f"{engine.models.name if engine else 'worlds'}_resumed", dtype)
     with torch.no_grad():
-        _run(rollouts, resume, known, environment)
-        return _ended(rollouts, (p, b), environment)
+        _run(rollouts, resume, known, environment, rewards)
+        return _ended(rollouts, (p, b), rewards)
 
 
 def _known(
@@ -92,23 +91,22 @@ def _known(
 
 
 def _run(
-    rollouts: WaitingRollouts, resume: Any, known: CompiledActions, environment: Environment
+    rollouts: WaitingRollouts,
+    resume: Any,
+    known: CompiledActions,
+    environment: Environment,
+    rewards: Rewarded | None,
 ) -> None:
     """Run all lanes to their ends."""
     table, waiting, count = known.table, rollouts.waiting, threads()
     asked = [_asked(rollouts, part, i) for i, part in enumerate(table.memory)]
-    rewards = environment if isinstance(environment, Rewarded) else None
     told: AbstractSet[str] = set()
     resume(waiting, count)
     while (kind := waiting.kind) >= 0:
         given, parameters = asked[kind](waiting.asked)
         action = table.primitives[kind]
         after, outcome, what = _done(action, given, parameters, environment, waiting)
-        news = {
-            name: _like(value, before)
-            for field, name in FIELDS
-            if (value := getattr(after, field)) is not (before := getattr(given, field))
-        }
+        news = {} if after is given else _news(given, after)
         news[what] = (outcome.long() if what == "outcome" else outcome).contiguous()
         if rewards is not None and after.state is not given.state:
             news["over"] = _over(environment, rewards, after)
@@ -158,6 +156,15 @@ def _done(
     return *action(lanes, parameters, environment), "outcome"
 
 
+def _news(before: Lanes, after: Lanes) -> dict[str, Tensor]:
+    """What an action has changed of lanes, by fields of a `Waiting`."""
+    return {
+        name: _like(value, old)
+        for field, name in FIELDS
+        if (value := getattr(after, field)) is not (old := getattr(before, field))
+    }
+
+
 def _like(value: Tensor, before: Tensor) -> Tensor:
     """A contiguous tensor of the shape and type of another."""
     if value.dtype == before.dtype and value.shape == before.shape and value.is_contiguous():
@@ -175,18 +182,16 @@ def _over(environment: Environment, rewards: Rewarded, lanes: Lanes) -> Tensor:
     return over.index_copy_(0, rows, torch.where(succeeded, 1, 2).to(over))
 
 
-def _ended(rollouts: WaitingRollouts, sizes: tuple[int, int], environment: Environment) -> Rollouts:
+def _ended(rollouts: WaitingRollouts, sizes: tuple[int, int], rewards: Rewarded | None) -> Rollouts:
     """What the lanes have come to."""
-    lanes, status = rollouts.lanes, rollouts.status.view(sizes)
-    returns = None
-    if isinstance(environment, Rewarded):
-        gained = environment.returns(lanes).to(lanes.percept)
-        finished = environment.over(lanes) & gained.isfinite()
+    lanes, returns = rollouts.lanes, None
+    if rewards is not None:
+        gained = rewards.returns(lanes).to(lanes.percept)
+        finished = rewards.over(lanes) & gained.isfinite()
         returns = torch.where(finished, gained, -torch.inf).view(sizes)
-    succeeded = status == SUCCESS
     return Rollouts(
-        succeeded=succeeded,
-        timed_out=~succeeded & (status != FAILURE),
+        succeeded=rollouts.succeeded.view(sizes),
+        timed_out=rollouts.timed_out.view(sizes),
         percept=lanes.percept.view(*sizes, -1),
         state=lanes.state.view(*sizes, -1),
         transitions=lanes.step.view(sizes),

@@ -31,7 +31,8 @@ class WaitingRollouts:
         asked: the same room once more, for those that wait for an action.
         parameters: by primitive, room (L, K) for what the action gets, None where it gets nothing.
         waiting: a `Waiting` of waiting.h.
-        status: (L,) int8, how they have ended.
+        succeeded: (L,) bool.
+        timed_out: (L,) bool.
         executed: (S,) long, actions that were executed, which only sum up to something.
     """
 
@@ -39,12 +40,17 @@ class WaitingRollouts:
     asked: Lanes
     parameters: tuple[Tensor | None, ...]
     waiting: Any
-    status: Tensor
+    succeeded: Tensor
+    timed_out: Tensor
     executed: Tensor
 
 
 def first_lanes(
-    environment: Environment, scenarios: Tensor, count: int, known: CompiledActions
+    environment: Environment,
+    scenarios: Tensor,
+    count: int,
+    known: CompiledActions,
+    rewards: Rewarded | None,
 ) -> Lanes | None:
     """Fresh lanes on scenarios (B,) so many times, or None where compiled code cannot run them.
 
@@ -52,7 +58,7 @@ def first_lanes(
     """
     scenario = scenarios if type(environment) is ModelEnvironment else scenarios.repeat(count)
     lanes = start_lanes(environment, scenario, 0, 0)
-    over = isinstance(environment, Rewarded) and bool(environment.over(lanes).any())
+    over = rewards is not None and bool(rewards.over(lanes).any())
     on_cpu = lanes.percept.is_cpu and lanes.state.is_cpu
     return None if over or lanes.percept.dtype != known.dtype or not on_cpu else lanes
 
@@ -97,7 +103,8 @@ def laid_out(
         torch.tensor([0 if x is None else x.data_ptr() for x in each], dtype=torch.long)
         for each in (parameters, held)
     ]
-    status, executed = torch.zeros(total, dtype=torch.int8), torch.zeros(shares, dtype=torch.long)
+    succeeded, timed_out = torch.zeros(2, total, dtype=torch.bool)
+    executed = torch.zeros(shares, dtype=torch.long)
     caller, outer, outer_first = torch.empty(3, total * (depth > 1), depth, dtype=torch.int32)
     waiting = structure("Waiting", known.dtype)(
         program=program, environment=environment, memory=known.memory,
@@ -113,7 +120,8 @@ def laid_out(
         ways=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
         places=torch.empty(total * PLACE, dtype=torch.int32), caller=caller, outer=outer,
         outer_first=outer_first, queue=torch.empty(count * total, dtype=torch.int32),
-        waiting=torch.zeros(shares * count, dtype=torch.long), status=status, executed=executed,
+        waiting=torch.zeros(shares * count, dtype=torch.long), executed=executed,
+        succeeded=succeeded, timed_out=timed_out,
         kind=-1, asked=0, everyone=0, silent=0, offset=torch.empty(shares, dtype=torch.long),
         first_percept=first.percept, first_state=first.state, first_scenario=first.scenario,
         firsts=len(first),
@@ -124,4 +132,4 @@ def laid_out(
         wrong=0, wrong_outcome=0,
     )  # fmt: skip
     waiting.kept.extend(held)
-    return WaitingRollouts(lanes, asked, tuple(parameters), waiting, status, executed)
+    return WaitingRollouts(lanes, asked, tuple(parameters), waiting, succeeded, timed_out, executed)

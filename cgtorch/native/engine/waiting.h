@@ -4,7 +4,7 @@
 #pragma once
 #include "lanes.h"
 
-#define SHARE 2048 /* lanes that a thread takes at once, with queues of their own */
+#define SHARE 1024 /* lanes that a thread takes at once, with queues of their own */
 
 /* Where a lane is. */
 typedef struct {
@@ -45,7 +45,7 @@ typedef struct {
   int32_t *queue;   /* (K, L) the lanes of each share that wait for each kind */
   int64_t *waiting; /* (shares, K) how many these are */
   int64_t *offset;  /* (shares,) the first row of those that Python was asked for */
-  int8_t *status; /* (L,) how lanes have ended */
+  unsigned char *succeeded, *timed_out; /* (L,) */
   int64_t *executed;   /* (shares,) */
 
   /* What Python is asked for: an action, or -1 where all lanes have ended, and for how many lanes.

@@ -57,8 +57,8 @@ INLINE Walk walk_of(const Waiting *w) {
                 p->depth, w->max_steps, w->most_idle};
 }
 
-/* `call_stack.advance`: the kind of the node where the lane goes, or -1 where it ends, which sets its
-   status. `changed`: whether anything has on which a later action could depend. `over` as in Waiting. */
+/* `call_stack.advance`: the kind of the node where the lane goes, or -1 where it ends, which is
+   written down. `changed`: whether anything has on which a later action could depend. `over` as in Waiting. */
 INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int state_changed,
                     int over) {
   Place *at = v->places + i;
@@ -91,6 +91,8 @@ INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int 
   if (over) end = over == 1 ? SUCCESS : FAILURE;
   at->step = last ? (int32_t)v->max_steps : step;
   if (!(last | (end != 0))) return way.kind;
-  v->waiting->status[i] = (int8_t)end, v->waiting->step[i] = at->step;
+  v->waiting->succeeded[i] = end == SUCCESS;
+  v->waiting->timed_out[i] = end != SUCCESS && end != FAILURE;
+  v->waiting->step[i] = at->step;
   return -1;
 }
