@@ -79,19 +79,25 @@ class ActionSet:
         """This set with more actions at its end; the indices of the present ones stay."""
         return ActionSet((*self.names, *names), (*self.actions, *actions))
 
-    def initial_parameters(self, action: Tensor, generator: Generator) -> Tensor:
+    def initial_parameters(
+        self, action: Tensor, generator: Generator, slots: int | None = None
+    ) -> Tensor:
         """Parameters (..., K) of new nodes of the given actions (...), zero where there are none.
 
         Numbers are drawn for every action in turn, so the stream a generator yields does not
-        depend on what the nodes are.
+        depend on what the nodes are. Of actions (P, N) only those of the first `slots` may be
+        wanted, (P, slots, K), which spares most of the memory.
         """
-        flat = action.reshape(-1)
-        out = torch.zeros(len(flat), self.parameter_capacity)
+        wanted = action[..., :slots]
+        out = torch.zeros(*wanted.shape, self.parameter_capacity)
         for i, module in enumerate(self.actions):
             if k := module.num_parameters:
-                drawn = module.initial_parameters(len(flat), generator)
-                out[:, :k] = torch.where((flat == i)[:, None], drawn, out[:, :k])
-        return out.view(*action.shape, self.parameter_capacity)
+                drawn = module.initial_parameters(action.numel(), generator).detach()
+                rows = drawn.view(*action.shape, k)[..., :slots, :].to(out)
+                part = out[..., :k]
+                torch.where((wanted == i)[..., None], rows, part, out=part)
+                del drawn, rows  # before the next are drawn, which may be gigabytes
+        return out
 
 
 def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:

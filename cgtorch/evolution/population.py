@@ -124,14 +124,19 @@ def random_population(
     low, high = initial_nodes
     count = torch.randint(low, high + 1, (size,), generator=generator)
     action = torch.randint(len(actions), (size, capacity), generator=generator)
-    used = torch.arange(capacity) < count[:, None]
-    draw = torch.rand(size, capacity, actions.outcome_capacity, generator=generator)
-    heads = (draw * count[:, None, None]).long()
-    edges = torch.where(actions.has_edge[action] & used[..., None], heads, NO_NODE)
-    parameters = actions.initial_parameters(action, generator) * used[..., None]
+    heads = torch.rand(size, capacity, actions.outcome_capacity, generator=generator)
+    # All is drawn for as many nodes as there may be, and kept for as many as there are.
+    parameters = actions.initial_parameters(action, generator, high)
+    action, heads = action[:, :high], heads[:, :high]
+    used = torch.arange(high) < count[:, None]
+    edges = torch.where(
+        actions.has_edge[action] & used[..., None], (heads * count[:, None, None]).long(), NO_NODE
+    )
     start = (torch.rand(size, generator=generator) * count).long()
-    graphs = Graphs(action.masked_fill(~used, NO_NODE), edges, parameters, start)
-    return Population(pruned(graphs), initial_strategy(size))
+    graphs = Graphs(
+        action.masked_fill(~used, NO_NODE), edges, parameters.mul_(used[..., None]), start
+    )
+    return Population(widened(pruned(graphs), capacity), initial_strategy(size))
 
 
 def seeded_population(

@@ -116,9 +116,9 @@ def _run(
             setattr(waiting, name, value.data_ptr())
         told = news.keys()
         resume(waiting, count)
-        if waiting.wrong_outcome:
+        if waiting.num_wrong:
             raise ActionError(
-                f"action {type(action).__name__} returned outcome {waiting.wrong_outcome - 1}; "
+                f"action {type(action).__name__} returned outcome {waiting.wrong_outcome}; "
                 f"return 0 to {len(action.outcomes) - 1}"
             )
 

@@ -129,7 +129,7 @@ def laid_out(
         asked_message=asked.message, asked_memory=asked.memory, asked_state=asked.state,
         asked_has=asked.has_message, parameters=places[0], held=places[1],
         **dict.fromkeys([name for _, name in FIELDS]), **dict.fromkeys(OUTCOMES), over=None,
-        wrong=0, wrong_outcome=0,
+        wrong=0, num_wrong=0, wrong_outcome=0,
     )  # fmt: skip
     waiting.kept.extend(held)
     return WaitingRollouts(lanes, asked, tuple(parameters), waiting, succeeded, timed_out, executed)

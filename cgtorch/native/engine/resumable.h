@@ -176,7 +176,8 @@ static void answered(Waiting *w, int64_t share, const int32_t *queue, int64_t to
     int64_t i = w->everyone ? share * SHARE + at : queue[at], k = w->offset[share] + at;
     int64_t outcome = outcome_of(w, k);
     if (outcome < 0) {
-      __atomic_store_n(&w->wrong_outcome, 1 + w->outcome[k], __ATOMIC_RELAXED);
+      __atomic_store_n(&w->wrong_outcome, w->outcome[k], __ATOMIC_RELAXED);
+      __atomic_fetch_add(&w->num_wrong, 1, __ATOMIC_RELAXED);
       outcome = 0;
     }
     int changed = take_back(w, k, i), over = w->over ? w->over[k] : 0;

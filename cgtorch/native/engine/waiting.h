@@ -62,7 +62,7 @@ typedef struct {
   const unsigned char *new_state, *new_has, *done;
   const int64_t *outcome;
   const unsigned char *over; /* 1 where an episode is over with success, 2 without; or NULL */
-  int64_t wrong, wrong_outcome;
+  int64_t wrong, num_wrong, wrong_outcome; /* of graphs; how many outcomes, and one of them */
 } Waiting;
 
 /* Asks for the action that most lanes wait for (waiting.c). */
