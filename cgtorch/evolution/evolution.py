@@ -15,8 +15,9 @@ from cgtorch.evolution.population import (
     Mutation,
     Population,
     check_offspring,
+    initial_strategy,
     join,
-    random_population,
+    random_graphs,
     seeded_population,
     slim,
 )
@@ -106,7 +107,8 @@ def initial_state(
     """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
-        population = random_population(settings.population, actions, *sizes)
+        graphs = random_graphs(settings.population, actions, *sizes)
+        population = Population(graphs, initial_strategy(len(graphs)))
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)
     population = slim(population)

@@ -121,6 +121,18 @@ def random_population(
     generator: Generator,
 ) -> Population:
     """Valid graphs of a uniform number of random nodes within `initial_nodes`, then pruned."""
+    graphs = random_graphs(size, actions, capacity, initial_nodes, generator)
+    return Population(widened(graphs, capacity), initial_strategy(size))
+
+
+def random_graphs(
+    size: int,
+    actions: ActionSet,
+    capacity: int,
+    initial_nodes: tuple[int, int],
+    generator: Generator,
+) -> Graphs:
+    """The graphs of `random_population`, with no more slots than there can be nodes at first."""
     low, high = initial_nodes
     count = torch.randint(low, high + 1, (size,), generator=generator)
     action = torch.randint(len(actions), (size, capacity), generator=generator)
@@ -136,7 +148,7 @@ def random_population(
     graphs = Graphs(
         action.masked_fill(~used, NO_NODE), edges, parameters.mul_(used[..., None]), start
     )
-    return Population(widened(pruned(graphs), capacity), initial_strategy(size))
+    return pruned(graphs)
 
 
 def seeded_population(
