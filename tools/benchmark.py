@@ -29,6 +29,7 @@ from benchmarks.grid import (
 from benchmarks.growth import growth_10x, padding
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
+from benchmarks.million import memory_of_a_million
 from benchmarks.operators import operators_vs_networkx
 from benchmarks.own import own_action, own_action_unused, own_world
 from benchmarks.own_models import own_models
@@ -61,9 +62,10 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "own_models": own_models,
     "touching": touching,
     "cold_start": cold_start,
+    "memory_of_a_million": memory_of_a_million,
 }
 
-LONG = {"svc_grid_search_large", "svr_grid_search_large", "cold_start"}
+LONG = {"svc_grid_search_large", "svr_grid_search_large", "cold_start", "memory_of_a_million"}
 """Lines that take a minute or more even with --quick, where they run only by name."""
 
 PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")

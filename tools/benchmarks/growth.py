@@ -63,7 +63,7 @@ def growth_10x(effort: Effort) -> Line:
 def _rollouts(work: Workload, fewer: int, more: int, repeats: int) -> Comparison:
     both = [later_population(size).graphs for size in (fewer, more)]
     works: list[Work] = [partial(rollout, g, work.actions, work.environment) for g in both]
-    memory = [_peak(each) for each in works]
+    memory = [peak_memory(each) for each in works]
     done = [rollout(g, work.actions, work.environment).executed for g in both]
     # The few take a moment: as many calls of them as one call of the many takes.
     other, ours = in_turns(
@@ -89,7 +89,7 @@ def _rollouts(work: Workload, fewer: int, more: int, repeats: int) -> Comparison
 
 def _generations(work: Workload, fewer: int, more: int, repeats: int) -> Comparison:
     works: list[Work] = [partial(generation, work, later_population(n)) for n in (fewer, more)]
-    memory = [_peak(each) for each in works]
+    memory = [peak_memory(each) for each in works]
     other, ours = in_turns(works, repeats, WALL, calls=[3, 1], warm_up=0)
     return Comparison(
         label=f"generation, {fewer} → {more} x {work.environment.num_scenarios}",
@@ -161,7 +161,7 @@ def _arrow(memory: list[float]) -> str:
     return f"{memory[0]:.0f} → {memory[1]:.0f} MiB"
 
 
-def _peak(work: Work) -> float:
+def peak_memory(work: Work) -> float:
     """MiB by which a call raises the memory of this process at most; 0 where nobody tells."""
     try:
         # What the allocator only keeps for later goes back, and the peak begins anew.
