@@ -22,7 +22,7 @@ from told_by_runs import tensors_of
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, paper_actions
-from cgtorch.graphs import Graphs, resized
+from cgtorch.graphs import Graphs, Skill, SubSkill, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.compiled import compiled_engine
@@ -328,3 +328,29 @@ def test_parts_that_are_done_again_change_nothing() -> None:
     assert all(torch.equal(a, b) for a, b in zip(once[:3], again[:3], strict=True))
     assert once[3:] == again[3:]
     assert once[3] > 2000
+
+
+def test_a_long_sub_skill_is_no_endless_loop() -> None:
+    """Its nodes are more than a word has bits, and no two of them are taken for one."""
+    actions, environment = paper_actions(), models_as(random_models(0, 3), torch.float32)
+    count, detect, grasp = 70, actions.index("Detect"), actions.index("Grasp")
+    action = torch.full((1, count), detect)
+    action[0, -1] = grasp
+    edges = torch.full((1, count, 2), -1)
+    edges[0, :-1, 0] = torch.arange(1, count)
+    edges[0, -1, 1] = count - 1
+    parameters = torch.zeros(1, count, actions.parameter_capacity)
+    chain = Graphs(action, edges, parameters, torch.zeros(1, dtype=torch.long))
+    skill = Skill("long", chain, actions, max_transitions=2 * count)
+    outer = actions.extended(["long"], [SubSkill(skill)])
+    first = torch.full((1, 1), len(outer) - 1)
+    ring = torch.tensor([[[-1, 0]]])
+    graph = Graphs(
+        first, ring, torch.zeros(1, 1, outer.parameter_capacity), torch.zeros(1, dtype=torch.long)
+    )
+    given = graph, outer, environment, torch.arange(3), 1, 1000
+    found, wanted = run_compiled(*given), run_in_torch(*given)
+    assert found is not None
+    assert torch.equal(found.transitions, wanted.transitions)
+    assert torch.equal(found.succeeded, wanted.succeeded)
+    assert found.executed >= 3 * count
