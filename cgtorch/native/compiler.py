@@ -18,7 +18,7 @@ SOURCES = Path(__file__).parent
 REALS = ("float", "double")
 """What `REAL` is in the sources: a library is compiled for each."""
 FLAGS = (
-    "-O3", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd", "-ffp-contract=fast",
+    "-O3", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd", "-ffp-contract=off",
     "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
 LINK = ("-shared", "-pthread")

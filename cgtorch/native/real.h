@@ -33,7 +33,7 @@ typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
 
 INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
 INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
-INLINE vec all(real x) { return x - (vec){0}; }
+INLINE vec vec_of(real x) { return x - (vec){0}; }
 INLINE vwhole every(whole x) { return x - (vwhole){0}; }
 INLINE vec select_vec(vwhole yes, vec a, vec b) {
   return (vec)(((vwhole)a & yes) | ((vwhole)b & ~yes));
@@ -50,9 +50,26 @@ INLINE vec vec_max(vec a, vec b) { EACH(a, a[i] > b[i] ? a[i] : b[i]); return a;
 INLINE vec vec_min(vec a, vec b) { EACH(a, a[i] < b[i] ? a[i] : b[i]); return a; }
 INLINE vec vec_sqrt(vec a) { EACH(a, FN(sqrt)(a[i])); return a; }
 INLINE vec vec_floor(vec a) { EACH(a, FN(floor)(a[i])); return a; }
-INLINE vec vec_abs(vec a) { return (vec)((vwhole)a & ~(vwhole)all((real)-0.0)); }
+/* a b + c, rounded once. No compiler chooses where (-ffp-contract=off), so that all CPUs and GPUs make
+   the same bits. */
+#if defined(__x86_64__) && !defined(__FMA__)
+#define FMA(a, b, c) ((a) * (b) + (c)) /* for CPUs of before 2013 libm's would take too long */
+#else
+#define FMA(a, b, c) FN(__builtin_fma)(a, b, c)
+#endif
+INLINE vec vec_fma(vec a, vec b, vec c) {
+#if defined(__AVX512DQ__) && defined(REAL_IS_FLOAT)
+  return (vec)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
+#elif defined(__AVX512DQ__)
+  return (vec)_mm512_fmadd_pd((__m512d)a, (__m512d)b, (__m512d)c);
+#else
+  EACH(c, FMA(a[i], b[i], c[i]));
+  return c;
+#endif
+}
+INLINE vec vec_abs(vec a) { return (vec)((vwhole)a & ~(vwhole)vec_of((real)-0.0)); }
 INLINE vec with_sign_of(vec a, vec b) {
-  return (vec)((vwhole)a | ((vwhole)b & (vwhole)all((real)-0.0)));
+  return (vec)((vwhole)a | ((vwhole)b & (vwhole)vec_of((real)-0.0)));
 }
 INLINE vwhole finite_vec(vec a) { return a * 0 == 0; }
 
@@ -136,13 +153,13 @@ static const real POWERS[] = {-1.0 / 6227020800, 1.0 / 479001600, -1.0 / 3991680
 INLINE void exp2_minus(vec *x, int count) {
   vec big[4], p[4];
   UNROLLED for (int r = 0; r < count; r++) {
-    x[r] = vec_min(x[r], all(-SMALLEST));
+    x[r] = vec_min(x[r], vec_of(-SMALLEST));
     big[r] = MAGIC - x[r];
     x[r] = (x[r] + (big[r] - MAGIC)) * UNIT;
-    p[r] = all(POWERS[0]);
+    p[r] = vec_of(POWERS[0]);
   }
   UNROLLED for (int i = 1; i < EXP2_TERMS; i++)
-    UNROLLED for (int r = 0; r < count; r++) p[r] = p[r] * x[r] + POWERS[i];
+    UNROLLED for (int r = 0; r < count; r++) p[r] = vec_fma(p[r], x[r], vec_of(POWERS[i]));
   UNROLLED for (int r = 0; r < count; r++)
     x[r] = (vec)((vwhole)p[r] + ((vwhole)big[r] << MANTISSA));
 }
@@ -155,6 +172,6 @@ INLINE vec exp2_vec(vec x) {
 /* 1 / (1 + exp(-x)); what is not a number stays so. */
 INLINE vec sigmoid_vec(vec x) {
   vec power = exp2_vec(vec_abs(x) * (real)-1.44269504088896340736); /* never large */
-  vec p = select_vec(x < 0, power, all(1)) / (1 + power);
+  vec p = select_vec(x < 0, power, vec_of(1)) / (1 + power);
   return select_vec(x == x, p, x);
 }

@@ -22,7 +22,7 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
                    vwhole here) {
   vec u[MOST_MESSAGE], after[MOST_PERCEPT], novelty;
   vwhole ready = here & lanes->has_message & ~(lanes->lost > 0), moves = ready;
-  for (int64_t i = 0; i < m->controls; i++) u[i] = select_vec(ready, lanes->message[i], all(0));
+  for (int64_t i = 0; i < m->controls; i++) u[i] = select_vec(ready, lanes->message[i], vec_of(0));
   if (bits_of(ready))
     PART(again, IN_POSSIBLE, moves = possible(m->models, layout, lanes->percept, u, ready));
   uint32_t bits = bits_of(moves);
@@ -32,8 +32,8 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
       lanes->percept[i] = select_vec(moves, after[i], lanes->percept[i]);
     vwhole lost = moves & (novelty > m->most_novel);
     lanes->moves = select_vec(moves, lanes->moves + 1, lanes->moves);
-    lanes->lost = select_vec(lost, all(1), lanes->lost);
-    lanes->chance = select_vec(moves, select_vec(lost, all(0), all(UNKNOWN)), lanes->chance);
+    lanes->lost = select_vec(lost, vec_of(1), lanes->lost);
+    lanes->chance = select_vec(moves, select_vec(lost, vec_of(0), vec_of(UNKNOWN)), lanes->chance);
   }
   return moves;
 }

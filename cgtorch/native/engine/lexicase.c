@@ -80,12 +80,12 @@ static inline double fine(uint64_t key, int64_t i) { return (double)(word(key, i
 static int64_t standing_at_once(const real *score, real epsilon, real best, int64_t top,
                                 vwhole *stands, int64_t vectors) {
   if (!stands[top / WIDTH][top % WIDTH]) {
-    vec most = all(-INFINITY);
+    vec most = vec_of(-INFINITY);
     for (int64_t v = 0; v < vectors; v++)
-      most = vec_max(most, select_vec(stands[v], load(score + v * WIDTH), all(-INFINITY)));
+      most = vec_max(most, select_vec(stands[v], load(score + v * WIDTH), vec_of(-INFINITY)));
     best = -least(-most);
   }
-  vec enough = all(best - epsilon);
+  vec enough = vec_of(best - epsilon);
   vwhole less = every(0);
   for (int64_t v = 0; v < vectors; v++) {
     stands[v] &= load(score + v * WIDTH) >= enough;

@@ -5,11 +5,11 @@
 
 /* Number i of the weights: of all lanes the same, or of each its own in `columns`. */
 INLINE vec weight(const real *w, const vec *columns, int i) {
-  return columns ? columns[i] : all(w[i]);
+  return columns ? columns[i] : vec_of(w[i]);
 }
 INLINE vec weighted(const vec *x, const real *w, const vec *columns, int first, int count, int bias) {
-  vec total = all(0);
-  for (int i = 0; i < count; i++) total += weight(w, columns, first + i) * x[i];
+  vec total = vec_of(0);
+  for (int i = 0; i < count; i++) total = vec_fma(weight(w, columns, first + i), x[i], total);
   return total + weight(w, columns, bias);
 }
 INLINE void layers(const vec *x, const real *w, const vec *columns, int inputs, int hidden,

@@ -17,11 +17,11 @@ INLINE void next_percept(const void *models, Layout layout, const vec *percept, 
                          uint32_t bits, vec *after, vec *novelty) {
   (void)models, (void)control, (void)bits;
   memcpy(after, percept, (size_t)layout.size * sizeof *after);
-  *novelty = all(0);
+  *novelty = vec_of(0);
 }
 INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint32_t bits) {
   (void)models, (void)layout, (void)percept, (void)bits;
-  return all(0);
+  return vec_of(0);
 }
 INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *view) {
   (void)kind, (void)seen;

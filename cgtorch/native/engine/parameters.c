@@ -6,13 +6,6 @@
 #include <string.h>
 #include <sys/mman.h>
 
-/* Each product is rounded before it is added, as in torch. */
-#ifdef __clang__
-#pragma STDC FP_CONTRACT OFF
-#else
-#pragma GCC optimize("fp-contract=off")
-#endif
-
 #define PIECE 16 /* words that are made at once */
 
 typedef REAL real;

@@ -20,12 +20,12 @@ static void some_rows(void *what, int64_t begin, int64_t end) {
         double own = column[i];
         for (int e = 0; e < WIDTH; e++) {
           double gap = own - column[b + e];
-          distance[e] += gap * gap;
+          distance[e] = __builtin_fma(gap, gap, distance[e]);
         }
       }
       vec power;
       for (int e = 0; e < WIDTH; e++) power[e] = (real)-distance[e];
-      vec value = select_vec(power > -FAINT, exp2_vec(power), all(0));
+      vec value = select_vec(power > -FAINT, exp2_vec(power), vec_of(0));
       store(r->matrix + i * r->stride + b, value);
     }
 }

@@ -36,7 +36,7 @@ INLINE vec within(vec x, int64_t kind, real low, real high) {
     if (!isfinite(middle)) middle = 0;
     x = wrap(x - middle) + middle;
   }
-  return vec_min(all(high), vec_max(all(low), x));
+  return vec_min(vec_of(high), vec_max(vec_of(low), x));
 }
 
 /* `as_features`: sines and cosines in place of angles, which come last. */
@@ -62,9 +62,9 @@ INLINE vwhole possible(const void *models, Layout layout, const vec *percept, co
 }
 
 INLINE vec novelty_by(const Models *m, const vec *features, vec distance) {
-  vec beyond = all(0);
+  vec beyond = vec_of(0);
   for (int64_t i = 0; i < m->gamma.d; i++)
-    beyond += vec_max(all(0), vec_abs(features[i]) / m->most[i] - 1);
+    beyond += vec_max(vec_of(0), vec_abs(features[i]) / m->most[i] - 1);
   return 1 - exp2_vec(-(distance * m->per_distance / m->reach + beyond / NOVEL_SHARE));
 }
 

@@ -47,10 +47,10 @@ INLINE int64_t place_of(vec value, vwhole number, real *largest) {
    gain, and the least cost of a step down. */
 INLINE int64_t first_of_pair(const Set *s, real step, const real *ki, const real *kj, real *high,
                              real *low) {
-  vec most = all(-INFINITY), least_fall = all(INFINITY), move = all(step);
+  vec most = vec_of(-INFINITY), least_fall = vec_of(INFINITY), move = vec_of(step);
   vwhole where = {0}, number = {0};
   for (int64_t b = 0; b < s->count; b += WIDTH, number += 1) {
-    vec g = load(s->gradient + b) + move * (load(ki + b) - load(kj + b));
+    vec g = vec_fma(move, load(ki + b) - load(kj + b), load(s->gradient + b));
     store(s->gradient + b, g);
     vec rise = load(s->rise + b) - g;
     vwhole more = rise > most;
@@ -65,13 +65,13 @@ INLINE int64_t first_of_pair(const Set *s, real step, const real *ki, const real
 /* The row that with row i, whose gain is `high`, promises the largest decrease. */
 INLINE int64_t second_of_pair(const Set *s, int64_t i, real high) {
   const real *ki = s->kernel + i * s->stride;
-  vec most = all(-1), peak = all(high), own = all(s->diagonal[i]);
+  vec most = vec_of(-1), peak = vec_of(high), own = vec_of(s->diagonal[i]);
   vwhole where = {0}, number = {0};
   for (int64_t b = 0; b < s->count; b += WIDTH, number += 1) {
     vec slope = peak - (load(s->fall + b) - load(s->gradient + b));
     vec curve = own + load(s->diagonal + b) - 2 * load(ki + b);
-    vec value = slope * slope / vec_max(curve, all((real)TAU));
-    value = select_vec(slope > 0, value, all(-1));
+    vec value = slope * slope / vec_max(curve, vec_of((real)TAU));
+    value = select_vec(slope > 0, value, vec_of(-1));
     vwhole more = value > most;
     most = select_vec(more, value, most);
     where = (number & more) | (where & ~more);

@@ -22,24 +22,24 @@ INLINE void machine_tile(const Machine *f, const real at[TILE][MOST_FEATURES], i
                          int features, real (*values)[TILE], real *nearest) {
   vec total[MOST_OUTPUTS][TILE], near[TILE];
   UNROLLED for (int r = 0; r < TILE; r++) {
-    for (int o = 0; o < outputs; o++) total[o][r] = all(0);
-    near[r] = all((real)INFINITY);
+    for (int o = 0; o < outputs; o++) total[o][r] = vec_of(0);
+    near[r] = vec_of((real)INFINITY);
   }
   for (int64_t j = 0; j < f->m; j += WIDTH) {
     vec distance[TILE];
-    UNROLLED for (int r = 0; r < rows; r++) distance[r] = all(0);
+    UNROLLED for (int r = 0; r < rows; r++) distance[r] = vec_of(0);
     for (int i = 0; i < features; i++) {
       vec c = load(f->centres + i * f->m + j);
       UNROLLED for (int r = 0; r < rows; r++) {
         vec gap = at[r][i] - c;
-        distance[r] += gap * gap;
+        distance[r] = vec_fma(gap, gap, distance[r]);
       }
     }
     UNROLLED for (int r = 0; r < rows; r++) near[r] = vec_min(near[r], distance[r]);
     exp2_minus(distance, rows);
     for (int o = 0; o < outputs; o++) {
       vec w = load(f->weights + o * f->m + j);
-      UNROLLED for (int r = 0; r < rows; r++) total[o][r] += w * distance[r];
+      UNROLLED for (int r = 0; r < rows; r++) total[o][r] = vec_fma(w, distance[r], total[o][r]);
     }
   }
   for (int o = 0; o < outputs; o++) sums(total[o], values[o]);
@@ -81,15 +81,15 @@ INLINE void lanes_of_outputs(const Machine *f, const vec *x, uint32_t bits, int 
   int lanes[WIDTH], count = 0, i = 0;
   for (; bits; bits &= bits - 1) lanes[count++] = __builtin_ctz(bits);
   for (int k = 0; k < features; k++) scaled[k] = x[k] * f->scale, finite &= finite_vec(x[k]);
-  for (int o = 0; o < outputs; o++) values[o] = all(0);
-  *nearest = all(0);
+  for (int o = 0; o < outputs; o++) values[o] = vec_of(0);
+  *nearest = vec_of(0);
   for (; i + TILE <= count; i += TILE)
     tile_of_lanes(f, scaled, lanes + i, TILE, outputs, features, values, nearest);
   for (; i < count; i++)
     tile_of_lanes(f, scaled, lanes + i, 1, outputs, features, values, nearest);
   for (int o = 0; o < outputs; o++)
-    values[o] = select_vec(finite, values[o] + f->bias[o], all((real)NAN));
-  *nearest = select_vec(finite, *nearest, all((real)NAN));
+    values[o] = select_vec(finite, values[o] + f->bias[o], vec_of((real)NAN));
+  *nearest = select_vec(finite, *nearest, vec_of((real)NAN));
 }
 INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int features, vec *value,
                           vec *nearest) {

@@ -1,9 +1,6 @@
 /* Whether arms touch their table and body (cgtorch.tabletop.kinematics), posture after posture. */
 #include "library.h"
-#include <math.h>
-#include <stddef.h>
-
-typedef REAL real;
+#include "real.h"
 
 #define MOST_FRAMES 64
 #define MOST_CAPSULES 256
@@ -37,14 +34,16 @@ EXPORT_STRUCT(Boxes)
 EXPORT_STRUCT(Arms)
 EXPORT_CONSTANTS(arm_limits, MOST_FRAMES, MOST_CAPSULES)
 
-static inline real dot(const real *a, const real *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static inline real dot(const real *a, const real *b) {
+  return FMA(a[2], b[2], FMA(a[1], b[1], a[0] * b[0]));
+}
 
 static inline real clamped(real x, real half) { return x < -half ? -half : x > half ? half : x; }
 
 /* From the nearest point of a box to one on a segment. */
 static inline void outside(const real *a, const real *along, real at, const real *half, real *out) {
   for (int i = 0; i < 3; i++) {
-    real x = a[i] + at * along[i];
+    real x = FMA(at, along[i], a[i]);
     out[i] = x - clamped(x, half[i]);
   }
 }
@@ -75,12 +74,12 @@ static int touches(const Arms *arms, const Boxes *boxes, int64_t box, const real
   for (int i = 0; i < 3; i++) {
     a[i] = along[i] = 0;
     for (int j = 0; j < 3; j++) {
-      a[i] += turn[j * 3 + i] * (start[j] - centre[j]);
-      along[i] += turn[j * 3 + i] * (end[j] - start[j]);
+      a[i] = FMA(turn[j * 3 + i], start[j] - centre[j], a[i]);
+      along[i] = FMA(turn[j * 3 + i], end[j] - start[j], along[i]);
     }
-    length += along[i] * along[i];
+    length = FMA(along[i], along[i], length);
     real middle = a[i] + along[i] / 2, beyond = middle - clamped(middle, half[i]);
-    away += beyond * beyond;
+    away = FMA(beyond, beyond, away);
   }
   /* The sphere around a capsule reaches few boxes. */
   real reach = ((real)sqrt((double)length) / 2 + radius) * (real)(1 + arms->rounding);
@@ -104,7 +103,7 @@ static int any_touches(const Arms *arms, const Boxes *boxes, int64_t row, const 
 static inline void product(const real *a, const real *b, real *out) {
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 4; j++)
-      out[i * 4 + j] = a[i * 4] * b[j] + a[i * 4 + 1] * b[4 + j] + a[i * 4 + 2] * b[8 + j] +
+      out[i * 4 + j] = FMA(a[i * 4 + 2], b[8 + j], FMA(a[i * 4 + 1], b[4 + j], a[i * 4] * b[j])) +
                        (j == 3 ? a[i * 4 + 3] : 0);
 }
 
@@ -136,8 +135,7 @@ static void poses_of(const Chain *chain, const real *q, real poses[][12]) {
 
 static inline void placed(const real *pose, const real *point, real *out) {
   for (int i = 0; i < 3; i++)
-    out[i] = pose[i * 4] * point[0] + pose[i * 4 + 1] * point[1] + pose[i * 4 + 2] * point[2] +
-             pose[i * 4 + 3];
+    out[i] = dot(pose + i * 4, point) + pose[i * 4 + 3];
 }
 
 static void some_arms(void *what, int64_t begin, int64_t end) {

@@ -25,7 +25,7 @@ typedef struct {
   vec cx, cy, ew, eh, c, s1, s2, sides[2];
 } Scene;
 
-INLINE vec length(vec x, vec y) { return vec_sqrt(vec_max(all((real)1e-30), x * x + y * y)); }
+INLINE vec length(vec x, vec y) { return vec_sqrt(vec_max(vec_of((real)1e-30), x * x + y * y)); }
 INLINE void rigid(vec x, vec y, const vec *u, vec c, vec s, vec *mx, vec *my) {
   x -= u[0];
   y -= u[1];
@@ -57,7 +57,7 @@ INLINE Scene scene_of(const Gamma *g, Layout layout, const vec *p) {
   half_angle((h2 - w2) / (gap < (real)1e-9 ? (real)1e-9 : gap), y, &at.c, &at.s1);
   at.s1 = select_vec((p[4] - at.cx) * (p[5] - at.cy) < 0, -at.s1, at.s1);
   at.s2 = -at.s1;
-  at.sides[0] = all(g->sides[0]), at.sides[1] = all(g->sides[1]);
+  at.sides[0] = vec_of(g->sides[0]), at.sides[1] = vec_of(g->sides[1]);
   return at;
 }
 INLINE void gamma_features(const Gamma *g, const Scene *at, const vec *p, vec *x) {
@@ -72,7 +72,7 @@ INLINE void table_after(const Gamma *g, const Scene *at, const vec *u, vec c, ve
   vec w1, h1, w2, h2, lw, lh, mx, my, weight, unused;
   turned_extents(at->c * c + at->s1 * s, at->s1 * c - at->c * s, at->sides, &w1, &h1);
   turned_extents(at->c * c + at->s2 * s, at->s2 * c - at->c * s, at->sides, &w2, &h2);
-  value = vec_max(all(-1), vec_min(all(1), value));
+  value = vec_max(vec_of(-1), vec_min(vec_of(1), value));
   sine_cosine((real)(PI / 2) * value, &weight, &unused);
   weight /= 2;
   vec w = (w1 + w2) / 2 + weight * (w1 - w2), h = (h1 + h2) / 2 + weight * (h1 - h2);
@@ -90,11 +90,11 @@ INLINE void boxes_after(Layout layout, const vec *p, const vec *u, vec c, vec s,
     rigid((box[0] + box[1]) / 2, (box[2] + box[3]) / 2, u, c, s, &mx, &my);
     loosely_turned(box[1] - box[0], box[3] - box[2], cos2, &w, &h);
     out[0] = mx - w / 2, out[1] = mx + w / 2, out[2] = my - h / 2, out[3] = my + h / 2;
-    for (int i = 0; i < 4; i++) out[i] = select_vec(there(box), out[i], all(0));
+    for (int i = 0; i < 4; i++) out[i] = select_vec(there(box), out[i], vec_of(0));
   }
 }
 INLINE vec novelty_of(const Gamma *g, const Scene *at, const vec *p, const vec *u, vec distance) {
-  vec w, h, over = all(0);
+  vec w, h, over = vec_of(0);
   turned_extents(at->c, at->s1, at->sides, &w, &h);
   vec extreme[4] = {length(p[4], p[5]), length(u[0], u[1]), vec_abs(u[2]),
                     length(at->ew - w, at->eh - h)};
@@ -137,7 +137,7 @@ INLINE vec saturated(vec x) { return NEAR * (2 * sigmoid_vec(x * (2 / NEAR)) - 1
 INLINE void edges(const Rectangle *table, const vec *placed, vec *out) {
   vec c = table->c, s = table->s, x = placed[0] - table->x, y = placed[1] - table->y;
   vec nx[4] = {c, -c, -s, s}, ny[4] = {s, -s, c, -c};
-  vec one = all(-INFINITY), two = one, inset1 = one, inset2 = one, nx1 = one, ny1 = one;
+  vec one = vec_of(-INFINITY), two = one, inset1 = one, inset2 = one, nx1 = one, ny1 = one;
   for (int i = 0; i < 4; i++) {
     vec half = (i < 2 ? table->sx : table->sy) / 2;
     vec ahead = -(nx[i] * table->x + ny[i] * table->y) - half;
@@ -155,7 +155,7 @@ INLINE void edges(const Rectangle *table, const vec *placed, vec *out) {
 }
 
 INLINE void features_of_c(Layout layout, const vec *p, vec *x) {
-  vec far = vec_max(all((real)1e-6), vec_sqrt(p[4] * p[4] + p[5] * p[5]));
+  vec far = vec_max(vec_of((real)1e-6), vec_sqrt(p[4] * p[4] + p[5] * p[5]));
   vec *polar = layout.side ? x : x + 4;
   polar[0] = STRETCH * far, polar[1] = TURN * p[4] / far, polar[2] = TURN * p[5] / far;
   polar[3] = RISE * p[6];

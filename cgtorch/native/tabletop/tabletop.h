@@ -30,13 +30,13 @@ typedef struct {
   vec x, y, c, s, sx, sy; /* centre, cosine and sine of the yaw, sides */
 } Rectangle;
 
-INLINE vec positive(vec x) { return vec_max(all(0), x); }
+INLINE vec positive(vec x) { return vec_max(vec_of(0), x); }
 INLINE void turn(vec x, vec y, vec c, vec s, vec *tx, vec *ty) {
   *tx = c * x - s * y;
   *ty = s * x + c * y;
 }
 INLINE Rectangle box_rectangle(const vec *box) {
-  return (Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, all(1), all(0), box[1] - box[0],
+  return (Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, vec_of(1), vec_of(0), box[1] - box[0],
                      box[3] - box[2]};
 }
 INLINE const vec *box_seen(const vec *p, Layout layout, int k) {
@@ -64,7 +64,7 @@ typedef struct {
 } Body;
 
 INLINE vwhole beyond(vec place, vec way, vec reach) {
-  return (place - positive(way) > reach) | (place - vec_min(all(0), way) < -reach);
+  return (place - positive(way) > reach) | (place - vec_min(vec_of(0), way) < -reach);
 }
 INLINE vwhole drive_blocked(const vec *u, const Rectangle *r, const Body *body) {
   vec x = r->x - body->bx, y = r->y - body->by, w = r->sx / 2, h = r->sy / 2, dx = u[0], dy = u[1];

@@ -1,0 +1,119 @@
+"""Sines, cosines and arc tangents of angles.h beside mpmath's, on each CPU that it may be made for."""
+
+import ctypes
+import subprocess
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+
+from cgtorch.native import compiler
+
+SOURCE = """
+#include "angles.h"
+void sines(const real *x, real *s, real *c, int64_t n) {
+  for (int64_t i = 0; i < n; i += WIDTH) {
+    vec sine, cosine;
+    sine_cosine(load(x + i), &sine, &cosine);
+    store(s + i, sine);
+    store(c + i, cosine);
+  }
+}
+void angles(const real *y, const real *x, real *out, int64_t n) {
+  for (int64_t i = 0; i < n; i += WIDTH) store(out + i, atan2_vec(load(y + i), load(x + i)));
+}
+"""
+TYPES = {"float": np.float32, "double": np.float64}
+COUNT = 4096
+
+
+def targets():
+    """Those of a wheel that this CPU can run, and its own."""
+    able = torch.backends.cpu.get_cpu_capability()
+    known = list(compiler.TARGETS)
+    runs = known[known.index(able) :] if able in known else []
+    return {"own": compiler.own_target("cc"), **{name: compiler.TARGETS[name] for name in runs}}
+
+
+def address(numbers):
+    return ctypes.c_void_p(numbers.ctypes.data)
+
+
+class Functions:
+    """The functions of `SOURCE` for numbers of a type."""
+
+    def __init__(self, folder: Path, real: str, name: str):
+        source, library = folder / "angles.c", folder / f"{real}-{name}.so"
+        source.write_text(SOURCE)
+        command = compiler._command(real, "cc", targets()[name])
+        sources = f"-I{compiler.SOURCES}"
+        subprocess.run(
+            [*command, sources, "-Wno-psabi", "-shared", source, "-o", library, "-lm"], check=True
+        )
+        self.library = ctypes.CDLL(str(library))
+
+    def sines(self, x):
+        sine, cosine = np.empty((2, len(x)), x.dtype)
+        self.library.sines(*map(address, (x, sine, cosine)), ctypes.c_int64(len(x)))
+        return sine, cosine
+
+    def angles(self, y, x):
+        out = np.empty_like(x)
+        self.library.angles(*map(address, (y, x, out)), ctypes.c_int64(len(x)))
+        return out
+
+
+def spread(real, low, high):
+    """Numbers of both signs and of all sizes from 10^low to 10^high."""
+    random = np.random.default_rng(0)
+    size = 10 ** random.uniform(low, high, COUNT)
+    return (size * random.choice([-1, 1], COUNT)).astype(TYPES[real])
+
+
+@pytest.mark.parametrize("real", TYPES)
+def test_sines_are_those_of_exact_arithmetic_however_large_the_angle(real, tmp_path):
+    functions, digits = Functions(tmp_path, real, "own"), np.finfo(TYPES[real]).eps
+    with mpmath.workprec(1300):
+        for most in (3, 38 if real == "float" else 307):
+            x = spread(real, -3, most)
+            sine, cosine = functions.sines(x)
+            for found, exact in ((sine, mpmath.sin), (cosine, mpmath.cos)):
+                wanted = np.array([float(exact(mpmath.mpf(float(each)))) for each in x])
+                assert np.abs(found.astype(float) - wanted).max() < 1.1 * digits
+                far = np.abs(wanted) > 1e-3
+                assert np.abs(found.astype(float) / wanted - 1)[far].max() < 2.2 * digits
+
+
+@pytest.mark.parametrize("real", TYPES)
+def test_angles_are_those_of_numpy(real, tmp_path):
+    functions, digits = Functions(tmp_path, real, "own"), np.finfo(TYPES[real]).eps
+    y, x = spread(real, -6, 6), np.roll(spread(real, -6, 6), 1)
+    wanted = np.arctan2(y.astype(np.longdouble), x.astype(np.longdouble))
+    assert np.abs(functions.angles(y, x) / wanted - 1).max() < 2 * digits
+
+
+@pytest.mark.parametrize("real", TYPES)
+def test_angles_of_zeros_have_their_signs_and_what_is_not_finite_has_none(real, tmp_path):
+    functions, kind = Functions(tmp_path, real, "own"), TYPES[real]
+    y = np.array([0, -0.0, 0, -0.0, 1, -1, 0, np.nan, 1, np.inf, 1, 2] + [1] * 4, kind)
+    x = np.array([1, 1, -1, -1, 0, 0, 0, 1, np.nan, 1, np.inf, 2] + [1] * 4, kind)
+    found = functions.angles(y, x)
+    np.testing.assert_allclose(found[:7], np.arctan2(y, x)[:7], rtol=1e-6)
+    assert np.signbit(found[:2]).tolist() == [False, True]
+    assert np.isnan(found[7:11]).all()
+    assert np.isfinite(found[11:]).all()
+    not_finite = np.array([np.nan, np.inf, -np.inf] + [0] * 13, kind)
+    assert np.isnan(np.stack(functions.sines(not_finite))[:, :3]).all()
+
+
+@pytest.mark.parametrize("real", TYPES)
+def test_all_cpus_make_the_same_bits(real, tmp_path):
+    x, y = spread(real, -3, 30), spread(real, -6, 6)
+    found = []
+    for name in targets():
+        functions = Functions(tmp_path, real, name)
+        found.append(np.stack([*functions.sines(x), functions.angles(y, np.roll(y, 1))]))
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
