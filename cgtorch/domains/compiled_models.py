@@ -7,7 +7,7 @@ import torch
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import KernelTransitionModel
 from cgtorch.environment.fields import KINDS, bounds_of, columns_of
-from cgtorch.native import constants, structure, suits
+from cgtorch.native import alike, constants, structure
 from cgtorch.native.interface import agree
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.simulation.model import anything
@@ -43,7 +43,7 @@ def _structure(
         or classifier.further is not None
         or angles[0] != angles[1]
         or sizes != (e.percept_size, e.control_size)
-        or not suits(e.percepts, *given)
+        or not alike(e.percepts, *given)
         or not bool(platt.isfinite().all())
     ):
         return None

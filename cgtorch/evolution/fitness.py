@@ -14,7 +14,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
-from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.engines import engine_of
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
@@ -100,7 +100,7 @@ def evaluator(
     group of ranks (`cgtorch.ground.distributed`), all if not given, shares out the individuals, and
     each rank gets all results. No argument may change in place from one generation to the next.
     """
-    engine = compiled_engine(actions, environment) if fitness is chance_of_success else None
+    engine = engine_of(actions, environment) if fitness is chance_of_success else None
     steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
 

@@ -69,10 +69,15 @@ def constants(group: str, dtype: torch.dtype = torch.float32) -> Mapping[str, in
 
 def suits(*tensors: Tensor) -> bool:
     """Whether C may be asked about tensors (...): on the CPU, of one type, without gradient."""
+    return tensors[0].is_cpu and alike(*tensors)
+
+
+def alike(*tensors: Tensor) -> bool:
+    """Whether tensors (...) are of one type that C knows, on one device, and without gradient."""
     if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
         return False
-    dtype = tensors[0].dtype
-    return dtype in REALS and all(t.dtype == dtype and t.device.type == "cpu" for t in tensors)
+    dtype, device = tensors[0].dtype, tensors[0].device
+    return dtype in REALS and all(t.dtype == dtype and t.device == device for t in tensors)
 
 
 def threads() -> int:
@@ -129,10 +134,15 @@ def _kept(real: str) -> Path | None:
     name = compiler.found_compiler()
     if name is None:
         return None
+    return cache_folder() / compiler.file_name(real, name, compiler.own_target(name))
+
+
+def cache_folder() -> Path:
+    """Where what is compiled is kept, for this user alone; OSError if it cannot be made."""
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(home) / "cgtorch"  # which nobody else may write to
+    folder = Path(home) / "cgtorch"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder / compiler.file_name(real, name, compiler.own_target(name))
+    return folder
 
 
 def _from_wheel(real: str) -> ctypes.CDLL | None:

@@ -11,17 +11,10 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
 from cgtorch.graphs import Graphs
-from cgtorch.native import WRONG_GRAPHS, constants, function, structure, suits, threads
+from cgtorch.native import WRONG_GRAPHS, alike, constants, function, structure, threads
 from cgtorch.simulation.action_table import FAILURE, SUCCESS
-from cgtorch.simulation.compiled_actions import (
-    LARGEST,
-    NETWORKS,
-    ROUTINES,
-    CompiledActions,
-    compiled_actions,
-)
+from cgtorch.simulation.compiled_actions import LARGEST, CompiledActions
 from cgtorch.simulation.model import CompiledModels, ModelEnvironment
 from cgtorch.simulation.program import check_numbers
 from cgtorch.simulation.rollouts import Rollouts
@@ -108,7 +101,7 @@ class CompiledEngine:
     ) -> Any:
         """A `Task` of task.h that is done, or None where compiled code does not know all of it."""
         program = program_of(graphs, self.known, (max_transitions, max_steps))
-        if program is None or not is_whole(scenarios) or self._needs_python(graphs):
+        if program is None or not is_whole(scenarios) or self.known.needed_by(graphs):
             return None
         dtype = self.known.dtype
         task = structure("Task", dtype)(
@@ -125,17 +118,6 @@ class CompiledEngine:
             )
         return task
 
-    def _needs_python(self, graphs: Graphs) -> bool:
-        """Whether any of the graphs uses an action that is not compiled."""
-        if not any(self.known.in_python):
-            return False
-        needs, action = self.known.needs_python, graphs.action.contiguous()
-        return bool(
-            function("any_in_python", self.known.dtype)(
-                action, action.numel(), needs, len(needs) - 1
-            )
-        )
-
 
 def is_whole(numbers: Tensor) -> bool:
     """Whether numbers are of the type that compiled code takes for indices."""
@@ -150,8 +132,8 @@ def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) 
         max(nodes, *limits, known.longest) > LARGEST
         or graphs.edges.shape[2] > known.program["most"]
         or graphs.parameters.dtype != known.dtype
-        or not graphs.parameters.is_cpu
-        or not all(map(is_whole, whole))
+        or any(x.device != known.needs_python.device for x in (graphs.parameters, *whole))
+        or any(x.dtype != torch.long for x in whole)
     ):
         return None
     return structure("Program", known.dtype)(
@@ -161,31 +143,16 @@ def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) 
     )  # fmt: skip
 
 
-def compiled_engine(actions: ActionSet, environment: Environment) -> CompiledEngine | None:
-    """The engine of actions in models, or None where no compiled code knows the environment."""
-    found = compiled_models(environment)
-    if found is None:
-        return None
-    models, own = found
-    size, kinds = environment.percept_size, (*ROUTINES, *NETWORKS, *models.networks)
-    known = compiled_actions(actions, size, models.dtype, kinds)
-    if known is None or known.table.message_size < environment.control_size:
-        return None
-    return CompiledEngine(actions, known, models, own, size)
-
-
-def compiled_models(e: Environment) -> tuple[CompiledModels, Any] | None:
+def compiled_models(e: ModelEnvironment) -> tuple[CompiledModels, Any] | None:
     """An environment's models as compiled code knows them, and a `ModelEnvironment` of models.h."""
-    if type(e) is not ModelEnvironment or e.compiled is None:
-        return None
     errors, limits = e.errors, constants("engine_limits", e.percepts.dtype)
     given = [e.percepts, e.first_state, *([] if errors is None else [errors])]
-    if not limits or not suits(*given) or e.num_scenarios > LARGEST:
+    if not limits or not alike(*given) or e.num_scenarios > LARGEST:
         return None
     if e.percept_size > limits["MOST_PERCEPT"] or e.control_size > limits["MOST_MESSAGE"]:
         return None
-    models = e.compiled(e)
-    if models is None:
+    models = e.compiled and e.compiled(e)
+    if not models:
         return None
     return models, structure("ModelEnvironment", models.dtype)(
         models=models.structure, percepts=e.percepts, state=e.first_state, errors=errors,

@@ -1,7 +1,7 @@
 """What compiled rollouts know of an action set: a `Program` of program.h without graphs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import Action, ActionSet
-from cgtorch.graphs import SubSkill
-from cgtorch.native import constants, structure
+from cgtorch.graphs import Graphs, SubSkill
+from cgtorch.native import constants, function, structure
 from cgtorch.native.interface import agree
 from cgtorch.simulation.action_table import (
     FAILURE,
@@ -53,6 +53,33 @@ class CompiledActions:
     program: dict[str, Any]
     memory: Tensor
     deterministic: Tensor
+
+    def networks(self) -> list[Any]:
+        """The `Action` of each primitive that is a network."""
+        kinds = constants("action_kinds", self.dtype)
+        routines = [kinds[name] for name in (*ROUTINES, "IN_PYTHON")]
+        return [each for each in self.program["primitives"] if each.kind not in routines]
+
+    def needed_by(self, graphs: Graphs) -> bool:
+        """Whether any of the graphs uses an action that Python has to run."""
+        if not any(self.in_python):
+            return False
+        needs, action = self.needs_python, graphs.action.contiguous()
+        if not action.is_cpu:
+            outside = (action < 0) | (action >= len(needs) - 1)
+            return bool(needs[torch.where(outside, len(needs) - 1, action)].any())
+        call = function("any_in_python", self.dtype)
+        return bool(call(action, action.numel(), needs, len(needs) - 1))
+
+    def to(self, device: torch.device) -> "CompiledActions":
+        """The same with all tables of `program`, and `needs_python`, on a device."""
+        moved = {
+            name: value.to(device) if isinstance(value, Tensor) else value
+            for name, value in self.program.items()
+        }
+        rows = bytearray(bytes(self.program["primitives"]))
+        moved["primitives"] = torch.frombuffer(rows, dtype=torch.uint8).to(device)
+        return replace(self, program=moved, needs_python=self.needs_python.to(device))
 
 
 @lru_cache(maxsize=16)  # it is asked for with every call of `rollout`

@@ -13,8 +13,9 @@ from cgtorch.environment import Environment, Lanes, Rewarded, rows_where, start_
 from cgtorch.graphs import Graphs
 from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table
 from cgtorch.simulation.call_stack import advance, first_frames
-from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.compiled import CompiledEngine
 from cgtorch.simulation.compiled_actions import LARGEST
+from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.resumable import resumable_rollout
 from cgtorch.simulation.rollouts import Rollouts
@@ -65,10 +66,11 @@ def rollout(
     max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
     limits = max_transitions, max_steps
     if trace is None:
-        engine = compiled_engine(actions, environment)
+        engine = engine_of(actions, environment)
         found = engine and engine.rollouts(graphs, scenarios, *limits)
-        given = graphs, actions, environment, scenarios, (*limits, MOST_IDLE), engine
-        if found := found or resumable_rollout(*given):
+        given = graphs, actions, environment, scenarios, (*limits, MOST_IDLE)
+        compiled = engine if isinstance(engine, CompiledEngine) else None
+        if found := found or resumable_rollout(*given, compiled):
             return found
     program = compile_graphs(graphs, actions)
     return rollout_in_torch(program, environment, scenarios, *limits, trace)

@@ -1,4 +1,4 @@
-"""Sines, cosines and arc tangents of angles.h beside mpmath's, on each CPU that it may be made for."""
+"""Sines and angles of angles.h beside those of mpmath and numpy, for each kind of CPU."""
 
 import ctypes
 import subprocess

@@ -25,7 +25,7 @@ from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.graphs import Graphs, Skill, SubSkill, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
-from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.tabletop.edge_networks import edge_actions
@@ -56,7 +56,7 @@ def run_compiled(
     limit: int = 20,
     steps: int = 400,
 ) -> Rollouts | None:
-    engine = compiled_engine(actions, environment)
+    engine = engine_of(actions, environment)
     return engine and engine.rollouts(graphs, scenarios, limit, steps)
 
 
@@ -315,7 +315,7 @@ def test_models_that_change_between_two_rollouts_are_looked_at_again() -> None:
 def test_parts_that_are_done_again_change_nothing() -> None:
     environment = random_models(7, 20)
     actions = sets_for(environment.percept_size)[0]
-    engine, graphs = compiled_engine(actions, environment), graphs_of(3, actions, 60)
+    engine, graphs = engine_of(actions, environment), graphs_of(3, actions, 60)
     assert engine is not None
 
     def evaluation(again: list[int]) -> tuple[Tensor, Tensor, Tensor, int, int]:

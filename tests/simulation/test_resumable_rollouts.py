@@ -27,7 +27,7 @@ from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import available
 from cgtorch.simulation import Rollouts, rollout
-from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.resumable import resumable_rollout
 from cgtorch.simulation.rollout import MAX_STEPS, MOST_IDLE, rollout_in_torch
@@ -49,7 +49,7 @@ def waiting(
     graphs: Graphs, actions: ActionSet, environment: Environment, limits: tuple[int, int]
 ) -> Rollouts:
     some = torch.arange(environment.num_scenarios)
-    engine = compiled_engine(actions, environment)
+    engine = engine_of(actions, environment)
     found = resumable_rollout(graphs, actions, environment, some, (*limits, MOST_IDLE), engine)
     assert found is not None
     return found
@@ -97,7 +97,7 @@ def test_where_nothing_needs_python_both_ways_give_the_same_bits(
     environment = models_as(random_models(seed, 21, *scene), torch.float32)
     actions = paper_actions(environment.percept_size)
     graphs, some = random_graphs(seed, 30, actions), torch.arange(21)
-    engine = compiled_engine(actions, environment)
+    engine = engine_of(actions, environment)
     assert engine is not None
     wanted = engine.rollouts(graphs, some, 20, MAX_STEPS)
     found = waiting(graphs, actions, environment, (20, MAX_STEPS))

@@ -21,7 +21,7 @@ from cgtorch.graphs import Graphs
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
-from cgtorch.simulation.compiled import compiled_engine
+from cgtorch.simulation.engines import engine_of
 
 MODELS = ("Γ", "C", "networks")
 """What a generation is for; the rest is overhead."""
@@ -196,7 +196,7 @@ def rollout_parts(work: Workload, population: Population) -> list[float]:
     rest, which is overhead, too much. No clock is read within: to read it takes longer than some of
     these parts, and what has not been completed by then goes on afterwards.
     """
-    engine = compiled_engine(work.actions, work.environment)
+    engine = engine_of(work.actions, work.environment)
     assert engine is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
     call = partial(
         engine.evaluation,

@@ -10,12 +10,16 @@ typedef struct {
   vwhole second, changed;
 } Done;
 
+#ifdef __cplusplus
+#define PART(again, part, what) what
+#else
 /* Does a part as often as it is asked for more than once; the results are the same. */
 #define PART(again, part, what)                              \
   for (int64_t left = (again) ? 1 + (again)[part] : 1; left > 0; left--) { \
     what;                                                    \
     __asm__ volatile("" ::: "memory"); /* or it would be done once */      \
   }
+#endif
 
 /* `ModelEnvironment.step` without the errors of Γ, which the lanes that have moved are still to get. */
 INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layout, Lanes *lanes,
@@ -26,7 +30,7 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
   if (bits_of(ready))
     PART(again, IN_POSSIBLE, moves = possible(m->models, layout, lanes->percept, u, ready));
   uint32_t bits = bits_of(moves);
-  if (bits) {
+  if (any_of(bits)) {
     PART(again, IN_GAMMA, next_percept(m->models, layout, lanes->percept, u, bits, after, &novelty));
     for (int i = 0; i < layout.size; i++)
       lanes->percept[i] = select_vec(moves, after[i], lanes->percept[i]);
@@ -42,8 +46,8 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
    lanes that have made so many. */
 INLINE void add_errors(const ModelEnvironment *m, const vec *errors, Lanes *lanes, vwhole here) {
   for (uint32_t bits = bits_of(here); bits; bits = bits_of(here)) {
-    real moves = lanes->moves[__builtin_ctz(bits)];
-    const vec *error = errors + (int64_t)(moves - 1) % m->turns * m->size;
+    real moves = lanes->moves[first_of(bits)];
+    const vec *error = errors + (whole)(moves - 1) % (whole)m->turns * m->size;
     vwhole same = here & (lanes->moves == moves);
     for (int i = 0; i < m->size; i++)
       lanes->percept[i] = select_vec(same, lanes->percept[i] + error[i], lanes->percept[i]);
@@ -56,21 +60,29 @@ INLINE vwhole ask_chance(const ModelEnvironment *m, const int64_t *again, Layout
                          Lanes *lanes, vwhole here) {
   vwhole unknown = here & (lanes->chance == UNKNOWN);
   vec chance;
-  if (bits_of(unknown)) {
+  if (any_of(bits_of(unknown))) {
     PART(again, IN_C, chance = chance_of(m->models, layout, lanes->percept, bits_of(unknown)));
     lanes->chance = select_vec(unknown, chance, lanes->chance);
   }
   return unknown;
 }
 
+/* What lanes that have ended are worth by eq. 3, 0 where anything is not finite. */
+INLINE vec worth(Layout layout, const Lanes *lanes, vwhole *finite) {
+  *finite = finite_vec(lanes->chance);
+  for (int i = 0; i < layout.size; i++) *finite &= finite_vec(lanes->percept[i]);
+  vec c = vec_max(vec_of(0), vec_min(vec_of(1), lanes->chance));
+  return select_vec(*finite, select_vec(lanes->status == SUCCESS, c, c / 2), vec_of(0));
+}
+
 INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {
   vwhole other = ~lanes->has_message;
-  for (int64_t i = 0; i < count; i++) {
+  UP_TO(i, count, MOST_MESSAGE) {
     other |= lanes->message[i] != said[i];
     lanes->message[i] = select_vec(here, said[i], lanes->message[i]);
   }
   lanes->has_message |= here;
-  return (Done){every(0), here & other};
+  return MAKE(Done){every(0), here & other};
 }
 
 /* What networks say of percepts, with weights of all lanes or, in columns, of each. */
@@ -79,13 +91,13 @@ INLINE void answer_with(const Action *a, const real *weights, const vec *columns
   vec seen[MOST_SEEN];
   View view;
   const vec *x = looked_at(a->kind, layout, percept, seen, &view);
-  network(x, weights, columns, (int)a->inputs, (int)a->hidden, (int)a->outputs, out);
+  network(x, weights, columns, INPUTS_OF(a), HIDDEN_OF(a), (int)a->outputs, out);
   said(a->kind, &view, out);
 }
 APART void answer(const Action *a, const real *weights, Layout layout, const vec *percept, vec *out) {
   answer_with(a, weights, NULL, layout, percept, out);
 }
 INLINE Done spoken(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
-  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return (Done){branch(out), every(0)};
+  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
   return say(lanes, out, a->outputs, here);
 }

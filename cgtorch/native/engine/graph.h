@@ -36,6 +36,12 @@ typedef struct {
   int8_t edges[MOST_NODES][MOST_OUTCOMES]; /* to nodes */
 } Graph;
 
+/* The number of the lowest bit that is set. */
+#ifdef __CUDACC__
+static inline int first_bit(uint64_t bits) { return __ffsll((long long)bits) - 1; }
+#else
+static inline int first_bit(uint64_t bits) { return __builtin_ctzll(bits); }
+#endif
 static inline uint64_t bit(int i) { return (uint64_t)1 << i; }
 static inline uint64_t first_bits(int count) { return count < 64 ? bit(count) - 1 : ~(uint64_t)0; }
 
@@ -73,7 +79,7 @@ static inline uint64_t reached(const Graph *graph, int outcomes) {
   while (wave) {
     uint64_t next = 0;
     for (; wave; wave &= wave - 1) {
-      const int8_t *heads = graph->edges[__builtin_ctzll(wave)];
+      const int8_t *heads = graph->edges[first_bit(wave)];
       for (int j = 0; j < outcomes; j++)
         if (heads[j] != NO_NODE) next |= bit(heads[j]);
     }
@@ -89,14 +95,14 @@ static inline void prune(Graph *graph, int outcomes) {
   int8_t place[MOST_NODES];
   int count = 0;
   if (kept == graph->used && kept == first_bits(graph->count)) return;
-  for (uint64_t rest = kept; rest; rest &= rest - 1) place[__builtin_ctzll(rest)] = (int8_t)count++;
+  for (uint64_t rest = kept; rest; rest &= rest - 1) place[first_bit(rest)] = (int8_t)count++;
   for (uint64_t rest = kept; rest; rest &= rest - 1) {
-    int old = __builtin_ctzll(rest), new = place[old];
-    graph->origin[new] = graph->origin[old];
-    graph->action[new] = graph->action[old];
+    int old = first_bit(rest), to = place[old];
+    graph->origin[to] = graph->origin[old];
+    graph->action[to] = graph->action[old];
     for (int j = 0; j < outcomes; j++) {
       int head = graph->edges[old][j];
-      graph->edges[new][j] = head == NO_NODE ? NO_NODE : place[head];
+      graph->edges[to][j] = head == NO_NODE ? NO_NODE : place[head];
     }
   }
   if (graph->start != NO_NODE) graph->start = place[graph->start];

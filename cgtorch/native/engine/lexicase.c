@@ -100,7 +100,7 @@ static int64_t listed(const vwhole *stands, int64_t vectors, int64_t *left) {
   int64_t count = 0;
   for (int64_t v = 0; v < vectors; v++)
     for (uint32_t bits = bits_of(stands[v]); bits; bits &= bits - 1)
-      left[count++] = v * WIDTH + __builtin_ctz(bits);
+      left[count++] = v * WIDTH + first_of(bits);
   return count;
 }
 

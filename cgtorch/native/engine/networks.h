@@ -18,7 +18,7 @@ INLINE void layers(const vec *x, const real *w, const vec *columns, int inputs, 
   int b1 = hidden * inputs, w2 = b1 + hidden, b2 = w2 + outputs * hidden;
   for (int i = 0; i < hidden; i++)
     at[i] = sigmoid_vec(weighted(x, w, columns, i * inputs, inputs, b1 + i));
-  for (int i = 0; i < outputs; i++)
+  UP_TO(i, outputs, MOST_MESSAGE)
     out[i] = weighted(at, w, columns, w2 + i * hidden, hidden, b2 + i);
 }
 INLINE void network(const vec *x, const real *w, const vec *columns, int inputs, int hidden,

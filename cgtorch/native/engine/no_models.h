@@ -7,7 +7,7 @@ typedef struct {
 } Layout;
 typedef Layout View;
 
-INLINE Layout layout_of(int64_t size) { return (Layout){(int)size}; }
+INLINE Layout layout_of(int64_t size) { return MAKE(Layout){(int)size}; }
 INLINE vwhole possible(const void *models, Layout layout, const vec *percept, const vec *control,
                        vwhole rows) {
   (void)models, (void)layout, (void)percept, (void)control;

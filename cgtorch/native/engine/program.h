@@ -14,6 +14,13 @@
 typedef struct {
   int64_t kind, inputs, hidden, outputs;
 } Action;
+#ifdef INPUTS /* where all networks have the same sizes, which for a GPU is known */
+#define INPUTS_OF(action) INPUTS
+#define HIDDEN_OF(action) HIDDEN
+#else
+#define INPUTS_OF(action) (int)(action)->inputs
+#define HIDDEN_OF(action) (int)(action)->hidden
+#endif
 
 typedef struct {
   const Action *primitives;
@@ -35,7 +42,7 @@ typedef struct {
 
 INLINE GraphRows graph_of(const Program *p, int64_t graph) {
   int64_t row = graph * p->nodes;
-  return (GraphRows){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
+  return MAKE(GraphRows){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
 }
 
 /* What unused slots hold is taken for action 0; nothing that is valid leads there. */
@@ -65,6 +72,6 @@ INLINE int good(const Program *p, int64_t graph, int64_t *wrong) {
   int bad = p->start[graph] < 0 || p->start[graph] >= p->nodes;
   for (int64_t i = 0; i < p->nodes; i++) bad |= outside(g.action[i], p->actions);
   for (int64_t i = 0; i < p->nodes * p->seen; i++) bad |= outside(g.edges[i], p->nodes);
-  if (bad) __atomic_store_n(wrong, 1, __ATOMIC_RELAXED);
+  if (bad) SET(wrong);
   return !bad;
 }

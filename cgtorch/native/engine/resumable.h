@@ -39,7 +39,7 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
   } else {
     answer(a, weights_of(w, node), layout, percept, out);
   }
-  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return (Done){branch(out), every(0)};
+  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
   vwhole changed = every(0);
   for (int i = 0; i < t->count; i++) {
     real *message = w->message + t->lane[i] * w->message_size;
@@ -51,7 +51,7 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
     w->has_message[t->lane[i]] = 1;
     changed[i] = -other;
   }
-  return (Done){every(0), changed};
+  return MAKE(Done){every(0), changed};
 }
 
 INLINE real *state_of(const Waiting *w, int64_t lane) {
@@ -80,7 +80,7 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
   for (int i = 0; i < WIDTH; i++) lanes.has_message[i] = -(w->has_message[t->lane[i]] != 0);
   vwhole moved = move(m, NULL, layout, &lanes, t->here);
   for (uint32_t bits = bits_of(moved); bits; bits &= bits - 1) {
-    int i = __builtin_ctz(bits);
+    int i = first_of(bits);
     real *percept = w->percept + t->lane[i] * w->percept_size, *state = state_of(w, t->lane[i]);
     int64_t turn = (int64_t)state[0] % m->turns, scenario = w->first_scenario[t->lane[i] % w->firsts];
     const real *error = m->errors ? m->errors + (scenario * m->turns + turn) * m->size : NULL;
@@ -88,28 +88,28 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
       percept[j] = error ? lanes.percept[j][i] + error[j] : lanes.percept[j][i];
     state[0] = lanes.moves[i], state[1] = lanes.lost[i], state[2] = lanes.chance[i];
   }
-  return (Done){~moved, moved};
+  return MAKE(Done){~moved, moved};
 }
 
 APART Done grasp_of(const Waiting *w, Layout layout, Together *t) {
   Lanes lanes;
   read_state(w, t, &lanes);
   vwhole unknown = t->here & (lanes.chance == UNKNOWN);
-  if (!bits_of(unknown)) return (Done){lanes.chance <= (real)0.5, unknown};
+  if (!bits_of(unknown)) return MAKE(Done){lanes.chance <= (real)0.5, unknown};
   read_percept(w, t, &lanes);
   vwhole asked = ask_chance(w->environment, NULL, layout, &lanes, t->here);
   for (uint32_t bits = bits_of(asked); bits; bits &= bits - 1) {
-    int i = __builtin_ctz(bits);
+    int i = first_of(bits);
     state_of(w, t->lane[i])[2] = lanes.chance[i];
   }
-  return (Done){lanes.chance <= (real)0.5, asked};
+  return MAKE(Done){lanes.chance <= (real)0.5, asked};
 }
 
 INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together *t) {
   switch (a->kind) {
   case MOVE_BASE: return move_of(w, layout, t);
   case GRASP: return grasp_of(w, layout, t);
-  case DETECT: return (Done){every(0), every(0)};
+  case DETECT: return MAKE(Done){every(0), every(0)};
   default: return network_of(w, layout, a, t);
   }
 }

@@ -2,11 +2,14 @@
 #include "library.h"
 #include "kinds.h"
 #include "task.h"
+#include "cuda/launch.h"
 
 EXPORT_STRUCT(Action)
 EXPORT_STRUCT(Program)
 EXPORT_STRUCT(ModelEnvironment)
 EXPORT_STRUCT(Task)
+EXPORT_STRUCT(Launch)
+EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRONG, COUNTS)
 EXPORT_CONSTANTS(action_kinds, MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING,
                  IN_PYTHON)
 EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)

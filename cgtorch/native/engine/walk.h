@@ -53,7 +53,7 @@ typedef struct {
 
 INLINE Walk walk_of(const Waiting *w) {
   const Program *p = w->program;
-  return (Walk){w,           w->ways,      w->places,   p->outcomes, p->count,
+  return MAKE(Walk){w,           w->ways,      w->places,   p->outcomes, p->count,
                 p->depth, w->max_steps, w->most_idle};
 }
 

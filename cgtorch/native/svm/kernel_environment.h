@@ -27,13 +27,13 @@ typedef Layout View;
 
 #define NOVEL_SHARE ((real)0.1) /* beyond the data by this share of their range counts as half novel */
 
-INLINE Layout layout_of(int64_t size) { return (Layout){(int)size}; }
+INLINE Layout layout_of(int64_t size) { return MAKE(Layout){(int)size}; }
 
 /* `within_bounds` of cgtorch.environment.fields; what is not a number stays so. */
 INLINE vec within(vec x, int64_t kind, real low, real high) {
   if (kind == ANGLE) {
     real middle = (low + high) / 2;
-    if (!isfinite(middle)) middle = 0;
+    if (!(middle * 0 == 0)) middle = 0;
     x = wrap(x - middle) + middle;
   }
   return vec_min(vec_of(high), vec_max(vec_of(low), x));
@@ -88,7 +88,7 @@ APART void kernel_gamma(const Models *m, const vec *percept, const vec *control,
 INLINE void next_percept(const void *models, Layout layout, const vec *percept, const vec *control,
                          uint32_t bits, vec *after, vec *novelty) {
   (void)layout;
-  kernel_gamma(models, percept, control, bits, after, novelty);
+  kernel_gamma((const Models *)models, percept, control, bits, after, novelty);
 }
 
 APART vec kernel_chance(const Models *m, const vec *percept, uint32_t bits) {
@@ -100,7 +100,7 @@ APART vec kernel_chance(const Models *m, const vec *percept, uint32_t bits) {
 }
 INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint32_t bits) {
   (void)layout;
-  return kernel_chance(models, percept, bits);
+  return kernel_chance((const Models *)models, percept, bits);
 }
 
 INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *view) {

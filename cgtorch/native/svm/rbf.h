@@ -10,8 +10,14 @@ typedef struct {
   int64_t m, d, k;
 } Machine;
 
+#ifndef MOST_FEATURES
 #define MOST_FEATURES 64
 #define MOST_OUTPUTS 16
+#endif
+
+#ifdef __cplusplus
+#include "cuda/machine.h"
+#else
 #define TILE 4 /* rows that share what is loaded of the centres */
 #define SMALL_TILE 2
 
@@ -79,7 +85,7 @@ INLINE void lanes_of_outputs(const Machine *f, const vec *x, uint32_t bits, int 
   vec scaled[MOST_FEATURES];
   vwhole finite = every(-1);
   int lanes[WIDTH], count = 0, i = 0;
-  for (; bits; bits &= bits - 1) lanes[count++] = __builtin_ctz(bits);
+  for (; bits; bits &= bits - 1) lanes[count++] = first_of(bits);
   for (int k = 0; k < features; k++) scaled[k] = x[k] * f->scale, finite &= finite_vec(x[k]);
   for (int o = 0; o < outputs; o++) values[o] = vec_of(0);
   *nearest = vec_of(0);
@@ -91,6 +97,8 @@ INLINE void lanes_of_outputs(const Machine *f, const vec *x, uint32_t bits, int 
     values[o] = select_vec(finite, values[o] + f->bias[o], vec_of((real)NAN));
   *nearest = select_vec(finite, *nearest, vec_of((real)NAN));
 }
+#endif
+
 INLINE void machine_lanes(const Machine *f, const vec *x, uint32_t bits, int features, vec *value,
                           vec *nearest) {
   lanes_of_outputs(f, x, bits, 1, features, value, nearest);

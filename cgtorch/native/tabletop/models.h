@@ -14,9 +14,6 @@ typedef struct {
   real slope, offset;
 } Classifier;
 
-/* What takes long is kept out of the loops that call it, whose registers it would take. */
-#define APART static __attribute__((noinline))
-
 /* ---- Γ ---- */
 
 /* What Γ makes of a percept before it knows which of the two yaws is the table's: (c, s1) and (c, s2)

@@ -2,9 +2,9 @@
    motion_possible. */
 #pragma once
 #include "angles.h"
+#include "engine/limits.h"
 
 #define TURN_STEPS 12 /* of 15 degrees */
-#define MOST_PERCEPT 64
 
 /* What a percept's length says: whether a side of the table is seen, and how many obstacles. */
 typedef struct {
@@ -13,7 +13,7 @@ typedef struct {
 
 INLINE Layout layout_of(int64_t size) {
   int side = (size - 7) % 4 != 0;
-  return (Layout){(int)size, side, (int)(size - 7 - 2 * side) / 4};
+  return MAKE(Layout){(int)size, side, (int)(size - 7 - 2 * side) / 4};
 }
 
 /* The columns of `rows` rows of `size`, WIDTH at most, as vectors; the first row fills up. */
@@ -36,7 +36,7 @@ INLINE void turn(vec x, vec y, vec c, vec s, vec *tx, vec *ty) {
   *ty = s * x + c * y;
 }
 INLINE Rectangle box_rectangle(const vec *box) {
-  return (Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, vec_of(1), vec_of(0), box[1] - box[0],
+  return MAKE(Rectangle){(box[0] + box[1]) / 2, (box[2] + box[3]) / 2, vec_of(1), vec_of(0), box[1] - box[0],
                      box[3] - box[2]};
 }
 INLINE const vec *box_seen(const vec *p, Layout layout, int k) {

@@ -1,6 +1,6 @@
 """The tabletop's models as compiled rollouts know them."""
 
-from cgtorch.native import structure, suits
+from cgtorch.native import alike, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.tabletop.models.success import GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
@@ -16,7 +16,7 @@ def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
         return None
     percepts, footprint = e.percepts, e.possible.footprint
     first, second = gamma.compiled(percepts, percepts[:, :3]), classifier.compiled(percepts)
-    if first is None or second is None or not suits(percepts, footprint) or e.control_size != 3:
+    if first is None or second is None or not alike(percepts, footprint) or e.control_size != 3:
         return None
     models = structure("TabletopModels", percepts.dtype)(
         gamma=first, classifier=second, body=body_structure(footprint)

@@ -22,7 +22,7 @@ class GraspClassifier(SuccessClassifier):
 
     def forward(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.forward`."""
-        compiled = self.compiled(percept)
+        compiled = self.compiled(percept) if percept.is_cpu else None
         if compiled is None:
             return self.predict_in_torch(percept)
         rows = percept.reshape(-1, percept.shape[-1]).contiguous()

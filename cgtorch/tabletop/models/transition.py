@@ -96,7 +96,8 @@ class TableTransitionModel(TransitionModel):
 
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.predict_with_novelty`."""
-        compiled, size = self.compiled(percept, control), percept.shape[-1]
+        compiled = self.compiled(percept, control) if percept.is_cpu else None
+        size = percept.shape[-1]
         if compiled is None or percept.shape[:-1] != control.shape[:-1]:
             return self.predict_in_torch(percept, control)
         rows, motion = percept.reshape(-1, size).contiguous(), control.reshape(-1, 3).contiguous()

@@ -1,0 +1,168 @@
+"""NVIDIA's GPUs: the CUDA sources below this folder, compiled by NVRTC, launched by the driver.
+
+Machine code is kept in the user's cache beside the compiled library. Where there is no NVRTC, or no
+driver, what runs on a GPU runs in torch.
+"""
+
+import ctypes
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any, Protocol
+
+import torch
+
+from cgtorch.native import nvrtc
+from cgtorch.native.compiler import SOURCES
+from cgtorch.native.library import REALS, cache_folder
+
+CUDA = SOURCES / "cuda"
+
+
+@dataclass(frozen=True)
+class Module:
+    """Kernels of one source for numbers of one type, with some sizes known.
+
+    Attributes:
+        name: of the source in `native/cuda`.
+        dtype: what `REAL` is there.
+        kernels: what it has.
+        sizes: constants by name.
+    """
+
+    name: str
+    dtype: torch.dtype
+    kernels: tuple[str, ...]
+    sizes: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def source(self) -> Path:
+        """The file."""
+        return CUDA / f"{self.name}.cu"
+
+    def defines(self) -> dict[str, str]:
+        """All that is to be defined before the source is compiled."""
+        real = REALS[self.dtype].__name__.removeprefix("c_")
+        sizes = {name: str(value) for name, value in self.sizes}
+        return {"REAL": real, f"REAL_IS_{real.upper()}": "1", **sizes}
+
+
+class Launcher(Protocol):
+    """What can run kernels: a GPU, or in tests what stands in for one."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where tensors must be."""
+
+    @property
+    def multiprocessors(self) -> int:
+        """How many there are."""
+
+    def launch(
+        self, module: Module, kernel: str, blocks: int, threads: int, shared: int, *arguments: Any
+    ) -> None:
+        """Begin a kernel with structures and ctypes numbers, after what was begun before.
+
+        There are so many blocks of so many threads, each block with so many bytes of shared memory.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Gpu:
+    """One of this machine's GPUs.
+
+    Attributes:
+        device: as torch calls it.
+        multiprocessors: how many it has.
+        architecture: as NVRTC calls it, such as "sm_90".
+        driver: the CUDA driver.
+    """
+
+    device: torch.device
+    multiprocessors: int
+    architecture: str
+    driver: Any
+    _functions: dict[tuple[Module, str], ctypes.c_void_p] = field(default_factory=dict)
+
+    def launch(
+        self, module: Module, kernel: str, blocks: int, threads: int, shared: int, *arguments: Any
+    ) -> None:
+        """See `Launcher.launch`; CompilationError or RuntimeError where that cannot be."""
+        with torch.cuda.device(self.device):
+            stream = ctypes.c_void_p(torch.cuda.current_stream(self.device).cuda_stream)
+            where = (blocks, 1, 1, threads, 1, 1, shared, stream)
+            function = self._function(module, kernel)
+            _check(
+                self.driver.cuLaunchKernel(function, *where, addresses(arguments), None),
+                f"launch {kernel} of {module.name}",
+            )
+
+    def _function(self, module: Module, kernel: str) -> ctypes.c_void_p:
+        if (module, kernel) not in self._functions:
+            loaded = ctypes.c_void_p()
+            image = _cubin(module, self.architecture)
+            _check(self.driver.cuModuleLoadData(ctypes.byref(loaded), image), f"load {module.name}")
+            for name in module.kernels:
+                found = ctypes.c_void_p()
+                given = ctypes.byref(found), loaded, name.encode()
+                _check(self.driver.cuModuleGetFunction(*given), f"find {name} of {module.name}")
+                self._functions[module, name] = found
+        return self._functions[module, kernel]
+
+
+@cache
+def gpu_of(device: torch.device) -> Gpu | None:
+    """The GPU that torch calls so; None without driver or NVRTC, and for AMD's."""
+    if os.environ.get("CGTORCH_NATIVE", "1") == "0" or not torch.cuda.is_available():
+        return None
+    if torch.version.cuda is None or not nvrtc.available():
+        return None
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return None
+    torch.zeros(1, device=device)  # the driver works in the context that torch makes
+    about = torch.cuda.get_device_properties(device)
+    architecture = f"sm_{about.major}{about.minor}"
+    return Gpu(device, about.multi_processor_count, architecture, driver)
+
+
+def addresses(arguments: Sequence[Any]) -> Any:
+    """An array of the addresses of what a kernel is given."""
+    places = [ctypes.addressof(each) for each in arguments]
+    return (ctypes.c_void_p * len(places))(*places)
+
+
+def constants_of(sizes: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
+    """Sizes as a `Module` has them."""
+    return tuple(sorted(sizes.items()))
+
+
+def _cubin(module: Module, architecture: str) -> bytes:
+    """A module's machine code from the cache, or made now and kept."""
+    options = [f"-D{name}={value}" for name, value in module.defines().items()]
+    about = [architecture, *map(str, nvrtc.version()), *nvrtc.FLAGS, *options, sources_digest()]
+    key = hashlib.sha256("\0".join(about).encode()).hexdigest()[:32]
+    path = cache_folder() / f"{module.name}-{architecture}-{key}.cubin"
+    if not path.exists():
+        made = nvrtc.cubin(module.source, architecture, options)
+        with NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(made)
+        Path(file.name).replace(path)
+    return path.read_bytes()
+
+
+@cache
+def sources_digest() -> str:
+    """A hash of all sources that kernels are made of."""
+    every = sorted([*SOURCES.rglob("*.h"), *SOURCES.rglob("*.cu")])
+    return hashlib.sha256(b"".join(path.read_bytes() for path in every)).hexdigest()
+
+
+def _check(result: int, what: str) -> None:
+    if result:
+        raise RuntimeError(f"the CUDA driver cannot {what} (error {result})")

@@ -1,0 +1,34 @@
+"""Which engine runs graphs in models: on the device where these are."""
+
+from cgtorch.actions import ActionSet
+from cgtorch.environment import Environment
+from cgtorch.native.gpu import Launcher, gpu_of
+from cgtorch.simulation.compiled import CompiledEngine, compiled_models
+from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, compiled_actions
+from cgtorch.simulation.gpu_engine import GpuEngine, gpu_engine
+from cgtorch.simulation.model import ModelEnvironment
+
+
+def engine_of(
+    actions: ActionSet, environment: Environment, gpu: Launcher | None = None
+) -> CompiledEngine | GpuEngine | None:
+    """The engine of actions in models, or None where nothing compiled knows the environment.
+
+    On a GPU that is the one where the models are, or what is given in its place.
+    """
+    if type(environment) is not ModelEnvironment or environment.compiled is None:
+        return None
+    device = environment.percepts.device
+    if gpu is None and device.type == "cuda":
+        gpu = gpu_of(device)
+    found = compiled_models(environment) if gpu or device.type == "cpu" else None
+    if found is None:
+        return None
+    models, own = found
+    size, kinds = environment.percept_size, (*ROUTINES, *NETWORKS, *models.networks)
+    known = compiled_actions(actions, size, models.dtype, kinds)
+    if known is None or known.table.message_size < environment.control_size:
+        return None
+    if gpu:
+        return gpu_engine(actions, known, models, own, size, gpu)
+    return CompiledEngine(actions, known, models, own, size)

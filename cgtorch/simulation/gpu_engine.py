@@ -1,0 +1,193 @@
+"""Algorithm 3 on a GPU: the C sources of the compiled engine as kernels (native/cuda/rollouts.h).
+
+What it says is what `cgtorch.simulation.compiled` says on the CPU, bit for bit. Sizes that are the
+same in all launches are constants of the kernels, which are compiled once for each set of them.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.graphs import Graphs
+from cgtorch.native import constants, structure
+from cgtorch.native.gpu import Launcher, Module, constants_of
+from cgtorch.simulation.action_table import FAILURE, SUCCESS
+from cgtorch.simulation.compiled import NUMBERS, RESULTS, program_of
+from cgtorch.simulation.compiled_actions import CompiledActions
+from cgtorch.simulation.model import CompiledModels
+from cgtorch.simulation.program import check_numbers
+from cgtorch.simulation.rollouts import Rollouts
+
+KERNELS = ("rollouts", "evaluations", "check", "fitness")
+THREADS, BLOCKS = 128, 4
+"""Threads of a block, and blocks that a multiprocessor has registers for."""
+WARP = 32
+FEWEST = 4
+"""Lanes of a warp, where there are few: warps that are busy hide each other's waiting."""
+SHARED = 48 * 1024
+"""Bytes that a block may share with nothing asked for."""
+
+
+@dataclass(frozen=True)
+class GpuEngine:
+    """Actions and models as kernels know them, for any graphs as long as they do not change.
+
+    Attributes:
+        actions: what a node can be.
+        known: the same, with tables on the GPU.
+        models: what functions of these models' name get.
+        environment: a `ModelEnvironment` of models.h.
+        percept_size: D.
+        gpu: where kernels run.
+        module: the kernels.
+        shared: bytes that the machines of Γ and C need, 0 if that is too much to be shared.
+    """
+
+    actions: ActionSet
+    known: CompiledActions
+    models: CompiledModels
+    environment: Any
+    percept_size: int
+    gpu: Launcher
+    module: Module
+    shared: int
+
+    def rollouts(
+        self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int
+    ) -> Rollouts | None:
+        """See `CompiledEngine.rollouts`; graphs and scenarios are on the GPU."""
+        sizes, like = (len(graphs), len(scenarios)), graphs.parameters
+        percept, state = like.new_empty(*sizes, self.percept_size), like.new_empty(*sizes, 3)
+        status, transitions = like.new_empty(2, *sizes, dtype=torch.long).unbind()
+        counts = self._ran(
+            "rollouts", graphs, scenarios, max_transitions, max_steps,
+            percept=percept, state=state, status=status, transitions=transitions,
+        )  # fmt: skip
+        if counts is None:
+            return None
+        succeeded = status == SUCCESS
+        timed_out = ~succeeded & (status != FAILURE)
+        executed = counts["EXECUTED"]
+        return Rollouts(succeeded, timed_out, percept, state, transitions, executed)
+
+    def evaluation(
+        self, graphs: Graphs, scenarios: Tensor, kept: int, max_transitions: int, max_steps: int
+    ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
+        """See `CompiledEngine.evaluation`; results are where the graphs are."""
+        home, device = graphs.start.device, self.gpu.device
+        graphs, sizes = graphs.to(device), (len(graphs), len(scenarios))
+        fitness = torch.empty(len(graphs), device=device)
+        score = graphs.parameters.new_empty(sizes)
+        succeeded = torch.zeros(sizes, dtype=torch.bool, device=device)
+        counts = self._ran(
+            "evaluations", graphs, scenarios, max_transitions, max_steps,
+            keep=kept, fitness=fitness, score=score, succeeded=succeeded,
+        )  # fmt: skip
+        if counts is None:
+            return None
+        found = fitness.to(home), score.float().to(home), succeeded.to(home)
+        return *found, counts["COUNTED"], counts["EXECUTED"], counts["NUM_NOT_FINITE"]
+
+    def _ran(
+        self,
+        name: str,
+        graphs: Graphs,
+        scenarios: Tensor,
+        max_transitions: int,
+        max_steps: int,
+        **rest: Any,
+    ) -> dict[str, int] | None:
+        """What is counted when all is done; None where kernels do not know all of it."""
+        program = program_of(graphs, self.known, (max_transitions, max_steps))
+        if program is None or self.known.needed_by(graphs):
+            return None
+        (p, b), device, dtype = (len(graphs), len(scenarios)), self.gpu.device, self.known.dtype
+        numbers = constants("counts", dtype)
+        counts = torch.zeros(numbers["COUNTS"], dtype=torch.long, device=device)
+        lost, bad = torch.empty(2, p, dtype=torch.int32, device=device).unbind()
+        task = structure("Task", dtype)(
+            program=None, environment=None, scenarios=scenarios, graphs=p, count=b,
+            max_transitions=max_transitions, max_steps=max_steps,
+            **{**dict.fromkeys(RESULTS), **dict.fromkeys(NUMBERS, 0), **rest},
+        )  # fmt: skip
+        models, kept = self.models.structure, rest.get("keep", 0)
+        evaluates = name == "evaluations"
+
+        def launch_of(begin: int, end: int, most: int) -> Any:
+            return structure("Launch", dtype)(
+                lost=lost, bad=bad, counts=counts, begin=begin, end=end, most=most
+            )
+
+        about = ctypes.c_int64(p), ctypes.c_int(evaluates)
+        self._launch("check", p * WARP, 0, program, launch_of(0, 0, 0), *about)
+        for begin, end in ((0, kept), (kept, b)):
+            if begin < end and p:
+                most, threads = self._spread(p * (end - begin))
+                launch = launch_of(begin, end, most)
+                parts = program, self.environment, models, launch, ctypes.c_int(self.shared > 0)
+                self._launch(name, threads, self.shared, task, *parts)
+        if evaluates:
+            self._launch("fitness", p, 0, task, launch_of(0, b, 0))
+        found = dict(zip(numbers, counts.tolist(), strict=False))
+        if found["WRONG"]:
+            check_numbers(graphs, len(self.actions))
+        return found
+
+    def _spread(self, lanes: int) -> tuple[int, int]:
+        """How many lanes a warp runs at most, and how many threads there are."""
+        room = self.gpu.multiprocessors * BLOCKS * THREADS
+        most = min(WARP, max(FEWEST, -(-lanes * WARP // room)))
+        return most, min(room, -(-lanes // most) * WARP)
+
+    def _launch(self, kernel: str, threads: int, shared: int, *arguments: Any) -> None:
+        if threads:
+            blocks = -(-threads // THREADS)
+            self.gpu.launch(self.module, kernel, blocks, THREADS, shared, *arguments)
+
+
+def gpu_engine(
+    actions: ActionSet,
+    known: CompiledActions,
+    models: CompiledModels,
+    environment: Any,
+    percept_size: int,
+    gpu: Launcher,
+) -> GpuEngine:
+    """The engine of actions in models whose tensors are on a GPU."""
+    found, networks = models.structure, {(a.inputs, a.hidden) for a in known.networks()}
+    machines, known = (found.gamma, found.classifier), known.to(gpu.device)
+    # The tabletop's models have more than a machine each.
+    gamma, classifier = (getattr(each, "machine", each) for each in machines)
+    program, size = known.program, torch.finfo(models.dtype).bits // 8
+    sizes = {
+        "MOST_PERCEPT": percept_size,
+        "MOST_MESSAGE": max(2, known.table.message_size),  # a branch says two numbers
+        "MOST_HIDDEN": max([1, *(hidden for _, hidden in networks)]),
+        "MOST_DEPTH": max(1, program["depth"]),
+        "MOST_FEATURES": max(gamma.d, classifier.d) + 1,  # C may make one more than it uses
+        "MOST_OUTPUTS": max(gamma.k, classifier.k),
+        "CONTROLS": environment.controls,
+        "DEPTH": program["depth"],
+        "ROWS": program["rows"],
+        "PRIMITIVES": program["count"],
+        "OUTCOMES": program["outcomes"],
+        "ACTION_OUTCOMES": program["most"],
+        "WIDTH_OF_SKILLS": program["width"],
+        "GAMMA_CENTRES": gamma.m,
+        "GAMMA_FEATURES": gamma.d,
+        "GAMMA_OUTPUTS": gamma.k,
+        "CLASSIFIER_CENTRES": classifier.m,
+        "CLASSIFIER_FEATURES": classifier.d,
+        "THREADS": THREADS,
+        "BLOCKS": BLOCKS,
+    }
+    if len(networks) == 1:
+        ((sizes["INPUTS"], sizes["HIDDEN"]),) = networks
+    module = Module(models.name, models.dtype, KERNELS, constants_of(sizes))
+    shared = size * sum(machine.m * (machine.d + machine.k) for machine in (gamma, classifier))
+    fits = shared if shared <= SHARED else 0
+    return GpuEngine(actions, known, models, environment, percept_size, gpu, module, fits)

@@ -1,0 +1,124 @@
+"""The engine for GPUs, on what stands in for one, and that of the CPU: the same in every bit."""
+
+import shutil
+
+import pytest
+import torch
+from emulated_gpu import EmulatedGpu
+from random_kernel_models import DOMAINS, actions_for, random_kernel_models
+from random_models import models_as, random_models
+from support import as_double, as_double_actions, custom_actions, nested_actions, random_graphs
+from told_by_runs import tensors_of
+
+from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.graphs import Graphs
+from cgtorch.ground.errors import GraphError
+from cgtorch.native import available
+from cgtorch.simulation import ModelEnvironment, Rollouts
+from cgtorch.simulation.engines import engine_of
+from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.tabletop.edge_networks import edge_actions
+
+pytestmark = pytest.mark.skipif(
+    not available() or shutil.which("c++") is None, reason="there is no C++ compiler"
+)
+
+SCENES = [("box", 0), ("box", 1), ("yaw", 0), ("yaw", 3)]
+SETS = ["paper", "edge", "both", "nested"]
+
+
+def actions_of(which: str, size: int) -> ActionSet:
+    paper, edge = paper_actions(size), edge_actions(size)
+    both = ActionSet(
+        (*paper.names, "EdgeNN", "EdgeBranchingNN"), (*paper.actions, *edge.actions[3:])
+    )
+    sets = {"paper": paper, "edge": edge, "both": both, "nested": nested_actions(3, both)}
+    return sets[which]
+
+
+def assert_same(
+    actions: ActionSet, environment: ModelEnvironment, graphs: Graphs, kept: int = 0
+) -> Rollouts:
+    """Rollouts and evaluations are the same in every bit; what the rollouts were."""
+    cpu, gpu = engine_of(actions, environment), engine_of(actions, environment, EmulatedGpu())
+    assert cpu is not None
+    assert isinstance(gpu, GpuEngine)
+    scenarios = torch.arange(environment.num_scenarios).flip(0)
+    wanted, found = (each.rollouts(graphs, scenarios, 20, 400) for each in (cpu, gpu))
+    assert wanted is not None
+    assert found is not None
+    assert wanted.executed == found.executed
+    for name, tensor in tensors_of(wanted).items():
+        torch.testing.assert_close(tensors_of(found)[name], tensor, rtol=0, atol=0, equal_nan=True)
+    evaluations = [each.evaluation(graphs, scenarios, kept, 20, 400) for each in (cpu, gpu)]
+    for one, other in zip(*evaluations, strict=True):
+        if isinstance(one, torch.Tensor):
+            torch.testing.assert_close(other, one, rtol=0, atol=0)
+        else:
+            assert one == other
+    return wanted
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("which", SETS)
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_tabletop_is_the_same_in_all_scenes(
+    scene: tuple[str, int], which: str, dtype: torch.dtype
+) -> None:
+    environment = models_as(random_models(5, 7, *scene), dtype)
+    actions = actions_of(which, environment.percept_size)
+    graphs = random_graphs(2, 14, actions)
+    if dtype == torch.float64:
+        graphs, actions = as_double(graphs), as_double_actions(actions)
+    assert_same(actions, environment, graphs, kept=3)
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+@pytest.mark.parametrize("nested", [False, True])
+def test_any_domain_is_the_same(domain: str, nested: bool) -> None:
+    environment = random_kernel_models(3, 7, *DOMAINS[domain])
+    actions = actions_for(environment, 4, nested)
+    assert_same(actions, environment, as_double(random_graphs(4, 14, actions)), kept=2)
+
+
+def test_what_is_not_finite_counts_for_nothing_there_too() -> None:
+    environment = models_as(random_models(3, 9), torch.float32)
+    actions = paper_actions()
+    graphs = random_graphs(3, 12, actions)
+    graphs.parameters[2, 0, 0] = torch.nan
+    graphs.parameters[3, 0, 1] = torch.inf
+    environment.percepts[1, 5] = torch.nan
+    environment.first_state[1, 2] = torch.nan
+    gpu = engine_of(actions, environment, EmulatedGpu())
+    assert gpu is not None
+    found = gpu.evaluation(graphs, torch.arange(9), 4, 20, 400)
+    assert found is not None
+    assert found[-1] >= 2
+    assert_same(actions, environment, graphs, kept=4)
+
+
+def test_wrong_graphs_are_told() -> None:
+    environment, actions = models_as(random_models(0, 4), torch.float32), paper_actions()
+    graphs = random_graphs(0, 6, actions)
+    graphs.edges[2, 0, 0] = 1000
+    gpu = engine_of(actions, environment, EmulatedGpu())
+    assert gpu is not None
+    with pytest.raises(GraphError, match="1000"):
+        gpu.rollouts(graphs, torch.arange(4), 20, 400)
+
+
+def test_graphs_with_own_actions_are_left_to_others() -> None:
+    environment, actions = models_as(random_models(0, 4), torch.float32), custom_actions()
+    graphs = random_graphs(0, 30, actions)
+    gpu = engine_of(actions, environment, EmulatedGpu())
+    assert gpu is not None
+    assert gpu.rollouts(graphs, torch.arange(4), 20, 400) is None
+
+
+def test_more_lanes_than_threads_at_once() -> None:
+    """Threads take new lanes while others of their warp are busy."""
+    environment, actions = models_as(random_models(1, 16), torch.float32), paper_actions()
+    met = assert_same(actions, environment, random_graphs(6, 150, actions), kept=5)
+    moved, lost = met.state[..., 0], met.state[..., 1]
+    ends = met.succeeded.sum(), met.timed_out.sum(), (moved > 1).sum(), (lost > 0).sum()
+    assert min(map(int, ends)) >= 20, ends
