@@ -26,6 +26,7 @@ class ActionSet:
         succeeds: (A, O) bool, terminal outcomes with which the skill succeeded.
         has_edge: (A, O) bool, outcomes that must lead to a node.
         num_parameters: (A,) long.
+        standard: (A,) long, 1 where the parameters of new nodes are standard normal.
         message_size: length of the longest message.
     """
 
@@ -35,6 +36,7 @@ class ActionSet:
     succeeds: Tensor = field(init=False, repr=False, compare=False)
     has_edge: Tensor = field(init=False, repr=False, compare=False)
     num_parameters: Tensor = field(init=False, repr=False, compare=False)
+    standard: Tensor = field(init=False, repr=False, compare=False)
     message_size: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -52,6 +54,7 @@ class ActionSet:
             succeeds=succeeds,
             has_edge=has_edge,
             num_parameters=torch.tensor([a.num_parameters for a in self.actions]),
+            standard=torch.tensor([int(_is_standard(a)) for a in self.actions]),
             message_size=max(a.message_size for a in self.actions),
         )
 
@@ -98,6 +101,13 @@ class ActionSet:
                 torch.where((wanted == i)[..., None], rows, part, out=part)
                 del drawn, rows  # before the next are drawn, which may be gigabytes
         return out
+
+
+def _is_standard(action: Action) -> bool:
+    """Whether an action leaves `initial_parameters` as it is."""
+    return type(action).initial_parameters is Action.initial_parameters and (
+        "initial_parameters" not in vars(action)
+    )
 
 
 def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:

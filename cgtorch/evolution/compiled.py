@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.population import STRATEGY, Population, bounds
+from cgtorch.evolution.population import STRATEGY, Population, bounds, spread
 from cgtorch.graphs import Graphs
+from cgtorch.ground import counter_rng
 from cgtorch.ground.counter_rng import quantiles
 from cgtorch.native import NO_PARENT, constants, function, structure, threads
 from cgtorch.native.interface import agree
@@ -59,6 +60,7 @@ def bred(
         given=_graphs(population.graphs, None, n), made=_graphs(room, room.parameters, capacity),
         elite=elite, parents=parents, strategy=population.strategy.float(),
         parent_strategy=strategy, has_edge=actions and actions.has_edge, first=first,
+        standard=actions and actions.standard,
         individuals=len(population), elites=len(elite), pairs=len(parents) // 2, actions=kinds,
         pair_key=keys[0], key=keys[1], width=0,
     )  # fmt: skip
@@ -72,18 +74,18 @@ def changed(
     fresh: Tensor,
     actions: ActionSet,
     strategy: Tensor,
-    factors: Tensor,
+    tau: float,
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
     """See `cgtorch.evolution.parameters.changed_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
-    made, drifted = old.new_empty(p, n, k), torch.empty(p, factors.shape[1])
+    made, drifted = old.new_empty(p, n, k), torch.empty(p, len(STRATEGY))
     children = structure("Children", old.dtype)(
         action=graphs.action, num_parameters=actions.num_parameters, origins=graphs.parameters,
-        old=old, fresh=fresh, strategy=strategy.float(), factors=factors, bounds=bounds(),
+        old=old, fresh=fresh, strategy=strategy.float(), standard=actions.standard, bounds=bounds(),
         quantiles=quantiles(), parameters=made, drifted=drifted, rows=p, nodes=n, most=k,
-        actions=len(actions), same=same, key=key,
+        actions=len(actions), same=same, key=key, spread=spread(tau),
     )  # fmt: skip
     _call("changed", old.dtype, children, threads())
     return made, drifted
@@ -102,6 +104,15 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     task = scores, *scores.shape, epsilon.contiguous(), key, count, chosen, threads()
     _call("lexicase", scores.dtype, *task)
     return chosen
+
+
+def shuffled(count: int, key: int) -> Tensor:
+    """See `cgtorch.ground.counter_rng.shuffled`, which does it where nothing is compiled."""
+    if function("shuffled_order", torch.float32) is None:
+        return counter_rng.shuffled(count, key)
+    order = torch.empty(count, dtype=torch.long)
+    _call("shuffled_order", torch.float32, count, key, order, threads())
+    return order
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:

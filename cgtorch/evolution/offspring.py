@@ -105,5 +105,9 @@ def bred(
         children = restructured(children, rates, keys[1], actions, slots)
     first = compacted(with_origins(graphs)[elite])
     first = narrowed(widened(first, max(graphs.capacity, slots)), slots)
-    made, begins = with_new_origins(concatenate([first, children]), len(actions or ()))
+    made, begins = with_new_origins(concatenate([first, children]), _standard(actions))
     return made, strategy, begins
+
+
+def _standard(actions: ActionSet | None) -> torch.Tensor:
+    return torch.zeros(0, dtype=torch.long) if actions is None else actions.standard

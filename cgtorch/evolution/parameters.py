@@ -15,7 +15,14 @@ from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled
 from cgtorch.evolution.population import STRATEGY, Population, drifted, factors
 from cgtorch.graphs import Graphs
-from cgtorch.ground.counter_rng import keys, normal_from, random_key, uniform_from, words
+from cgtorch.ground.counter_rng import (
+    FRESH,
+    keys,
+    normal_from,
+    random_key,
+    uniform_from,
+    words,
+)
 
 RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
@@ -32,14 +39,16 @@ def copied(graphs: Graphs, old: Tensor) -> Graphs:
     return replace(graphs, parameters=_at_origins(graphs.parameters, old, none))
 
 
-def with_new_origins(graphs: Graphs, actions: int) -> tuple[Graphs, list[int]]:
+def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int]]:
     """The graphs with origins -1, -2, … of new nodes: first all of action 0, and so on.
 
-    And after how many those of each action begin, and how many there are.
+    And after how many those of each action begin, and how many there are. Those of actions whose
+    parameters are `standard` (A,) normal keep 0.
     """
     action, origins = graphs.action.flatten(), graphs.parameters.flatten()
     new = ((action >= 0) & (origins == 0)).nonzero()[:, 0]
-    numbers = torch.bincount(action[new], minlength=actions)
+    new = new[standard[action[new]] == 0]
+    numbers = torch.bincount(action[new], minlength=len(standard))
     new = new[action[new].argsort(stable=True)]
     origins = origins.index_put((new,), torch.arange(-1, -len(new) - 1, -1))
     made = replace(graphs, parameters=origins.view_as(graphs.parameters))
@@ -58,17 +67,18 @@ def changed(
 ) -> Population:
     """P graphs with parameters, each of which may have changed by a Gaussian step, and eq. 2.
 
-    Graphs have origins: new nodes, whose numbers are `first` (`with_new_origins`), get initial
-    parameters, others those of parents (P', N, K). Strategies (P at least, S) drift after the
-    steps, with variance `tau`. The `same` individuals that come first stay as they are.
+    Graphs have origins: new nodes with a number, of which `first` tells (`with_new_origins`), get
+    what their action wants, those without one standard normal parameters, and others those of
+    parents (P', N, K). Strategies (P at least, S) drift after the steps, with variance `tau`. The
+    `same` individuals that come first stay as they are.
     """
     fresh = old.new_zeros(first[-1], old.shape[2])
     for module, begin, end in zip(actions.actions, first, first[1:], strict=False):
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
-    key, by = random_key(generator), factors(len(strategy) - same, tau, generator)
+    key = random_key(generator)
     way = compiled.changed if compiled.takes(graphs, old) else changed_in_torch
-    made, after = way(graphs, old, fresh, actions, strategy, by, same, key)
+    made, after = way(graphs, old, fresh, actions, strategy, tau, same, key)
     return Population(replace(graphs, parameters=made), after)
 
 
@@ -78,28 +88,40 @@ def changed_in_torch(
     fresh: Tensor,
     actions: ActionSet,
     strategy: Tensor,
-    factors: Tensor,
+    tau: float,
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
     """Parameters (P, N, K) and strategies (P, S) of graphs; see `native/engine/parameters.c`.
 
-    New nodes have the parameters `fresh` (F, K). Strategies are multiplied by factors (P - `same`
-    at least, S) of eq. 2. One word for each parameter says whether it changes and by how much.
+    New nodes with a number have the parameters `fresh` (F, K). One word for each parameter says
+    whether it changes and by how much.
     """
-    strategy, factors = strategy[: len(graphs)], factors[: len(graphs) - same]
+    strategy, own = strategy[: len(graphs)], keys(key, len(graphs))
     out = _at_origins(graphs.parameters, old, fresh)
+    _draw_standard(out, graphs, actions, own)
     count = actions.num_parameters[graphs.action.clamp_min(0)] * graphs.used
     before = count.cumsum(1) - count
     row, slot = count.nonzero(as_tuple=True)
     column = torch.arange(out.shape[2])
-    random = words(keys(key, len(graphs))[row, None], before[row, slot][:, None] + column)
+    random = words(own[row, None], before[row, slot][:, None] + column)
     rate, sigma = strategy.float()[row][:, [RATE, SIGMA]].split(1, 1)
     changes = (uniform_from(random) < rate) & (row >= same)[:, None]
     changes &= column < count[row, slot][:, None]
     values = out[row, slot]
     out[row, slot] = torch.where(changes, values + normal_from(random) * sigma, values)
-    return out, torch.cat([strategy[:same], drifted(strategy[same:], factors)])
+    return out, torch.cat([strategy[:same], drifted(strategy[same:], factors(own[same:], tau))])
+
+
+def _draw_standard(out: Tensor, graphs: Graphs, actions: ActionSet, keys: Tensor) -> None:
+    """Standard normal numbers for nodes without origin whose actions want them, in place."""
+    new = graphs.used & (graphs.parameters[..., 0] == 0)
+    new &= actions.standard[graphs.action.clamp_min(0)] != 0
+    row, slot = new.nonzero(as_tuple=True)
+    column = torch.arange(out.shape[2])
+    drawn = normal_from(words(keys[row, None], FRESH + slot[:, None] * out.shape[2] + column))
+    count = actions.num_parameters[graphs.action[row, slot]]
+    out[row, slot] = torch.where(column < count[:, None], drawn, 0).to(out)
 
 
 def _at_origins(origins: Tensor, old: Tensor, fresh: Tensor) -> Tensor:

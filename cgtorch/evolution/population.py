@@ -23,7 +23,9 @@ from cgtorch.graphs import (
     valid,
     widened,
 )
+from cgtorch.ground.counter_rng import DRIFT, normal_from, words
 from cgtorch.ground.errors import GraphError, SettingsError
+from cgtorch.ground.numerics import exp2
 
 STRATEGY = (
     "crossover",
@@ -85,11 +87,15 @@ def initial_strategy(size: int) -> Tensor:
     return torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
 
 
-def factors(count: int, tau: float, generator: Generator) -> Tensor:
-    """(count, S) exp(N(0, τ)) of eq. 2, with variance τ."""
-    noise = torch.randn((count, len(STRATEGY)), generator=generator)
-    # exp of so few numbers already goes to all threads
-    return noise.mul_(tau**0.5 / math.log(2)).exp2_()
+def factors(keys: Tensor, tau: float) -> Tensor:
+    """(P, S) exp(N(0, τ)) of eq. 2, with variance τ, for individuals with keys (P,)."""
+    random = words(keys[:, None], DRIFT + torch.arange(len(STRATEGY)))
+    return exp2(normal_from(random) * torch.tensor(spread(tau)))
+
+
+def spread(tau: float) -> float:
+    """The deviation of binary logarithms of what strategies are multiplied by."""
+    return tau**0.5 / math.log(2)
 
 
 def drifted(strategy: Tensor, factors: Tensor) -> Tensor:

@@ -59,12 +59,12 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     groups = -(-len(order) // MOST_CANDIDATES)
     if groups == 1:
         return _from_all(scores, count, generator)
-    members = torch.randperm(len(order), generator=generator).tensor_split(groups)
+    members = compiled.shuffled(len(order), random_key(generator)).tensor_split(groups)
     chosen = [
         group[_from_all(scores[group], len(part), generator)]
         for group, part in zip(members, torch.arange(count).tensor_split(groups), strict=True)
     ]
-    return torch.cat(chosen)[torch.randperm(count, generator=generator)]
+    return torch.cat(chosen)[compiled.shuffled(count, random_key(generator))]
 
 
 def deviation(scores: Tensor) -> Tensor:

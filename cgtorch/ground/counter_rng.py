@@ -29,6 +29,9 @@ BITS = 24
 GOLDEN, FIRST, SECOND = (
     constant - 2**64 for constant in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
+FEISTEL_ROUNDS = 6
+FRESH, DRIFT = 2**40, 2**41
+"""Where in an individual's numbers those of parameters of new nodes begin, and of its drift."""
 OCTAVES, STEPS = 40, 32
 """The quantile is a polynomial on each of so many steps of each octave of chances."""
 
@@ -126,6 +129,28 @@ def quantiles() -> Tensor:
     rows = [first, 4 * middle - 3 * first - last, 2 * (first + last) - 4 * middle]
     table = -torch.stack(rows, 1).float()
     return torch.cat([table, torch.zeros(1, 3)])
+
+
+def shuffled(count: int, key: int) -> Tensor:
+    """(count,) long, an order of 0 … count - 1 that follows from a key.
+
+    A number's place is made from it alone: by Feistel's network on as many bits as `count` needs,
+    again as long as what comes out is too large (Black & Rogaway, "Ciphers with arbitrary finite
+    domains", 2002). So it is made in any order, on any device; `native/engine/draws.h` does.
+    """
+    bits = max(2, (count - 1).bit_length())
+    low = bits // 2
+    own, place = torch.tensor(key), torch.arange(count)
+    todo = place.clone()
+    while len(todo):
+        now = place[todo]
+        left, right = now >> low, now & (1 << low) - 1
+        for turn in range(0, FEISTEL_ROUNDS, 2):
+            left = (left ^ words(own, right * 8 + turn)) & (1 << bits - low) - 1
+            right = (right ^ words(own, left * 8 + turn + 1)) & (1 << low) - 1
+        place[todo] = left << low | right
+        todo = todo[place[todo] >= count]
+    return place
 
 
 def pick(draw: Tensor, count: Tensor | int) -> Tensor:

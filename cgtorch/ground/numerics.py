@@ -16,6 +16,22 @@ def sigmoid(x: Tensor) -> Tensor:
     return 1 / (1 + torch.exp((-x).clamp_max(80)))
 
 
+_POWERS = (0.00015461445, 0.0013400428, 0.009618057, 0.055503272, 0.24022651, 0.6931472, 1.0)
+
+
+def exp2(x: Tensor) -> Tensor:
+    """2^x to seven digits of x (...) float32, no larger than 100; `native/engine/draws.h` as well.
+
+    With torch's own, CPUs and GPUs would not agree on last digits. The polynomial is near the best
+    of its degree.
+    """
+    whole = x.round()
+    rest, p = x - whole, torch.full_like(x, _POWERS[0])
+    for factor in _POWERS[1:]:
+        p = p * rest + factor
+    return (p.view(torch.int32) + whole.int() * 2**23).view(torch.float32)
+
+
 _FILLED = 32  # numbers that torch computes together at most
 
 

@@ -9,10 +9,12 @@ from torch import Generator, Tensor
 
 from cgtorch.evolution import STRATEGY
 from cgtorch.evolution.population import PROBABILITY_MAX, SIGMA_MAX, STRATEGY_MIN, drifted, factors
+from cgtorch.ground.counter_rng import keys, random_key
 
 
 def drift(strategy: Tensor, tau: float, generator: Generator) -> Tensor:
-    return drifted(strategy, factors(len(strategy), tau, generator))
+    own = keys(random_key(generator), len(strategy))
+    return drifted(strategy, factors(own, tau))
 
 
 def test_drift_is_log_normal_with_variance_tau() -> None:

@@ -100,7 +100,7 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     assert torch.equal(new.start, old.start)
     assert (new.parameters == 0).all()
     without = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
-    numbered, first = with_new_origins(without, len(ACTIONS))
+    numbered, first = with_new_origins(without, ACTIONS.standard)
     rates = initial_strategy(P)
     made = changed(numbered, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
     assert torch.equal(made.strategy, rates)

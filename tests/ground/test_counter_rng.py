@@ -5,7 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.ground.counter_rng import normal, threefry, uniform
+from cgtorch.evolution import compiled
+from cgtorch.ground.counter_rng import normal, shuffled, threefry, uniform
 
 KNOWN = [  # "threefry2x32 20" in the file kat_vectors of Random123: counter, key, result
     ((0, 0), (0, 0), (0x6B200159, 0x99BA4EFE)),
@@ -77,3 +78,24 @@ def test_uniform_and_normal_numbers_are_that() -> None:
 def test_the_ends_of_the_interval_give_finite_normal_numbers() -> None:
     ends = torch.tensor([[0.0, 0.0], [1 - 2.0**-24, 1 - 2.0**-24]])
     assert normal(ends).isfinite().all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 64, 65, 1000, 5000])
+def test_an_order_has_every_number_once(count: int) -> None:
+    one, other = shuffled(count, 1), shuffled(count, -7)
+    assert torch.equal(one.sort().values, torch.arange(count))
+    assert torch.equal(one, shuffled(count, 1))
+    assert count < 5 or not torch.equal(one, other)
+
+
+def test_every_number_comes_everywhere() -> None:
+    places = torch.stack([shuffled(10, key) for key in range(4000)])
+    counts = torch.stack([(places == i).sum(0) for i in range(10)])
+    assert (counts - 400).abs().max() < 5 * 400**0.5
+    together = (places[:, 0] == 3) & (places[:, 1] == 4)
+    assert float(together.float().mean()) == pytest.approx(1 / 90, abs=0.006)
+
+
+def test_compiled_orders_are_the_same() -> None:
+    for count in (1, 5, 4096, 10_001):
+        assert torch.equal(compiled.shuffled(count, -123), shuffled(count, -123))

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.ground.numerics import atan2, row_means, sigmoid
+from cgtorch.ground.numerics import atan2, exp2, row_means, sigmoid
 
 
 def test_sigmoid_is_the_logistic_function() -> None:
@@ -50,3 +50,11 @@ def test_no_neighbour_changes_a_mean(rows: int, columns: int, first: int) -> Non
     torch.testing.assert_close(found, x.mean(1), rtol=1e-6, atol=0, equal_nan=True)
     part = slice(first, first + 2)
     assert torch.equal(row_means(x[part]).nan_to_num(), found[part].nan_to_num())
+
+
+def test_powers_of_two_have_seven_digits() -> None:
+    x = torch.linspace(-100, 100, 20_001)
+    wanted = torch.exp2(x.double())
+    assert float((exp2(x).double() / wanted - 1).abs().max()) < 2.5e-7
+    whole = torch.arange(-100.0, 101.0)
+    assert torch.equal(exp2(whole).double(), torch.exp2(whole.double()))

@@ -1,7 +1,10 @@
 /* Random numbers that are functions of a key (cgtorch.ground.counter_rng). */
 #pragma once
+#ifndef __CUDACC_RTC__
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
+#endif
 
 #define BITS 24 /* of a word, the upper ones, for uniform numbers; the others are for normal ones */
 #define GOLDEN 0x9E3779B97F4A7C15u
@@ -41,4 +44,50 @@ static inline uint64_t below(float rate) {
 static inline int pick(float draw, int count) {
   int64_t k = (int64_t)(draw * (float)count);
   return (int)(k < 0 ? 0 : k < count ? k : count - 1);
+}
+
+/* Where in an individual's numbers those of parameters of new nodes begin, and of its drift. */
+#define FRESH ((int64_t)1 << 40)
+#define DRIFT ((int64_t)1 << 41)
+
+/* A standard normal number (cgtorch.ground.counter_rng.normal_from). */
+static inline float normal(const float *quantiles, uint64_t word) {
+  float chance = (float)(int64_t)((word & (((uint64_t)1 << 39) - 1)) * 2 + 1);
+  int32_t bits;
+  memcpy(&bits, &chance, sizeof bits);
+  const float *at = quantiles + 3 * ((bits >> 18) - 127 * 32);
+  float place = (float)(bits & ((1 << 18) - 1)) * 0x1p-18f;
+  float size = at[0] + place * (at[1] + place * at[2]);
+  return word >> 39 & 1 ? -size : size;
+}
+
+/* 2^x to seven digits, for x that are no larger than 100 (cgtorch.ground.numerics.exp2). */
+static inline float power_of_two(float x) {
+  static const float factors[] = {0.00015461445f, 0.0013400428f, 0.009618057f, 0.055503272f,
+                                  0.24022651f,    0.6931472f,    1.0f};
+  float whole_part = rintf(x), rest = x - whole_part, p = factors[0];
+  int32_t bits;
+  for (int i = 1; i < 7; i++) p = p * rest + factors[i];
+  memcpy(&bits, &p, sizeof bits);
+  bits += (int32_t)whole_part * (1 << 23);
+  memcpy(&p, &bits, sizeof p);
+  return p;
+}
+
+/* Where number i of `count` comes in an order that follows from a key: Feistel's network on as many bits
+   as `count` needs, again as long as what comes out is too large (cgtorch.ground.counter_rng.shuffled). */
+static inline int64_t shuffled(int64_t i, int64_t count, uint64_t key) {
+  int bits = 2;
+  while ((int64_t)1 << bits < count) bits++;
+  int low = bits / 2;
+  uint64_t place = (uint64_t)i, right = ((uint64_t)1 << low) - 1, left = ((uint64_t)1 << (bits - low)) - 1;
+  do {
+    uint64_t a = place >> low, b = place & right;
+    for (int round = 0; round < 6; round += 2) {
+      a = (a ^ word(key, (int64_t)(b * 8) + round)) & left;
+      b = (b ^ word(key, (int64_t)(a * 8) + round + 1)) & right;
+    }
+    place = a << low | b;
+  } while (place >= (uint64_t)count);
+  return (int64_t)place;
 }

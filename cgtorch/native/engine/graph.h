@@ -23,6 +23,7 @@ typedef struct {
   const float *strategy;   /* (P, STRATEGY) of `given` */
   float *parent_strategy;  /* (E + 2 Q, STRATEGY) of the elite and of parents */
   const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
+  const int64_t *standard; /* (A,) whether parameters of new nodes are standard normal */
   int64_t *first;          /* (A + 1,) for `number_new_nodes`, unless nothing is mutated */
   int64_t individuals, elites, pairs, actions, pair_key, key;
   int64_t width; /* nodes of the largest of the elite and of parents, set by `bred` */

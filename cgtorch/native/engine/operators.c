@@ -47,15 +47,16 @@ static int all_there(const int64_t *rows, int64_t count, int64_t individuals) {
   return there;
 }
 
-/* Numbers new nodes -1, -2, ..., first those of action 0, and so on, and tells after how many those
-   of each action begin; the last of `first` (A + 1,) is how many there are. 0 for want of memory. */
+/* Numbers new nodes whose parameters are not standard normal -1, -2, ..., first those of action 0, and so
+   on, and tells after how many those of each action begin; the last of `first` (A + 1,) is how many there
+   are. 0 for want of memory. */
 static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t total, int64_t actions,
-                            int64_t *first) {
+                            const int64_t *standard, int64_t *first) {
   int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
   if (!where) return 0;
   memset(first, 0, (size_t)(actions + 1) * sizeof *first);
   for (int64_t i = 0; i < total; i++)
-    if (!origins[i] && action[i] >= 0 && action[i] < actions) {
+    if (!origins[i] && action[i] >= 0 && action[i] < actions && !standard[action[i]]) {
       where[count++] = i;
       origins[i] = -++first[action[i] + 1];
     }
@@ -86,5 +87,22 @@ int bred(Breeding *b, int64_t threads) {
   in_parallel(some_pairs, b, b->pairs, 32, threads);
   if (!b->has_edge) return DONE;
   int64_t slots = (b->elites + children) * b->made.nodes, *origins = b->made.origins;
-  return number_new_nodes(b->made.action, origins, slots, b->actions, b->first) ? DONE : NO_MEMORY;
+  return number_new_nodes(b->made.action, origins, slots, b->actions, b->standard, b->first) ? DONE : NO_MEMORY;
+}
+
+typedef struct {
+  int64_t *out, count;
+  uint64_t key;
+} Order;
+
+static void some_places(void *what, int64_t begin, int64_t end) {
+  const Order *o = what;
+  for (int64_t i = begin; i < end; i++) o->out[i] = shuffled(i, o->count, o->key);
+}
+
+/* An order (count,) of as many that follows from a key. */
+int shuffled_order(int64_t count, int64_t key, int64_t *out, int64_t threads) {
+  Order order = {out, count, (uint64_t)key};
+  in_parallel(some_places, &order, count, 4096, threads);
+  return DONE;
 }
