@@ -12,7 +12,8 @@
 
 #define __CUDACC__
 #define __global__
-#define __shared__
+#define __shared__ static /* by the threads of a block; blocks come one after the other */
+#define DYNAMIC_SHARED extern
 #define __grid_constant__
 #define __launch_bounds__(...)
 
@@ -89,6 +90,7 @@ template <class T> static T atomicAdd(T *to, T more) {
   return before;
 }
 static int __popc(unsigned bits) { return __builtin_popcount(bits); }
+static int __clz(int bits) { return bits ? __builtin_clz((unsigned)bits) : 32; }
 static int __ffs(int bits) { return __builtin_ffs(bits); }
 static int __ffsll(long long bits) { return __builtin_ffsll(bits); }
 

@@ -26,10 +26,15 @@ def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
     return (
         function("changed", parameters.dtype) is not None
         and function("bred", torch.float32) is not None
-        and max(n, slots) <= _limits()["MOST_NODES"]
-        and o <= _limits()["MOST_OUTCOMES"]
+        and within_limits(max(n, slots), o)
         and all(is_whole(x) for x in (graphs.action, graphs.edges, graphs.start))
     )
+
+
+def within_limits(nodes: int, outcomes: int) -> bool:
+    """Whether compiled operators have room for graphs of so many nodes and outcomes."""
+    limits = _limits()
+    return nodes <= limits["MOST_NODES"] and outcomes <= limits["MOST_OUTCOMES"]
 
 
 def is_whole(numbers: Tensor) -> bool:
@@ -56,8 +61,9 @@ def bred(
     sizes = size, (*size, o), (*size, 1), size[:1]
     room = Graphs(*(torch.empty(each, dtype=torch.long) for each in sizes))
     strategy, first = torch.empty(count, len(STRATEGY)), torch.zeros(kinds + 1, dtype=torch.long)
+    given = graphs_structure(population.graphs, None, n)
     breeding = structure("Breeding", torch.float32)(
-        given=_graphs(population.graphs, None, n), made=_graphs(room, room.parameters, capacity),
+        given=given, made=graphs_structure(room, room.parameters, capacity),
         elite=elite, parents=parents, strategy=population.strategy.float(),
         parent_strategy=strategy, has_edge=actions and actions.has_edge, first=first,
         standard=actions and actions.standard,
@@ -136,7 +142,8 @@ def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
         raise MemoryError(f"no memory to run {name}")
 
 
-def _graphs(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
+def graphs_structure(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
+    """A `Graphs` of graph.h, of graphs with so many slots, whose nodes carry `origins` or none."""
     action, edges, start = (x.contiguous() for x in (graphs.action, graphs.edges, graphs.start))
     kind = structure("Graphs", torch.float32)
     sizes = {"nodes": nodes, "outcomes": edges.shape[2]}

@@ -161,7 +161,11 @@ def next_state(
     """`tell` unchecked: fitness (P,) and scores (P, B) have no NaN, `order` (P,) is best first."""
     population, size = state.population, settings.population
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
-    parents, best = settings.selection(order, scores, 2 * pairs, generator), int(order[0])
+    home = scores.device
+    if settings.selection is not lexicase:  # others choose on the CPU
+        order, scores = order.cpu(), scores.cpu()
+    parents = settings.selection(order, scores, 2 * pairs, generator).to(home)
+    elite, best = elite.to(home), int(order[0])
     if settings.crossover is crossover and settings.mutation is mutate:
         sizes = settings.capacity, settings.tau, size
         following = offspring(population, elite, parents, actions, generator, *sizes)

@@ -15,6 +15,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
 from cgtorch.simulation.engines import engine_of
+from cgtorch.simulation.gpu_engine import GpuEngine
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
@@ -110,7 +111,12 @@ def evaluator(
 
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
-        found = [parts(mine[i : i + size]) for i in range(0, max(1, len(mine)), size)]
+        # A GPU has the more threads at work the more there is to do, and needs no memory for it.
+        whole = isinstance(engine, GpuEngine) and engine.evaluation(
+            mine, order, kept, max_transitions, steps
+        )
+        begins = range(0, max(1, len(mine)), size)
+        found = [whole] if whole else [parts(mine[i : i + size]) for i in begins]
         *tensors, transitions, executed, not_finite = zip(*found, strict=True)
         means, scores, succeeded = (
             ranks.all_gather(torch.cat(column) if column[1:] else column[0], p, group)

@@ -9,13 +9,14 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution import compiled
+from cgtorch.evolution import compiled, gpu
 from cgtorch.evolution.crossover import swapped
 from cgtorch.evolution.parameters import changed, copied, with_new_origins, with_origins
 from cgtorch.evolution.population import STRATEGY, TAU, Population
 from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
 from cgtorch.ground.counter_rng import random_key
+from cgtorch.native.gpu import launcher_of
 
 
 def crossover(first: Population, second: Population, generator: Generator) -> Population:
@@ -91,6 +92,10 @@ def bred(
     of parents; and the numbers of `with_new_origins`. The keys are those of pairs and of children.
     """
     graphs, slots = population.graphs, min(population.graphs.capacity + 1, capacity)
+    if launcher := launcher_of(graphs.start.device):
+        made, strategy = gpu.bred(launcher, population, elite, parents, keys, actions, capacity)
+        made, begins = with_new_origins(made, _standard(actions))
+        return made, strategy, begins
     if compiled.takes(graphs, graphs.parameters, slots):
         return compiled.bred(population, elite, parents, keys, actions, capacity)
     rows = torch.cat([elite, parents])

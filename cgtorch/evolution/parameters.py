@@ -7,12 +7,13 @@ parents, -r - 1 for row r of those drawn for new nodes, and 0 for a new node wit
 """
 
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution import compiled
+from cgtorch.evolution import compiled, gpu
 from cgtorch.evolution.population import STRATEGY, Population, drifted, factors
 from cgtorch.graphs import Graphs
 from cgtorch.ground.counter_rng import (
@@ -23,6 +24,7 @@ from cgtorch.ground.counter_rng import (
     uniform_from,
     words,
 )
+from cgtorch.native.gpu import launcher_of
 
 RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
@@ -45,12 +47,15 @@ def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int
     And after how many those of each action begin, and how many there are. Those of actions whose
     parameters are `standard` (A,) normal keep 0.
     """
+    if bool(standard.all()):
+        return graphs, [0] * (len(standard) + 1)
     action, origins = graphs.action.flatten(), graphs.parameters.flatten()
+    standard = standard.to(action.device)
     new = ((action >= 0) & (origins == 0)).nonzero()[:, 0]
     new = new[standard[action[new]] == 0]
     numbers = torch.bincount(action[new], minlength=len(standard))
     new = new[action[new].argsort(stable=True)]
-    origins = origins.index_put((new,), torch.arange(-1, -len(new) - 1, -1))
+    origins = origins.index_put((new,), torch.arange(-1, -len(new) - 1, -1, device=new.device))
     made = replace(graphs, parameters=origins.view_as(graphs.parameters))
     return made, [0, *numbers.cumsum(0).tolist()]
 
@@ -78,6 +83,8 @@ def changed(
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     key = random_key(generator)
     way = compiled.changed if compiled.takes(graphs, old) else changed_in_torch
+    if launcher := launcher_of(old.device):
+        way = partial(gpu.changed, launcher)
     made, after = way(graphs, old, fresh, actions, strategy, tau, same, key)
     return Population(replace(graphs, parameters=made), after)
 

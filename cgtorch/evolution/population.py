@@ -60,6 +60,10 @@ class Population:
         """The number of individuals."""
         return len(self.graphs)
 
+    def to(self, device: torch.device | str) -> "Population":
+        """The same individuals on another device."""
+        return Population(self.graphs.to(device), self.strategy.to(device))
+
     def __getitem__(self, index: Tensor | slice) -> "Population":
         """The individuals at `index`."""
         return Population(self.graphs[index], self.strategy[index])

@@ -1,7 +1,7 @@
 """Algorithm 2 as a stream of generations."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet, check_action
 from cgtorch.environment import Environment
 from cgtorch.environment.dry_run import check_environment
+from cgtorch.evolution import compiled
 from cgtorch.evolution.evolution import EvolutionSettings
 from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.evolution.islands import (
@@ -19,10 +20,12 @@ from cgtorch.evolution.islands import (
     migrated,
     next_islands,
 )
+from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
 from cgtorch.graphs import SubSkill
 from cgtorch.ground import distributed as ranks
+from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 
 
@@ -95,6 +98,8 @@ def evolve(
     count, group = settings.islands, ranks.group_of(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
+    home = home_of(settings, actions, keep.device)
+    islands = [placed(island, home) for island in islands]
     evaluation = evaluator(
         actions, environment, keep, max_transitions, group=group, fitness=settings.fitness
     )
@@ -111,6 +116,26 @@ def evolve(
             arrivals = _shared(ranks.ring_shift, leaving, count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
         islands = next_islands(islands, tried, settings, actions)
+
+
+def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.device) -> torch.device:
+    """Where populations are bred: on a GPU if the library's own operators run there, else a CPU.
+
+    Of several ranks each has its own on the CPU, from where they are shared.
+    """
+    own = settings.crossover is not crossover or settings.mutation is not mutate
+    if own or ranks.count() > 1 or launcher_of(device) is None:
+        return torch.device("cpu")
+    few = compiled.within_limits(settings.capacity, actions.outcome_capacity)
+    return device if few else torch.device("cpu")
+
+
+def placed(island: Island, device: torch.device) -> Island:
+    """An island whose population is on a device."""
+    if island.state.population.strategy.device == device:
+        return island
+    state = replace(island.state, population=island.state.population.to(device))
+    return replace(island, state=state)
 
 
 def _generation(
@@ -136,9 +161,9 @@ def _generation(
         number=islands[0].state.generation,
         islands=islands,
         fitness=tried[0].fitness,
-        champion=best.population,
+        champion=best.population.to("cpu"),
         best=float(best.fitness),
-        succeeded=best.succeeded[0],
+        succeeded=best.succeeded[0].cpu(),
         transitions=transitions,
         executed=executed,
         not_finite=not_finite,

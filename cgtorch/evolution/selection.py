@@ -6,10 +6,11 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution import compiled
+from cgtorch.evolution import compiled, gpu
 from cgtorch.graphs import Graphs
 from cgtorch.ground.counter_rng import keys, pick, random_key, uniform_from, words
 from cgtorch.ground.errors import SettingsError
+from cgtorch.native.gpu import Launcher, launcher_of
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and
@@ -57,6 +58,8 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
     Given are scores (P, B) and how many parents (count,) to choose; the order does not matter here.
     """
     groups = -(-len(order) // MOST_CANDIDATES)
+    if launcher := launcher_of(scores.device):
+        return _on_gpu(launcher, scores, groups, count, generator)
     if groups == 1:
         return _from_all(scores, count, generator)
     members = compiled.shuffled(len(order), random_key(generator)).tensor_split(groups)
@@ -65,6 +68,19 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
         for group, part in zip(members, torch.arange(count).tensor_split(groups), strict=True)
     ]
     return torch.cat(chosen)[compiled.shuffled(count, random_key(generator))]
+
+
+def _on_gpu(
+    launcher: Launcher, scores: Tensor, groups: int, count: int, generator: Generator
+) -> Tensor:
+    """`lexicase` of scores (P, B) on a GPU, with the same numbers."""
+    if groups == 1:
+        members = torch.arange(len(scores), device=scores.device)
+        return gpu.lexicase(launcher, scores, members, [random_key(generator)], count)
+    members = gpu.shuffled(launcher, len(scores), random_key(generator))
+    own = [random_key(generator) for _ in range(groups)]
+    chosen = gpu.lexicase(launcher, scores, members, own, count)
+    return chosen[gpu.shuffled(launcher, count, random_key(generator))]
 
 
 def deviation(scores: Tensor) -> Tensor:

@@ -89,7 +89,8 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
     own = held[min(held)]  # for its names and types, where the part is another rank's
 
     def part(number: int) -> dict[str, Tensor]:
-        return ranks.gather_part(held.get(number, own), number, count)
+        found = ranks.gather_part(held.get(number, own), number, count)
+        return {name: tensor.cpu() for name, tensor in found.items()}
 
     parts = tuple(partial(part, number) for number in range(count))
     return Checkpoint(found_tensors(found), parts, apart=len(held) < count)

@@ -131,6 +131,11 @@ def gpu_of(device: torch.device) -> Gpu | None:
     return Gpu(device, about.multi_processor_count, architecture, driver)
 
 
+def launcher_of(device: torch.device) -> Launcher | None:
+    """What runs kernels on a device; None where nothing does, as on a CPU."""
+    return gpu_of(device) if device.type == "cuda" else None
+
+
 def addresses(arguments: Sequence[Any]) -> Any:
     """An array of the addresses of what a kernel is given."""
     places = [ctypes.addressof(each) for each in arguments]

@@ -122,7 +122,7 @@ class TensorBoardWatch:
         generation = event.generation
         population, size = generation.population, len(generation.fitness)
         # NumPy says so of arrays this small in half the time that torch takes.
-        fitness = generation.fitness.numpy()
+        fitness = generation.fitness.cpu().numpy()
         counts = fitness[fitness > WORTHLESS]
         self._scalars(
             {
@@ -138,7 +138,9 @@ class TensorBoardWatch:
             }
         )
         if generation.number % self._histogram_every == 0:
-            self._records.write(histograms(STRATEGY_TAGS, population.strategy, BINS), self.step)
+            self._records.write(
+                histograms(STRATEGY_TAGS, population.strategy.cpu(), BINS), self.step
+            )
         self._latest = event.candidate, generation.champion
         self.step += 1
 

@@ -2,7 +2,7 @@
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
-from cgtorch.native.gpu import Launcher, gpu_of
+from cgtorch.native.gpu import Launcher, launcher_of
 from cgtorch.simulation.compiled import CompiledEngine, compiled_models
 from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, compiled_actions
 from cgtorch.simulation.gpu_engine import GpuEngine, gpu_engine
@@ -19,8 +19,7 @@ def engine_of(
     if type(environment) is not ModelEnvironment or environment.compiled is None:
         return None
     device = environment.percepts.device
-    if gpu is None and device.type == "cuda":
-        gpu = gpu_of(device)
+    gpu = gpu or launcher_of(device)
     found = compiled_models(environment) if gpu or device.type == "cpu" else None
     if found is None:
         return None

@@ -11,6 +11,7 @@ from random_models import models_as, random_models
 from support import nested_actions
 
 from cgtorch.actions import paper_actions
+from cgtorch.evolution import gpu as evolution
 from cgtorch.native import available, gpu, nvrtc
 from cgtorch.native.gpu import Module
 from cgtorch.simulation.engines import engine_of
@@ -31,7 +32,10 @@ def modules() -> dict[str, Module]:
     }
     engines = {name: engine_of(*case, EmulatedGpu()) for name, case in cases.items()}
     assert all(isinstance(engine, GpuEngine) for engine in engines.values())
-    return {name: engine.module for name, engine in engines.items() if engine}
+    made = {name: engine.module for name, engine in engines.items() if engine}
+    for real, dtype in (("", torch.float32), (" double", torch.float64)):
+        made |= {m.name + real: m for m in (evolution.BREEDING(dtype), evolution.SELECTION(dtype))}
+    return made
 
 
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_120"])

@@ -8,6 +8,11 @@
 #define UP_TO(i, count, most) \
   _Pragma("unroll") for (int i = 0; i < (most); i++) if (i < (int)(count))
 #define MAKE(type) type
+#define KERNEL extern "C" __global__ void
+#define WARP 32
+#ifndef DYNAMIC_SHARED
+#define DYNAMIC_SHARED extern __shared__
+#endif
 #define SET(flag) (*(flag) = 1)
 #define APART INLINE
 #define MEMBER inline __attribute__((always_inline))
@@ -87,6 +92,7 @@ INLINE vec vec_floor(vec a) { return vec(FN(floor)(a.part)); }
 INLINE vec vec_fma(vec a, vec b, vec c) { return vec(FN(fma)(a.part, b.part, c.part)); }
 
 #define EVERYONE 0xFFFFFFFFu /* the threads of a warp */
+INLINE int thread_of_warp(void) { return (int)(threadIdx.x % WARP); }
 INLINE uint32_t bits_of(vwhole yes) { return yes.part < 0; }
 INLINE int first_of(uint32_t bits) { return (void)bits, 0; }
 /* The threads of a warp ask models together, so all go where one of them has to. */

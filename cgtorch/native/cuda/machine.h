@@ -2,13 +2,11 @@
    CPU has parts are a team, which sums up in the same order; each team has rows of its own. */
 #pragma once
 
-#define WARP 32
 #define TEAM (64 / (int)sizeof(real))
 #define TEAMS (WARP / TEAM)
 #define TEAM_ROWS 2
 #define ROUND (TEAMS * TEAM_ROWS) /* rows of a warp at once */
 
-INLINE int thread_of_warp(void) { return (int)(threadIdx.x % WARP); }
 INLINE vec of_thread(vec v, int thread) { return vec(__shfl_sync(EVERYONE, v.part, thread)); }
 
 INLINE vec team_sum(vec v) {

@@ -6,7 +6,6 @@
 #include "engine/advance.h"
 #include "launch.h"
 
-#define KERNEL extern "C" __global__ void
 #define REFILL 8 /* threads without a lane, for whom it pays to look for new ones */
 
 /* What a thread is at. */
@@ -167,7 +166,7 @@ INLINE void know_sizes(Program *p, ModelEnvironment *e, Machine *gamma, Machine 
   classifier->m = CLASSIFIER_CENTRES, classifier->d = CLASSIFIER_FEATURES, classifier->k = 1;
 }
 
-extern __shared__ real shared[];
+DYNAMIC_SHARED real shared[];
 
 template <bool EVALUATES>
 INLINE void run_all(Task task, Program program, ModelEnvironment environment, Models models, Launch launch,

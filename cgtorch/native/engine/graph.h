@@ -1,7 +1,9 @@
 /* One computational graph at a time: its nodes in order, without the unused slots between them. */
 #pragma once
+#ifndef __CUDACC_RTC__
 #include <stdint.h>
 #include <string.h>
+#endif
 
 #define NO_NODE (-1)
 #define MOST_NODES 64 /* sets of nodes are the bits of one word */

@@ -1,6 +1,5 @@
 /* Epsilon-lexicase selection (cgtorch.evolution.selection), one parent after the other. */
-#include "draws.h"
-#include "order.h"
+#include "cases.h"
 #include "library.h"
 #include <stdlib.h>
 
@@ -18,12 +17,6 @@ typedef struct {
   _Atomic int failed;          /* for want of memory */
 } Lexicase;
 
-static int alike(const real *a, const real *b, int64_t count) {
-  int64_t i = 0;
-  while (i < count && a[i] == b[i]) i++;
-  return i == count;
-}
-
 /* Numbers individuals of equal scores alike, in the order in which each first appears. */
 static int64_t number_rows(const real *scores, int64_t individuals, int64_t scenarios, int64_t *row_of,
                            int64_t *table, int64_t size) {
@@ -31,10 +24,7 @@ static int64_t number_rows(const real *scores, int64_t individuals, int64_t scen
   for (int64_t i = 0; i < size; i++) table[i] = -1;
   for (int64_t i = 0; i < individuals; i++) {
     const real *mine = scores + i * scenarios;
-    uint64_t hash = 0; /* multilinear: no step waits for the one before; there is one zero only */
-    for (int64_t j = 0; j < scenarios; j++)
-      hash += pattern_of(mine[j] + 0) * (GOLDEN * (uint64_t)(2 * j + 1));
-    int64_t at = (int64_t)(mixed(hash) & (uint64_t)(size - 1));
+    int64_t at = (int64_t)(hash_of(mine, scenarios) & (uint64_t)(size - 1));
     while (table[at] >= 0 && !alike(scores + table[at] * scenarios, mine, scenarios))
       at = (at + 1) & (size - 1);
     if (table[at] < 0) {
@@ -45,16 +35,6 @@ static int64_t number_rows(const real *scores, int64_t individuals, int64_t scen
     }
   }
   return rows;
-}
-
-/* The scenario that comes as number `turn`, when those before it have been moved to the front:
-   Fisher and Yates' shuffle as far as it is looked at. */
-static int64_t next_case(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
-  int64_t at = turn + pick(uniform(key, turn), (int)(scenarios - turn));
-  int32_t found = turns[at];
-  turns[at] = turns[turn];
-  turns[turn] = found;
-  return found;
 }
 
 static int64_t standing(const real *score, real epsilon, const int64_t *rows, int64_t count,
@@ -70,9 +50,6 @@ static int64_t standing(const real *score, real epsilon, const int64_t *rows, in
   }
   return kept;
 }
-
-/* A number in [0, 1) with all the digits of a double. */
-static inline double fine(uint64_t key, int64_t i) { return (double)(word(key, i) >> 11) * 0x1p-53; }
 
 /* The same of rows that stand or do not, a vector at a time, in columns that are filled up with what is
    worse than all: while many stand, that is faster than a list of them. `best` stands at `top` at

@@ -3,12 +3,15 @@
 #include "kinds.h"
 #include "task.h"
 #include "cuda/launch.h"
+#include "cuda/selection.h"
 
 EXPORT_STRUCT(Action)
 EXPORT_STRUCT(Program)
 EXPORT_STRUCT(ModelEnvironment)
 EXPORT_STRUCT(Task)
 EXPORT_STRUCT(Launch)
+EXPORT_STRUCT(Groups)
+EXPORT_CONSTANTS(selection_limits, CANDIDATES)
 EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRONG, COUNTS)
 EXPORT_CONSTANTS(action_kinds, MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING,
                  IN_PYTHON)

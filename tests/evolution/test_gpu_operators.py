@@ -1,0 +1,160 @@
+"""Operators and selection on what stands in for a GPU, and those of the CPU: the same bits."""
+
+import shutil
+from itertools import islice
+
+import pytest
+import torch
+from emulated_gpu import EmulatedGpu
+from pretended_gpu import GPU, pretended_gpu
+from random_models import models_as, random_models
+from support import nested_actions, seeded
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet, ContinuousNN, paper_actions
+from cgtorch.evolution import EvolutionSettings, compiled, evolve, gpu
+from cgtorch.evolution.compiled import lexicase as lexicase_in_c
+from cgtorch.evolution.offspring import bred
+from cgtorch.evolution.parameters import with_new_origins
+from cgtorch.evolution.population import Population, random_population
+from cgtorch.evolution.selection import deviation, lexicase, tournament
+from cgtorch.ground.counter_rng import shuffled
+from cgtorch.native import available
+from cgtorch.native import gpu as native_gpu
+from cgtorch.simulation import ModelEnvironment
+
+pytestmark = pytest.mark.skipif(
+    not available() or shutil.which("c++") is None, reason="there is no C++ compiler"
+)
+
+PAPER = paper_actions()
+
+
+class Wide(ContinuousNN):
+    """A network with initial parameters of its own."""
+
+    def initial_parameters(self, n: int, generator: Generator) -> Tensor:
+        return 3 + torch.rand(n, self.num_parameters, generator=generator)
+
+
+OWN = ActionSet((*PAPER.names, "Wide"), (*PAPER.actions, Wide(7, 3, 3)))
+
+
+class OnGpu(EmulatedGpu):
+    """It stands in for the GPU that tensors say they are on."""
+
+    device = GPU
+
+
+def population_of(seed: int, actions: ActionSet, size: int = 60) -> Population:
+    return random_population(size, actions, 12, (2, 9), seeded(seed))
+
+
+def assert_equal(found: Population, wanted: Population) -> None:
+    for name, tensor in vars(wanted.graphs).items():
+        assert torch.equal(getattr(found.graphs, name), tensor), name
+    assert torch.equal(found.strategy, wanted.strategy)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("mutates", [False, True])
+def test_children_are_the_same(mutates: bool, dtype: torch.dtype) -> None:
+    population, g = population_of(1, OWN), seeded(2)
+    population.graphs.parameters.data = population.graphs.parameters.to(dtype)
+    elite, parents = torch.tensor([7, 3]), torch.randint(60, (58,), generator=g)
+    about = population, elite, parents, (11, -5), OWN if mutates else None, 12
+    wanted, strategy, begins = bred(*about)
+    made, same_strategy = gpu.bred(EmulatedGpu(), *about)
+    if mutates:
+        made, found_begins = with_new_origins(made, OWN.standard)
+        assert found_begins == begins
+    for name, tensor in vars(wanted).items():
+        assert torch.equal(getattr(made, name), tensor), name
+    assert torch.equal(strategy, same_strategy)
+    if mutates:
+        old, fresh = population.graphs.parameters, torch.rand(begins[-1], 50, dtype=dtype)
+        fresh = fresh[:, : old.shape[2]].contiguous()
+        rest = old, fresh, OWN, strategy, 0.05, 2, 99
+        for one, other in zip(
+            compiled.changed(wanted, *rest), gpu.changed(EmulatedGpu(), made, *rest), strict=True
+        ):
+            assert torch.equal(one, other)
+
+
+def test_parents_outside_are_refused() -> None:
+    population = population_of(1, PAPER)
+    parents = torch.tensor([0, 60])
+    with pytest.raises(IndexError, match="none of the individuals"):
+        gpu.bred(EmulatedGpu(), population, parents[:0], parents, (1, 2), PAPER, 12)
+
+
+def scores_of(kind: str, seed: int, size: int, scenarios: int) -> Tensor:
+    g = seeded(seed)
+    scores = torch.rand(size, scenarios, generator=g)
+    if kind == "few":  # many equal rows, and zeros of both signs
+        scores = (scores * 3).floor() / 2
+        scores[::3] *= -1
+    if kind == "equal":
+        scores = scores[:1].expand(size, -1).contiguous()
+    return scores
+
+
+@pytest.mark.parametrize("kind", ["any", "few", "equal"])
+@pytest.mark.parametrize(("size", "scenarios"), [(2, 1), (70, 9), (1024, 3)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_one_group_has_the_same_parents(
+    kind: str, size: int, scenarios: int, dtype: torch.dtype
+) -> None:
+    scores = scores_of(kind, size, size, scenarios).to(dtype)
+    wanted = lexicase_in_c(scores, deviation(scores), 40, 17)
+    found = gpu.lexicase(EmulatedGpu(), scores, torch.arange(size), [17], 40)
+    assert torch.equal(found, wanted)
+    assert kind == "equal" or size == 2 or len(wanted.unique()) > 3
+
+
+@pytest.mark.parametrize("count", [1, 5, 1000])
+def test_orders_are_the_same(count: int) -> None:
+    assert torch.equal(gpu.shuffled(EmulatedGpu(), count, -3), shuffled(count, -3))
+
+
+@pytest.fixture
+def everything_on_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensors that say they are on a GPU are given to what stands in for it."""
+    monkeypatch.setattr(native_gpu, "gpu_of", lambda device: OnGpu())
+
+
+@pytest.mark.usefixtures("everything_on_gpu")
+def test_groups_have_the_same_parents() -> None:
+    scores, order = scores_of("few", 3, 2500, 4), torch.arange(2500)
+    wanted = lexicase(order, scores, 31, seeded(5))
+    with pretended_gpu():
+        found = lexicase(order.to(GPU), scores.to(GPU), 31, seeded(5))
+        assert found.is_cuda
+        assert torch.equal(found.cpu(), wanted)
+
+
+@pytest.mark.usefixtures("everything_on_gpu")
+@pytest.mark.parametrize("actions", [OWN, nested_actions(2, PAPER)])
+@pytest.mark.parametrize("selection", [lexicase, tournament()])
+def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) -> None:
+    environment = models_as(random_models(3, 7), torch.float32)
+    settings = EvolutionSettings(population=80, selection=selection, islands=2, migration=2)
+    keep = torch.arange(7) < 1
+
+    def evolved(where: ModelEnvironment, kept: Tensor) -> list[Population]:
+        found = []
+        for generation in islice(evolve(where, actions, settings, seeded(0), keep=kept), 5):
+            found += [i.state.population.to("cpu") for i in generation.islands]
+            found.append(generation.champion)
+            # Engines in torch and for own actions find out about endless loops at other times.
+            executed = 0 if actions is OWN else generation.executed
+            counts.append((generation.transitions, executed, generation.best))
+        return found
+
+    counts: list[tuple[int, int, float]] = []
+    wanted = evolved(environment, keep)
+    with pretended_gpu():
+        there = evolved(models_as(environment, torch.float32, GPU), keep.to(GPU))
+    assert counts[:5] == counts[5:]
+    for one, other in zip(there, wanted, strict=True):
+        assert_equal(one, other)
