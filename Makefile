@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test lint docs format types fingerprint reference clean
+.PHONY: gpu help setup train test lint docs format types fingerprint reference clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -40,6 +40,10 @@ format: setup  ## Put the code into the house style
 
 fingerprint: setup  ## Print one number of a small run, to compare machines by
 	$(BIN)/python tools/fingerprint.py
+
+gpu: setup  ## Try all kernels on this machine's GPU, and time them beside its cores
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/simulation/test_gpu_engine.py tests/evolution/test_gpu_operators.py tests/native/test_nvrtc.py
+	$(BIN)/python tools/benchmark.py --device cuda
 
 reference: setup  ## Make runs/reference again
 	$(BIN)/python tools/make_reference_run.py

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pretended_gpu import GPU
 
 from cgtorch.native.compiler import SOURCES
-from cgtorch.native.gpu import Module, addresses, sources_digest
+from cgtorch.native.gpu import Launcher, Module, addresses, gpu_of, sources_digest
 
 HERE = Path(__file__).parent
 FLAGS = (
@@ -38,6 +39,18 @@ class EmulatedGpu:
         """Run all threads of a kernel to their ends."""
         function = getattr(compiled(module), f"launch_{kernel}")
         function(ctypes.c_uint(blocks), ctypes.c_uint(threads), addresses(arguments))
+
+
+class OnGpu(EmulatedGpu):
+    """It stands in for the GPU that pretended tensors say they are on."""
+
+    device = GPU
+
+
+def launchers() -> list[Launcher]:
+    """What stands in for a GPU, and this machine's own if it has one."""
+    own = gpu_of(GPU) if torch.cuda.is_available() else None
+    return [EmulatedGpu(), *([own] if own else [])]
 
 
 @cache

@@ -100,6 +100,7 @@ def models_as(
         for model in (environment.gamma.__self__, environment.classifier)  # type: ignore[attr-defined]
     )
     errors = environment.errors
+    on_cpu = copy.deepcopy(environment.classifier).to(dtype)  # type: ignore[attr-defined]
     return ModelEnvironment(
         environment.percepts.to(device, dtype),
         gamma.predict_with_novelty,
@@ -108,4 +109,5 @@ def models_as(
         errors=None if errors is None else errors.to(device, dtype),
         most_novel=environment.most_novel,
         compiled=environment.compiled,
+        chance=on_cpu(environment.percepts.to(dtype)).to(device),
     )

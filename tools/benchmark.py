@@ -1,6 +1,6 @@
 """Measure what cgtorch promises: one table, or with --json one object with all details.
 
-    python tools/benchmark.py [--quick] [--json] [--only NAME ...]
+    python tools/benchmark.py [--quick] [--json] [--only NAME ...] [--device cuda]
 
 Every line checks that both sides give the same results, then times them in turns in this one
 process. A new line is a function `Effort -> Line` in `benchmarks/`, entered in `LINES`.
@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -30,6 +31,7 @@ from benchmarks.growth import growth_10x, padding
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from benchmarks.million import memory_of_a_million
+from benchmarks.on_gpu import GENERATIONS, gpu_generation, gpu_rollouts
 from benchmarks.operators import operators_vs_networkx
 from benchmarks.own import own_action, own_action_unused, own_world
 from benchmarks.own_models import own_models
@@ -64,6 +66,12 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "cold_start": cold_start,
     "memory_of_a_million": memory_of_a_million,
 }
+
+ON_GPU: dict[str, Callable[[Effort], Line]] = {
+    "gpu_rollouts": gpu_rollouts,
+    **{f"gpu_generation_{size}": partial(gpu_generation, size) for size in GENERATIONS},
+}
+"""What --device cuda measures: a GPU beside the cores of its machine."""
 
 LONG = {"svc_grid_search_large", "svr_grid_search_large", "cold_start", "memory_of_a_million"}
 """Lines that take a minute or more even with --quick, where they run only by name."""
@@ -127,15 +135,26 @@ def _version(package: str) -> str | None:
 @click.option("--quick", is_flag=True, help="Smaller sizes and five repeats: under two minutes.")
 @click.option("--json", "print_json", is_flag=True, help="Print one JSON object, no table.")
 @click.option(
-    "--only", multiple=True, type=click.Choice(list(LINES)), help="This line; may be repeated."
+    "--only",
+    multiple=True,
+    type=click.Choice([*LINES, *ON_GPU]),
+    help="This line; may be repeated.",
 )
-def main(quick: bool, print_json: bool, only: tuple[str, ...]) -> None:
+@click.option(
+    "--device",
+    type=click.Choice(["cpu", "cuda"]),
+    default="cpu",
+    help="With cuda, a GPU beside this machine's cores.",
+)
+def main(quick: bool, print_json: bool, only: tuple[str, ...], device: str) -> None:
     """Measure cgtorch against what it is compared to."""
     effort, begin, lines = QUICK if quick else FULL, time.perf_counter(), []
-    for name in only or [name for name in LINES if not (quick and name in LONG)]:
+    known = LINES | ON_GPU
+    usual = [name for name in LINES if not (quick and name in LONG)]
+    for name in only or (usual if device == "cpu" else list(ON_GPU)):
         click.echo(f"{name} ...", err=True)
         try:
-            lines.append(line := LINES[name](effort))
+            lines.append(line := known[name](effort))
         except ModuleNotFoundError as e:
             raise click.ClickException(f"{e.name} is missing; pip install '.[test]'") from e
         except CgtorchError as e:

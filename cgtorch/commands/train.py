@@ -94,7 +94,7 @@ def _option(f: Field[Any], default: Any) -> click.Option:
     default="auto",
     show_default=True,
     shell_complete=completion.one_of(("auto", "cpu", "cuda")),
-    help="cpu, cuda, cuda:N, or auto for the fastest, which is the CPU.",
+    help="cpu, cuda, cuda:N, or auto for the fastest; a run may go on with another one.",
 )
 @number_option(
     "--checkpoint-seconds",

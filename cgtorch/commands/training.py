@@ -17,6 +17,7 @@ from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import Event, Watch
+from cgtorch.native.gpu import launcher_of
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.journal import recalled_generations
@@ -35,19 +36,23 @@ from cgtorch.training.context import Training
 from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
+WORTH_A_GPU = 4000
+"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions.md)."""
+
 
 @dataclass(frozen=True)
 class Wish:
     """What is asked of `cgtorch-train` besides settings.
 
     The last `stage` is "auto" to go on until the goal is met, None for the run's or domain's usual.
+    No `device` stands for the fastest.
     What of the goal was given is in `goal_given`; `checkpoint_seconds` lie between checkpoints.
     """
 
     stage: str | None
     goal: Goal
     goal_given: frozenset[str]
-    device: torch.device
+    device: torch.device | None
     quiet: bool
     checkpoint_seconds: float
 
@@ -78,16 +83,10 @@ def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], w
     _train(run, settings, wish)
 
 
-def device_of(name: str) -> torch.device:
-    """The device called `name`, "auto" for the fastest; SettingsError if it is none.
-
-    That is the CPU, whose rollouts are compiled: on a GPU they are torch operations, which take a
-    hundred times as long for a thousand individuals (docs/decisions.md).
-    """
+def device_of(name: str) -> torch.device | None:
+    """The device called `name`, None for "auto"; SettingsError if it is none."""
     if name == "auto":
-        if torch.cuda.is_available() and ranks.first():
-            click.echo("device: cpu, which is faster here; --device cuda takes the GPU", err=True)
-        return torch.device("cpu")
+        return None
     # Each rank of a machine has its own.
     number = f":{os.environ['LOCAL_RANK']}" if name == "cuda" and "LOCAL_RANK" in os.environ else ""
     try:
@@ -96,6 +95,26 @@ def device_of(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as e:
         raise SettingsError(f"device {name!r} cannot be used; give auto, cpu or cuda") from e
     return device
+
+
+def fastest_device(run: Run) -> torch.device:
+    """A GPU whose kernels run all of a large population, else the CPU.
+
+    Where there is a choice, it says which. Actions without a kernel are torch operations on a
+    GPU, which take longer than on the CPU.
+    """
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    gpu, population = torch.device("cuda"), run.settings.population
+    known = all(action.native_kind for action in run.actions.actions) and ranks.count() == 1
+    name, why, other = "cpu", f"is as fast for a population of {population}", "cuda"
+    if not known or launcher_of(gpu) is None:
+        why = "is faster, as a GPU has no kernels for this run"
+    elif population >= WORTH_A_GPU:
+        name, why, other = "cuda", f"is faster for a population of {population}", "cpu"
+    if ranks.first():
+        click.echo(f"device: {name}, which {why}; --device {other} takes the other", err=True)
+    return torch.device(name)
 
 
 def _asked(run: Run, wish: Wish) -> tuple[str, Goal]:
@@ -149,7 +168,8 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
                 board(event)
                 display(event)
 
-            training = Training(run, watch, display.working, wish.device, wish.checkpoint_seconds)
+            device = wish.device or fastest_device(run)
+            training = Training(run, watch, display.working, device, wish.checkpoint_seconds)
             results = train_until(training, goal) if auto else train(training, stage)
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():

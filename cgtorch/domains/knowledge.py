@@ -154,6 +154,7 @@ def imagine(
         most_novel=max(LEAST_NOVEL, float(novelty.quantile(FAMILIAR))),
         seeds=seeds,
         compiled=compiled,
+        chance=knowledge.classifier(percepts).to(device),
     )
 
 

@@ -69,6 +69,7 @@ class ModelEnvironment:
         most_novel: float = 1.0,
         seeds: Tensor | None = None,
         compiled: Compile | None = None,
+        chance: Tensor | None = None,
     ):
         """Set up the models; ModelError if one, tried on two percepts, breaks its interface.
 
@@ -83,6 +84,8 @@ class ModelEnvironment:
             most_novel: where a motion is more novel, the lane is lost.
             seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
             compiled: gives these models to compiled rollouts, if there is code for them.
+            chance: (B,) what C says of the first percepts, which is asked for if not given. From the
+                CPU it has the same last digits wherever the models are.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
@@ -91,7 +94,8 @@ class ModelEnvironment:
         self.seeds = torch.arange(len(percepts)) if seeds is None else seeds
         self.seeds = self.seeds.to(percepts.device)
         self.first_state = percepts.new_zeros(len(percepts), 3)
-        self.first_state[:, 2] = classifier(percepts)  # most lanes try to grasp where they start
+        # Most lanes try to grasp where they start.
+        self.first_state[:, 2] = classifier(percepts) if chance is None else chance
 
     @property
     def num_scenarios(self) -> int:

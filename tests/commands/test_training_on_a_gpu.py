@@ -7,12 +7,19 @@ import pytest
 import torch
 from click.testing import CliRunner
 from command_line import as_options
+from emulated_gpu import EmulatedGpu, OnGpu
 from pretended_gpu import pretended_gpu
+from safetensors.torch import load_file
+from support import custom_actions
 from trained import SMALL
 
 from cgtorch.commands.train import command
-from cgtorch.commands.training import device_of
+from cgtorch.commands.training import fastest_device
 from cgtorch.ground.files import read_json
+from cgtorch.native import gpu as native_gpu
+from cgtorch.runs.run import planned_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.tabletop.settings import TabletopSettings
 
 OPTIONS = as_options(replace(SMALL, practice=0))
 
@@ -28,12 +35,53 @@ def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
     assert stage["transitions"] > 0
 
 
-def test_the_fastest_device_is_the_cpu_and_said_where_there_is_a_gpu(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("population", "kernels", "actions", "wanted", "says"),
+    [
+        (4000, True, "", "cuda", "device: cuda, which is faster for a population of 4000"),
+        (3999, True, "", "cpu", "device: cpu, which is as fast for a population of 3999"),
+        (4000, False, "", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
+        (4000, True, "own", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
+    ],
+)
+def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
+    population: int,
+    kernels: bool,
+    actions: str,
+    wanted: str,
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for there, says in ((False, ""), (True, "device: cpu, which is faster here")):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda there=there: there)
-        assert device_of("auto") == torch.device("cpu")
-        told = capsys.readouterr().err
-        assert told.startswith(says)
-        assert bool(told) == there
+    run = planned_run(tmp_path, RunSettings(population=population), TabletopSettings())
+    if actions:
+        run = replace(run, actions=custom_actions())
+    monkeypatch.setattr(native_gpu, "gpu_of", lambda device: EmulatedGpu() if kernels else None)
+    assert fastest_device(run) == torch.device("cpu")
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert fastest_device(run) == torch.device(wanted)
+    assert capsys.readouterr().err.startswith(says)
+
+
+def test_a_run_may_go_on_on_another_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One stage on what stands in for a GPU, one on the CPU: as on the CPU alone."""
+    wanted, found = tmp_path / "wanted", tmp_path / "found"
+    about = [*OPTIONS, "--checkpoint-seconds", "0", "--quiet"]
+    begin = CliRunner().invoke(command, ["--stage", "S1", "--run-dir", str(wanted), *about])
+    assert begin.exit_code == 0, begin.output
+    monkeypatch.setattr(native_gpu, "gpu_of", lambda device: OnGpu())
+    with pretended_gpu():
+        there = ["--stage", "S0", "--run-dir", str(found), "--device", "cuda", *about]
+        first = CliRunner().invoke(command, there)
+    assert first.exit_code == 0, first.output
+    on = CliRunner().invoke(command, ["--resume", str(found), "--stage", "S1", "--quiet"])
+    assert on.exit_code == 0, on.output
+    for stage in ("S0", "S1"):
+        names = sorted(p.name for p in (wanted / stage).glob("*.safetensors"))
+        assert names
+        for name in names:
+            one, other = (load_file(run / stage / name) for run in (wanted, found))
+            assert one.keys() == other.keys()
+            assert all(torch.equal(one[key], other[key]) for key in one), name

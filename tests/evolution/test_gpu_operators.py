@@ -5,7 +5,7 @@ from itertools import islice
 
 import pytest
 import torch
-from emulated_gpu import EmulatedGpu
+from emulated_gpu import EmulatedGpu, OnGpu, launchers
 from pretended_gpu import GPU, pretended_gpu
 from random_models import models_as, random_models
 from support import nested_actions, seeded
@@ -21,6 +21,7 @@ from cgtorch.evolution.selection import deviation, lexicase, tournament
 from cgtorch.ground.counter_rng import shuffled
 from cgtorch.native import available
 from cgtorch.native import gpu as native_gpu
+from cgtorch.native.gpu import Launcher
 from cgtorch.simulation import ModelEnvironment
 
 pytestmark = pytest.mark.skipif(
@@ -40,10 +41,8 @@ class Wide(ContinuousNN):
 OWN = ActionSet((*PAPER.names, "Wide"), (*PAPER.actions, Wide(7, 3, 3)))
 
 
-class OnGpu(EmulatedGpu):
-    """It stands in for the GPU that tensors say they are on."""
-
-    device = GPU
+def device_name(launcher: Launcher) -> str:
+    return str(launcher.device)
 
 
 def population_of(seed: int, actions: ActionSet, size: int = 60) -> Population:
@@ -56,29 +55,31 @@ def assert_equal(found: Population, wanted: Population) -> None:
     assert torch.equal(found.strategy, wanted.strategy)
 
 
+@pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("mutates", [False, True])
-def test_children_are_the_same(mutates: bool, dtype: torch.dtype) -> None:
+def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Launcher) -> None:
     population, g = population_of(1, OWN), seeded(2)
     population.graphs.parameters.data = population.graphs.parameters.to(dtype)
     elite, parents = torch.tensor([7, 3]), torch.randint(60, (58,), generator=g)
     about = population, elite, parents, (11, -5), OWN if mutates else None, 12
     wanted, strategy, begins = bred(*about)
-    made, same_strategy = gpu.bred(EmulatedGpu(), *about)
+    there = launcher.device
+    moved = population.to(there), elite.to(there), parents.to(there), *about[3:]
+    made, same_strategy = gpu.bred(launcher, *moved)
     if mutates:
         made, found_begins = with_new_origins(made, OWN.standard)
         assert found_begins == begins
     for name, tensor in vars(wanted).items():
-        assert torch.equal(getattr(made, name), tensor), name
-    assert torch.equal(strategy, same_strategy)
+        assert torch.equal(getattr(made, name).cpu(), tensor), name
+    assert torch.equal(strategy, same_strategy.cpu())
     if mutates:
         old, fresh = population.graphs.parameters, torch.rand(begins[-1], 50, dtype=dtype)
         fresh = fresh[:, : old.shape[2]].contiguous()
-        rest = old, fresh, OWN, strategy, 0.05, 2, 99
-        for one, other in zip(
-            compiled.changed(wanted, *rest), gpu.changed(EmulatedGpu(), made, *rest), strict=True
-        ):
-            assert torch.equal(one, other)
+        on_cpu = compiled.changed(wanted, old, fresh, OWN, strategy, 0.05, 2, 99)
+        given = made, old.to(there), fresh.to(there), OWN, same_strategy
+        for one, other in zip(on_cpu, gpu.changed(launcher, *given, 0.05, 2, 99), strict=True):
+            assert torch.equal(one, other.cpu())
 
 
 def test_parents_outside_are_refused() -> None:
@@ -102,19 +103,22 @@ def scores_of(kind: str, seed: int, size: int, scenarios: int) -> Tensor:
 @pytest.mark.parametrize("kind", ["any", "few", "equal"])
 @pytest.mark.parametrize(("size", "scenarios"), [(2, 1), (70, 9), (1024, 3)])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 def test_one_group_has_the_same_parents(
-    kind: str, size: int, scenarios: int, dtype: torch.dtype
+    kind: str, size: int, scenarios: int, dtype: torch.dtype, launcher: Launcher
 ) -> None:
     scores = scores_of(kind, size, size, scenarios).to(dtype)
     wanted = lexicase_in_c(scores, deviation(scores), 40, 17)
-    found = gpu.lexicase(EmulatedGpu(), scores, torch.arange(size), [17], 40)
-    assert torch.equal(found, wanted)
+    members = torch.arange(size, device=launcher.device)
+    found = gpu.lexicase(launcher, scores.to(launcher.device), members, [17], 40)
+    assert torch.equal(found.cpu(), wanted)
     assert kind == "equal" or size == 2 or len(wanted.unique()) > 3
 
 
+@pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 @pytest.mark.parametrize("count", [1, 5, 1000])
-def test_orders_are_the_same(count: int) -> None:
-    assert torch.equal(gpu.shuffled(EmulatedGpu(), count, -3), shuffled(count, -3))
+def test_orders_are_the_same(count: int, launcher: Launcher) -> None:
+    assert torch.equal(gpu.shuffled(launcher, count, -3).cpu(), shuffled(count, -3))
 
 
 @pytest.fixture
@@ -158,3 +162,22 @@ def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) ->
     assert counts[:5] == counts[5:]
     for one, other in zip(there, wanted, strict=True):
         assert_equal(one, other)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+@pytest.mark.parametrize("actions", [OWN, nested_actions(2, PAPER)])
+def test_whole_evolutions_on_this_machines_gpu_are_those_of_the_cpu(actions: ActionSet) -> None:
+    environment = models_as(random_models(3, 7), torch.float32)
+    settings, keep = EvolutionSettings(population=3000), torch.arange(7) < 1
+    there = models_as(environment, torch.float32, GPU)
+    for one, other in islice(
+        zip(
+            evolve(there, actions, settings, seeded(0), keep=keep.to(GPU)),
+            evolve(environment, actions, settings, seeded(0), keep=keep),
+            strict=True,
+        ),
+        6,
+    ):
+        assert one.population.strategy.is_cuda
+        assert_equal(one.population.to("cpu"), other.population)
+        assert one.best == other.best

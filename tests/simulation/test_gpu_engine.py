@@ -1,10 +1,11 @@
 """The engine for GPUs, on what stands in for one, and that of the CPU: the same in every bit."""
 
+import copy
 import shutil
 
 import pytest
 import torch
-from emulated_gpu import EmulatedGpu
+from emulated_gpu import EmulatedGpu, launchers
 from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from random_models import models_as, random_models
 from support import as_double, as_double_actions, custom_actions, nested_actions, random_graphs
@@ -18,6 +19,7 @@ from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
 from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.world import ClearWay
 
 pytestmark = pytest.mark.skipif(
     not available() or shutil.which("c++") is None, reason="there is no C++ compiler"
@@ -36,26 +38,53 @@ def actions_of(which: str, size: int) -> ActionSet:
     return sets[which]
 
 
+def moved(environment: ModelEnvironment, device: torch.device) -> ModelEnvironment:
+    """The same models there."""
+    if device.type == "cpu":
+        return environment
+    gamma, classifier = environment.gamma.__self__, environment.classifier  # type: ignore[attr-defined]
+    possible, errors = environment.possible, environment.errors
+    if isinstance(possible, ClearWay):
+        possible = ClearWay(possible.footprint.to(device))
+    return ModelEnvironment(
+        environment.percepts.to(device), copy.deepcopy(gamma).to(device).predict_with_novelty,
+        copy.deepcopy(classifier).to(device), possible, environment.control_size,
+        None if errors is None else errors.to(device), environment.most_novel,
+        compiled=environment.compiled, chance=environment.first_state[:, 2].to(device),
+    )  # fmt: skip
+
+
 def assert_same(
     actions: ActionSet, environment: ModelEnvironment, graphs: Graphs, kept: int = 0
 ) -> Rollouts:
     """Rollouts and evaluations are the same in every bit; what the rollouts were."""
-    cpu, gpu = engine_of(actions, environment), engine_of(actions, environment, EmulatedGpu())
+    cpu, scenarios = (
+        engine_of(actions, environment),
+        torch.arange(environment.num_scenarios).flip(0),
+    )
     assert cpu is not None
-    assert isinstance(gpu, GpuEngine)
-    scenarios = torch.arange(environment.num_scenarios).flip(0)
-    wanted, found = (each.rollouts(graphs, scenarios, 20, 400) for each in (cpu, gpu))
+    wanted = cpu.rollouts(graphs, scenarios, 20, 400)
+    evaluated = cpu.evaluation(graphs, scenarios, kept, 20, 400)
     assert wanted is not None
-    assert found is not None
-    assert wanted.executed == found.executed
-    for name, tensor in tensors_of(wanted).items():
-        torch.testing.assert_close(tensors_of(found)[name], tensor, rtol=0, atol=0, equal_nan=True)
-    evaluations = [each.evaluation(graphs, scenarios, kept, 20, 400) for each in (cpu, gpu)]
-    for one, other in zip(*evaluations, strict=True):
-        if isinstance(one, torch.Tensor):
-            torch.testing.assert_close(other, one, rtol=0, atol=0)
-        else:
-            assert one == other
+    assert evaluated is not None
+    for launcher in launchers():
+        there = launcher.device
+        elsewhere = moved(environment, there)
+        gpu = engine_of(actions, elsewhere, launcher)
+        assert isinstance(gpu, GpuEngine)
+        found = gpu.rollouts(graphs.to(there), scenarios.to(there), 20, 400)
+        assert found is not None
+        assert wanted.executed == found.executed
+        for name, tensor in tensors_of(wanted).items():
+            same = tensors_of(found)[name].cpu()
+            torch.testing.assert_close(same, tensor, rtol=0, atol=0, equal_nan=True)
+        also = gpu.evaluation(graphs.to(there), scenarios.to(there), kept, 20, 400)
+        assert also is not None
+        for one, other in zip(evaluated, also, strict=True):
+            if isinstance(one, torch.Tensor):
+                torch.testing.assert_close(other.cpu(), one, rtol=0, atol=0)
+            else:
+                assert one == other
     return wanted
 
 

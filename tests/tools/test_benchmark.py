@@ -40,7 +40,11 @@ def an_upper_bound(_) -> Line:
 
 def run(monkeypatch, lines, *arguments):
     monkeypatch.setattr(benchmark, "LINES", lines)
-    monkeypatch.setattr(benchmark.main.params[-1], "type", click.Choice(list(lines)))
+    monkeypatch.setattr(
+        next(p for p in benchmark.main.params if p.name == "only"),
+        "type",
+        click.Choice(list(lines)),
+    )
     return click.testing.CliRunner().invoke(benchmark.main, arguments)
 
 
