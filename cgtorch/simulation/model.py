@@ -84,8 +84,8 @@ class ModelEnvironment:
             most_novel: where a motion is more novel, the lane is lost.
             seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
             compiled: gives these models to compiled rollouts, if there is code for them.
-            chance: (B,) what C says of the first percepts, which is asked for if not given. From the
-                CPU it has the same last digits wherever the models are.
+            chance: (B,) what C says of the first percepts, which is asked for if not given. From
+                the CPU it has the same last digits wherever the models are.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
