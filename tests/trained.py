@@ -22,7 +22,7 @@ from cgtorch.training.context import Training
 from cgtorch.training.train import train
 
 SMALL = RunSettings(
-    seed=6,
+    seed=4,
     population=60,
     generations=15,
     attempts=3,

@@ -1,5 +1,7 @@
 """An environment that keeps what happened in it, to learn from."""
 
+from collections.abc import Iterator, Sequence
+
 import torch
 from torch import Tensor
 
@@ -9,13 +11,15 @@ from cgtorch.environment import Environment, Lanes, Rewarded, seeds_of
 class Recording:
     """Passes everything on to an environment, also rewards, and keeps its transitions and tests.
 
-    `transitions` are (p, u, p′) of the controls that were carried out, `tests` are (p, success).
+    `transitions` are (when, p, u, p′) of the controls that were carried out, `tests` are (when, p,
+    success). They come in the order of a lane's actions, and then of scenarios, in whatever order
+    lanes are served: what is learnt from first depends on it.
     """
 
     def __init__(self, environment: Environment):
         self.environment = environment
-        self.transitions: list[tuple[Tensor, Tensor, Tensor]] = []
-        self.tests: list[tuple[Tensor, Tensor]] = []
+        self.transitions: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+        self.tests: list[tuple[Tensor, Tensor, Tensor]] = []
         self.num_scenarios, self.percept_size = environment.num_scenarios, environment.percept_size
         self.control_size = environment.control_size
         self.seeds = seeds_of(environment, torch.arange(self.num_scenarios))
@@ -26,20 +30,34 @@ class Recording:
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
         after, done = self.environment.step(lanes, control)
-        self.transitions.append((lanes.percept[done], control[done], after.percept[done]))
+        when = self._when(lanes)[done]
+        self.transitions.append((when, lanes.percept[done], control[done], after.percept[done]))
         return after, done
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`."""
+        when = self._when(lanes)
         lanes, result = self.environment.success(lanes)
-        self.tests.append((lanes.percept.clone(), result > 0.5))
+        self.tests.append((when, lanes.percept.clone(), result > 0.5))
         return lanes, result
 
     def experience(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """All p (N, D), u (N, U), p′ (N, D), tested p (L, D) and their success (L,) bool."""
         d, u = self.percept_size, self.control_size
-        empty = (torch.zeros(0, d), torch.zeros(0, u), torch.zeros(0, d))
-        nothing = (torch.zeros(0, d), torch.zeros(0, dtype=torch.bool))
-        p, control, after = map(torch.cat, zip(empty, *self.transitions, strict=True))
-        tested, success = map(torch.cat, zip(nothing, *self.tests, strict=True))
+        never = torch.zeros(0, dtype=torch.long)
+        empty = (never, torch.zeros(0, d), torch.zeros(0, u), torch.zeros(0, d))
+        nothing = (never, torch.zeros(0, d), torch.zeros(0, dtype=torch.bool))
+        p, control, after = _in_order([empty, *self.transitions])
+        tested, success = _in_order([nothing, *self.tests])
         return p, control, after, tested, success
+
+    def _when(self, lanes: Lanes) -> Tensor:
+        """(n,) numbers by which rows are sorted."""
+        return lanes.step * self.num_scenarios + lanes.scenario
+
+
+def _in_order(parts: Sequence[tuple[Tensor, ...]]) -> Iterator[Tensor]:
+    """All columns but the first, by which rows are sorted."""
+    when, *columns = map(torch.cat, zip(*parts, strict=True))
+    order = when.argsort(stable=True)
+    return (column[order] for column in columns)
