@@ -35,7 +35,7 @@ def test_all_of_it_is_there_as_text(text: str) -> None:
     assert "{{ 7 * 191 }}" in words(page.find(".//title"))
     assert "1337" not in words(page)
     nodes = [words(t) for t in page.iter("text") if "window.hit" in words(t)]
-    assert len(nodes) >= 2  # in the graph
+    assert nodes  # in the graph
 
 
 def test_no_character_that_html_cannot_hold(text: str) -> None:

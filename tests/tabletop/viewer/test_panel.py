@@ -54,7 +54,7 @@ def test_every_level_is_drawn_and_its_node_lit() -> None:
             for node in lit:
                 (group,) = page.xpath(".//*[@data-part=$id]", id=node)
                 assert group.xpath(".//path"), node
-    assert deepest == 4
+    assert 1 < deepest <= run.skill.depth
 
 
 def test_the_edge_of_the_outcome_is_lit() -> None:
