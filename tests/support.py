@@ -9,7 +9,7 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import Action, ActionSet, paper_actions
+from cgtorch.actions import Action, ActionSet, RecurrentNN, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
@@ -104,6 +104,12 @@ class Visits(Counter):
     """Counts, too, but never ends a skill."""
 
     terminal: Mapping[str, bool] = {}
+
+
+def recurrent_actions(size: int = 7) -> ActionSet:
+    """The paper's actions, two that have memory of their own, and a network that remembers."""
+    paper = paper_actions(size).extended(["Counter"], [Counter()])
+    return paper.extended(["RecurrentNN", "Visits"], [RecurrentNN(size, 4), Visits()])
 
 
 def endless_actions() -> ActionSet:

@@ -31,6 +31,8 @@ def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> T
 class _Network(Action):
     """A network with one hidden layer whose weights are the node's parameters."""
 
+    first_step = 4.0  # strong actions are found soon; docs/search.md has what smaller ones lost
+
     def __init__(self, inputs: int, hidden: int, outputs: int):
         super().__init__()
         self.inputs, self.hidden, self.outputs = inputs, hidden, outputs

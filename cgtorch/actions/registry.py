@@ -1,6 +1,6 @@
 """Finding actions by name, and checking that they keep the interface."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 
@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
+from cgtorch.actions.recurrent import RecurrentNN
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.environment.dry_run import (
     ROWS,
@@ -23,23 +24,36 @@ from cgtorch.environment.dry_run import (
 from cgtorch.ground.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
+TABLETOP = 7, 3
+"""Numbers of a percept and of a control in the paper."""
+BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
+    "RecurrentNN": lambda percept, control: RecurrentNN(percept, outputs=control),
+}
+"""Actions that belong to no domain, by name, from the numbers of its percepts and controls."""
 
 
-def resolve_actions(names: Sequence[str] = (), basic: ActionSet | None = None) -> ActionSet:
+def resolve_actions(
+    names: Sequence[str] = (),
+    basic: ActionSet | None = None,
+    sizes: tuple[int, int] = TABLETOP,
+) -> ActionSet:
     """The `basic` actions, those of the paper if not given, and those named.
 
-    A name is that of a built-in action, that of an entry point of the group "cgtorch.actions" that
-    an installed package declares, or "package.module:Class". Naming an action twice, or one of the
-    basic ones, changes nothing. ActionError if a name is unknown, or stands for nothing that can be
-    made into an action.
+    A name is that of a built-in action, which is made for percepts and controls of these `sizes`,
+    that of an entry point of the group "cgtorch.actions" that an installed package declares, or
+    "package.module:Class". Naming an action twice, or one of the basic ones, changes nothing.
+    ActionError if a name is unknown, or stands for nothing that can be made into an action.
     """
     actions = paper_actions() if basic is None else basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
     for spec in dict.fromkeys(names):
         if spec in actions.names:
             continue
+        if spec in BUILT_IN:
+            actions = actions.extended([spec], [BUILT_IN[spec](*sizes)])
+            continue
         if ":" not in spec and spec not in declared:
-            known = ", ".join(sorted({*actions.names, *declared}))
+            known = ", ".join(sorted({*actions.names, *BUILT_IN, *declared}))
             raise ActionError(
                 f"unknown action {spec!r}; known are {known}, or give 'package.module:Class'"
             )

@@ -31,6 +31,7 @@ from cgtorch.runs.resume_settings import (
 )
 from cgtorch.runs.run import AUTO, Run, only_begun, open_run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.simulation.compiled_actions import WITH_MEMORY
 from cgtorch.training.auto import reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.stages import stages_to_make
@@ -106,7 +107,9 @@ def fastest_device(run: Run) -> torch.device:
     if not torch.cuda.is_available():
         return torch.device("cpu")
     gpu, population = torch.device("cuda"), run.settings.population
-    known = all(action.native_kind for action in run.actions.actions) and ranks.count() == 1
+    actions = run.actions.actions
+    known = all(a.native_kind and a.native_kind not in WITH_MEMORY for a in actions)
+    known &= ranks.count() == 1
     name, why, other = "cpu", f"is as fast for a population of {population}", "cuda"
     if not known or launcher_of(gpu) is None:
         why = "is faster, as a GPU has no kernels for this run"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Grasp, MoveBase
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Grasp, MoveBase, RecurrentNN
 from cgtorch.domains import knowledge as learned
 from cgtorch.domains.exploration import explore
 from cgtorch.domains.knowledge import Knowledge
@@ -34,6 +34,9 @@ from cgtorch.simulation.model import anything
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+WIDE = 8
+"""Hidden units of the network without memory where parameters are tuned in a world."""
 
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a domain."""
@@ -127,14 +130,17 @@ class Domain(ABC, Generic[S]):
     def actions(self) -> ActionSet:
         """What nodes of graphs can do.
 
-        A network sends a control, a step carries it out, a network branches; and where the world
-        gives no rewards, and so does not end by itself, a test of success ends the skill.
+        A network sends a control, a step carries it out, a network branches. Where the world gives
+        no rewards, and so does not end by itself, a test of success ends the skill. Where it gives
+        some there is a network with memory, too, and that without is larger.
         """
         d, u = len(self.percept), len(self.control)
-        actions = ActionSet(
-            ("Aim", "Step", "Branch"), (ContinuousNN(d, outputs=u), MoveBase(u), BranchingNN(d))
-        )
-        return actions if self.rewarded else actions.extended(("Test",), (Grasp(),))
+        common = MoveBase(u), BranchingNN(d)
+        if self.rewarded:
+            networks = ContinuousNN(d, WIDE, u), RecurrentNN(d, outputs=u)
+            return ActionSet(("Aim", "Recur", "Step", "Branch"), (*networks, *common))
+        aim = ContinuousNN(d, outputs=u)
+        return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, *common, Grasp()))
 
     def tests(self, kind: str) -> S:
         """The fixed scenarios that a stage of this kind is tested on first; none by default."""

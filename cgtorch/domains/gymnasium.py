@@ -43,7 +43,7 @@ class Gymnasium(Domain[Starts]):
     settings_type = GymnasiumSettings
     models = "none"
     kinds = ("starts",)
-    specialists = Specialists(group=8, stall=20)
+    specialists = Specialists(group=8, stall=100)
     solved: ClassVar[tuple[str, str]] = ("solved", "Episodes solved")
 
     def __init__(

@@ -13,8 +13,8 @@ class GymnasiumSettings(DomainSettings):
     """Which environment it is, and from which return on an episode is solved."""
 
     run_defaults: ClassVar[Mapping[str, Any]] = {
-        "population": 80,
-        "generations": 60,
+        "population": 48,
+        "generations": 400,
         # What counts is the mean of fresh episodes, so rounds are short and it is soon looked at.
         "attempts": 4,
         # Episodes end by themselves; this ends only graphs that never act.

@@ -1,5 +1,6 @@
 """Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
 
+from cgtorch.evolution.evolution import REWARDS as REWARDS
 from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
 from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import ask as ask
@@ -20,6 +21,7 @@ from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join
 from cgtorch.evolution.population import population_from as population_from
+from cgtorch.evolution.search import Environments as Environments
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve
 from cgtorch.evolution.selection import Selection as Selection

@@ -1,13 +1,15 @@
 """Algorithm 2 as ask and tell: pure functions on a frozen state."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
-from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success
+from cgtorch.evolution.fitness import WORST, Fitness, chance_of_success, episode_return
+from cgtorch.evolution.lineages import Lineage, founded, raced, samples, told
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import (
     TAU,
@@ -21,7 +23,7 @@ from cgtorch.evolution.population import (
     seeded_population,
     slim,
 )
-from cgtorch.evolution.selection import Selection, lexicase, ranking
+from cgtorch.evolution.selection import Selection, lexicase, ranking, tournament
 from cgtorch.graphs import compacted, resized
 from cgtorch.ground.errors import DataError, SettingsError
 
@@ -45,6 +47,8 @@ class EvolutionSettings:
         tau: variance of the drift of strategy parameters (eq. 2).
         islands: populations that evolve apart; see `cgtorch.evolution.islands`.
         migration: generations between two migrations.
+        lineages: structures whose parameters are tuned at once; see `cgtorch.evolution.lineages`.
+            None are if it is 0, and parameters change by mutation alone, as in the paper.
     """
 
     population: int = 400
@@ -58,6 +62,7 @@ class EvolutionSettings:
     tau: float = TAU
     islands: int = 1
     migration: int = 5
+    lineages: int = 0
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -73,8 +78,52 @@ class EvolutionSettings:
         for name in ("islands", "migration"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name} is {getattr(self, name)}; give at least 1")
+        if self.lineages < 0 or (self.lineages and self.islands > 1):
+            raise SettingsError(
+                f"lineages is {self.lineages}; give 0 or more, and 0 where there are islands"
+            )
         if not 0 <= self.tau < float("inf"):
             raise SettingsError(f"tau is {self.tau}; give a finite variance of at least 0")
+
+
+REWARDS = EvolutionSettings(
+    population=48,
+    selection=tournament(),
+    fitness=episode_return,
+    initial_nodes=(2, 4),
+    lineages=4,
+)
+"""Settings for worlds with rewards, where every episode is one of the world itself."""
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Parents:
+    """Individuals that children may come from, with what they achieved, as in `Evaluation`."""
+
+    population: Population
+    fitness: Tensor
+    scores: Tensor
+
+    def rows(self, index: Tensor) -> "Parents":
+        """Those at `index` (k,)."""
+        return Parents(self.population[index], self.fitness[index], self.scores[index])
+
+    def with_others(self, others: "Parents") -> "Parents":
+        """These, and others after them."""
+        return Parents(
+            join(self.population, others.population),
+            torch.cat([self.fitness, others.fitness]),
+            torch.cat([self.scores, others.scores]),
+        )
+
+    def with_lineages(self, lineages: Sequence[Lineage]) -> "Parents":
+        """These, and what lineages have come to."""
+        if not lineages:
+            return self
+        best = join(*(each.best for each in lineages))
+        fitness = self.fitness.new_tensor([each.fitness for each in lineages])
+        scores = torch.stack([each.scores for each in lineages]).to(self.scores)
+        return self.with_others(Parents(best, fitness, scores))
 
 
 @dataclass(frozen=True)
@@ -86,12 +135,21 @@ class EvolutionState:
         generation: how many generations have been told.
         best: the best individual told so far in the last generation (a population of one).
         best_fitness: its fitness, -inf before the first generation.
+        distinct_parents: of the population, 0 of one that was not bred.
+        lineages: those that the population was sampled from; none if it was bred.
+        parents: those of the next population, while there are lineages; before, who is to be among
+            them.
+        fresh: whether the next population that is not sampled is random, and not bred.
     """
 
     population: Population
     generation: int
     best: Population
     best_fitness: float
+    distinct_parents: int = 0
+    lineages: tuple[Lineage, ...] = ()
+    parents: Parents | None = None
+    fresh: bool = True
 
 
 def initial_state(
@@ -116,9 +174,10 @@ def initial_state(
 
 
 def ask(state: EvolutionState) -> Population:
-    """The P = `settings.population` individuals to evaluate next, the same ones until `tell`.
+    """The P individuals to evaluate next, the same ones until `tell`.
 
-    Their graphs have as many slots as the largest may need, however many nodes there could be.
+    These are `settings.population`, or samples of lineages. Their graphs have as many slots as the
+    largest may need, however many nodes there could be.
     """
     return state.population
 
@@ -159,6 +218,79 @@ def next_state(
     generator: Generator,
 ) -> EvolutionState:
     """`tell` unchecked: fitness (P,) and scores (P, B) have no NaN, `order` (P,) is best first."""
+    if settings.lineages:
+        return _next_of_lineages(state, order, fitness, scores, settings, actions, generator)
+    return _next_bred(state, order, fitness, scores, settings, actions, generator)
+
+
+def _next_of_lineages(
+    state: EvolutionState,
+    order: Tensor,
+    fitness: Tensor,
+    scores: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """Samples of lineages as long as there are any, else a population that is bred."""
+    best, found = int(order[0]), (fitness, scores, actions)
+    if state.lineages:
+        after = told(state.lineages, state.population, *found)
+        lineages, ended = raced(after)
+        assert state.parents is not None  # noqa: S101  they are there with lineages
+        parents = state.parents.with_lineages(ended)
+    else:
+        lineages = founded(state.population, order, *found, settings.lineages)
+        parents = Parents(state.population, fitness, scores)
+        if state.parents is not None:
+            parents = parents.with_others(state.parents)
+    if lineages:
+        return EvolutionState(
+            population=samples(lineages, actions, generator),
+            generation=state.generation + 1,
+            best=state.population[best : best + 1],
+            best_fitness=float(fitness[best]),
+            lineages=lineages,
+            parents=parents,
+            fresh=state.fresh,
+        )
+    return _next_structures(state, parents, settings, actions, generator)
+
+
+def _next_structures(
+    state: EvolutionState,
+    parents: Parents,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """A population of new structures: random ones, or children of all parents, in turn.
+
+    Children go on from where lineages have come to, and can be caught there; random ones are not.
+    """
+    order = ranking(parents.fitness, parents.population.graphs)
+    known = replace(state, population=parents.population, lineages=(), parents=None)
+    about = order, parents.fitness, parents.scores, settings, actions, generator
+    bred = _next_bred(known, *about)
+    if not state.fresh:
+        return replace(bred, fresh=True)
+    size = settings.capacity, settings.initial_nodes, generator
+    graphs = random_graphs(settings.population, actions, *size)
+    fresh = slim(Population(graphs, initial_strategy(len(graphs))))
+    kept = parents.rows(order[: settings.elite])
+    return replace(bred, population=fresh, parents=kept, distinct_parents=0, fresh=False)
+
+
+def _next_bred(
+    state: EvolutionState,
+    order: Tensor,
+    fitness: Tensor,
+    scores: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """The elite and children of the population."""
     population, size = state.population, settings.population
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
     home = scores.device
@@ -172,8 +304,13 @@ def next_state(
     else:
         children = _children(population, parents, settings, actions, generator)
         following = join(slim(population[elite]), children)[:size]
-    leader = population[best : best + 1]
-    return EvolutionState(following, state.generation + 1, leader, float(fitness[best]))
+    return EvolutionState(
+        population=following,
+        generation=state.generation + 1,
+        best=population[best : best + 1],
+        best_fitness=float(fitness[best]),
+        distinct_parents=len(parents.unique()),
+    )
 
 
 def _children(

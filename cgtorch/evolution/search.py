@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
@@ -44,6 +46,8 @@ class Generation:
         transitions: actions of all until the ends of their runs, also those of endless loops.
         executed: how many of them were executed, and not only counted.
         not_finite: individuals that count for nothing, as something about them was not finite.
+        distinct_parents: how many individuals the first of the islands descends from directly; 0 of
+            a first population, and of samples of lineages.
     """
 
     number: int
@@ -55,6 +59,7 @@ class Generation:
     transitions: int
     executed: int
     not_finite: int = 0
+    distinct_parents: int = 0
 
     @property
     def population(self) -> Population:
@@ -62,8 +67,12 @@ class Generation:
         return self.islands[0].state.population
 
 
+Environments: TypeAlias = Callable[[int], Environment]
+"""Makes the environment of each generation, counted from 0; all have as many scenarios."""
+
+
 def evolve(
-    environment: Environment,
+    environment: Environment | Environments,
     actions: ActionSet,
     settings: EvolutionSettings,
     generator: Generator,
@@ -78,6 +87,9 @@ def evolve(
     All ranks (`cgtorch.ground.distributed`) share the islands. Each is told the same, but for the
     islands that it holds itself.
 
+    Where scenarios are many, such as random starts of episodes, each generation can have others: a
+    function that makes `Environments` is given in place of one environment.
+
     Of the environment's scenarios `keep` (B,) bool, on its device, are those of W (eq. 1a); none,
     on the CPU, if not given. Half of each first population are `seeds`, earlier individuals, if
     given. If `islands` are given, those that this rank holds, they go on in place of first
@@ -88,21 +100,25 @@ def evolve(
         ActionError: an action does.
         SettingsError: a selection, crossover, mutation or fitness of the settings does.
     """
+    begin = islands[0].state.generation if islands else 0
+    first = environment(begin) if callable(environment) else environment
     if keep is None:
-        keep = torch.zeros(environment.num_scenarios, dtype=torch.bool)
-    check_environment(environment, keep.device)
+        keep = torch.zeros(first.num_scenarios, dtype=torch.bool)
+    check_environment(first, keep.device)
     for name, action in zip(actions.names, actions.actions, strict=True):
         if not isinstance(action, SubSkill):
-            check_action(name, action, environment, keep.device)
-    check_parts(settings, actions, environment, keep.device)
+            check_action(name, action, first, keep.device)
+    check_parts(settings, actions, first, keep.device)
     count, group = settings.islands, ranks.group_of(settings.islands)
     if islands is None:
         islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
     home = home_of(settings, actions, keep.device)
     islands = [placed(island, home) for island in islands]
-    evaluation = evaluator(
-        actions, environment, keep, max_transitions, group=group, fitness=settings.fitness
-    )
+    about = partial(
+        evaluator, actions, keep=keep, max_transitions=max_transitions, group=group,
+        fitness=settings.fitness,
+    )  # fmt: skip
+    evaluation = about(environment=first)
     while True:
         results = [evaluation(island.state.population.graphs) for island in islands]
         tried = [
@@ -116,6 +132,8 @@ def evolve(
             arrivals = _shared(ranks.ring_shift, leaving, count)
             tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
         islands = next_islands(islands, tried, settings, actions)
+        if callable(environment):
+            evaluation = about(environment=environment(generation.number + 1))
 
 
 def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.device) -> torch.device:
@@ -124,7 +142,7 @@ def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.devic
     Of several ranks each has its own on the CPU, from where they are shared.
     """
     own = settings.crossover is not crossover or settings.mutation is not mutate
-    if own or ranks.count() > 1 or launcher_of(device) is None:
+    if own or settings.lineages or ranks.count() > 1 or launcher_of(device) is None:
         return torch.device("cpu")
     few = compiled.within_limits(settings.capacity, actions.outcome_capacity)
     return device if few else torch.device("cpu")
@@ -167,6 +185,7 @@ def _generation(
         transitions=transitions,
         executed=executed,
         not_finite=not_finite,
+        distinct_parents=islands[0].state.distinct_parents,
     )
 
 

@@ -41,10 +41,14 @@ def to_state_machine(skill: Skill) -> bytes:
     }
     classes = _classes(primitives, texts.values())
     memory, memory_size = memory_parts([action for _, action in primitives])
+    places = {
+        id(action): range(part.start, part.stop)
+        for (_, action), part in zip(primitives, memory, strict=True)
+    }
     own = [
         {"class": classes[id(action)], "name": name, "action": action,
-         "memory": range(part.start, part.stop)}
-        for (name, action), part in zip(primitives, memory, strict=True)
+         "memory": places[id(action)]}
+        for name, action in primitives
         if type(action) not in ROUTINES and not _plain(action)
     ]  # fmt: skip
     body = {module: _after_imports(text) for module, text in texts.items()}
@@ -60,7 +64,7 @@ def to_state_machine(skill: Skill) -> bytes:
         message_size=max(cluster.skill.actions.message_size for cluster in clusters),
         memory_size=memory_size,
         most_steps=most_steps,
-        state_of=lambda node: _state(node, classes),
+        state_of=lambda node: _state(node, classes, places),
         leads=_leads,
     )
 
@@ -105,7 +109,7 @@ def _classes(primitives: Iterable[tuple[str, Action]], texts: Iterable[str]) -> 
     return classes
 
 
-def _state(node: Node, classes: dict[int, str]) -> str:
+def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str:
     """The expression that makes the state of a node."""
     if node.runs:
         return node.runs
@@ -114,6 +118,7 @@ def _state(node: Node, classes: dict[int, str]) -> str:
     values = f"[\n{indent(values, ' ' * 8)},\n    ]" if node.parameters else ""
     if _plain(action):
         sizes = f"inputs={action.inputs}, hidden={action.hidden}, outputs={action.outputs}"
+        sizes += f", memory={places[id(action)]}" if action.memory_size else ""
         return f"{name}({values or '[]'}, {sizes})"
     return f'use["{name}"]({values})'
 

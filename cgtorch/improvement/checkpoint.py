@@ -19,6 +19,8 @@ from cgtorch.evolution import EvolutionState, Island, Population, population_fro
 from cgtorch.graphs import Graphs
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
+from cgtorch.improvement.search_tensors import population_tensors as _tensors
+from cgtorch.improvement.search_tensors import search_tensors, with_search
 from cgtorch.improvement.stopping import Found
 
 
@@ -99,7 +101,11 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
 def island_tensors(island: Island) -> dict[str, Tensor]:
     """What `island_from` reads again."""
     state = {"generator": island.generator.get_state()}
-    return {**_tensors("population", island.state.population), **state}
+    return {
+        **_tensors("population", island.state.population),
+        **state,
+        **search_tensors(island.state),
+    }
 
 
 def islands_from(
@@ -127,8 +133,10 @@ def island_from(
     """An island that evaluates this generation next, from what may be `island_tensors`."""
     with _damage():
         population = _population("population", tensors, actions)
+        state = EvolutionState(population, generation, population[:1], float("-inf"))
+        state = with_search(state, tensors, partial(_population, actions=actions))
     restore(generator, tensors)
-    return Island(EvolutionState(population, generation, population[:1], float("-inf")), generator)
+    return Island(state, generator)
 
 
 def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
@@ -145,11 +153,6 @@ def _damage() -> Iterator[None]:
     except (KeyError, ValueError, TypeError, RuntimeError) as e:
         reason = " ".join(str(e).split())[:200]
         raise RunError(f"the state of an evolution is damaged ({reason}); remove it") from e
-
-
-def _tensors(part: str, population: Population) -> dict[str, Tensor]:
-    values = {**vars(population.graphs), "strategy": population.strategy}
-    return {f"{part}.{name}": value for name, value in values.items()}
 
 
 def _population(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:

@@ -134,6 +134,7 @@ class TensorBoardWatch:
                 "graph/nodes_mean": _nodes(population.graphs) / size,
                 "population/unsolved": (size - len(counts) + np.count_nonzero(counts == 0)) / size,
                 "population/not_finite": generation.not_finite,
+                "population/distinct_parents": generation.distinct_parents,
                 "speed/transitions_per_second": generation.executed / max(event.seconds, 1e-9),
             }
         )

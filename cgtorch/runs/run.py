@@ -204,7 +204,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
     domain = domain.for_run(kind, settings.method)
     check_domain(domain, kind)
     basic = domain.actions()
-    actions = resolve_actions(settings.actions, basic)
+    sizes = len(domain.percept), len(domain.control)
+    actions = resolve_actions(settings.actions, basic, sizes)
     added = [n for n in actions.names if n not in basic.names]
     if added:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))

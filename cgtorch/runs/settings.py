@@ -47,6 +47,12 @@ class RunSettings:
     tournament: int = option(
         5, "Individuals in a tournament, by which --method paper and rewards select."
     )
+    lineages: int = option(
+        4,
+        "Structures whose parameters are tuned at once, where there are rewards; 0 for mutation "
+        "alone.",
+        least=0,
+    )
     max_transitions: int = option(20, "Transitions after which a skill has failed.")
     practice: int = option(
         150, "Random scenarios practised in each stage beside its tests.", least=0

@@ -96,8 +96,10 @@ def lone_skill(
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
     errors: list[GraphError | ActionError] = []
     for variant in made.variants(kind):
+        sizes = len(variant.percept), len(variant.control)
         try:
-            return variant, kind, load_skill(path, resolve_actions(names, variant.actions()))
+            actions = resolve_actions(names, variant.actions(), sizes)
+            return variant, kind, load_skill(path, actions)
         except (GraphError, ActionError) as e:
             errors.append(e)
     raise next((e for e in errors if isinstance(e, GraphError)), errors[0])

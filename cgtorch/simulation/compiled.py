@@ -1,7 +1,7 @@
 """Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, graph after graph.
 
-It says what the batched engine in torch says. Graphs with other actions, and other environments,
-are for `cgtorch.simulation.resumable`; `rollout` asks here first.
+It says what the batched engine in torch says. Graphs with other actions, or with a memory, and
+other environments, are for `cgtorch.simulation.resumable`; `rollout` asks here first.
 """
 
 from dataclasses import dataclass
@@ -101,7 +101,7 @@ class CompiledEngine:
     ) -> Any:
         """A `Task` of task.h that is done, or None where compiled code does not know all of it."""
         program = program_of(graphs, self.known, (max_transitions, max_steps))
-        if program is None or not is_whole(scenarios) or self.known.needed_by(graphs):
+        if program is None or not is_whole(scenarios) or self.known.resumable_alone(graphs):
             return None
         dtype = self.known.dtype
         task = structure("Task", dtype)(
@@ -132,7 +132,7 @@ def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) 
         max(nodes, *limits, known.longest) > LARGEST
         or graphs.edges.shape[2] > known.program["most"]
         or graphs.parameters.dtype != known.dtype
-        or any(x.device != known.needs_python.device for x in (graphs.parameters, *whole))
+        or any(x.device != known.only_resumable.device for x in (graphs.parameters, *whole))
         or any(x.dtype != torch.long for x in whole)
     ):
         return None

@@ -27,6 +27,8 @@ LARGEST = 2**30
 ROUTINES = ("MOVE_BASE", "GRASP", "DETECT")
 """Kinds of actions that do what an environment does."""
 NETWORKS = ("CONTINUOUS", "BRANCHING")
+WITH_MEMORY = ("RECURRENT",)
+"""Networks that use a lane's memory, which only resumable rollouts have (`resumable.py`)."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,10 @@ class CompiledActions:
         table: all actions and sub-skills.
         dtype: of all numbers.
         in_python: (K,) bool, which of the table's primitives Python has to run.
-        needs_python: (A + 1,) long, 1 for those of the set's actions that are or use such ones; the
-            last, for slots that hold none, is 0.
+        only_resumable: (A + 1,) long, 1 for those of the set's actions that are or use primitives
+            which only resumable rollouts can run, as they are Python's or have a memory; the last,
+            for slots that hold none, is 0.
+        some_only_resumable: whether there are any of these.
         longest: the most transitions of any sub-skill.
         program: fields of a `Program` without those of graphs.
         memory: (K, 2) long, where the part of each primitive in the memory begins, and its size.
@@ -48,38 +52,39 @@ class CompiledActions:
     table: ActionTable
     dtype: torch.dtype
     in_python: tuple[bool, ...]
-    needs_python: Tensor
+    only_resumable: Tensor
+    some_only_resumable: bool
     longest: int
     program: dict[str, Any]
     memory: Tensor
     deterministic: Tensor
 
     def networks(self) -> list[Any]:
-        """The `Action` of each primitive that is a network."""
+        """The `Action` of each primitive that is a network without a memory."""
         kinds = constants("action_kinds", self.dtype)
-        routines = [kinds[name] for name in (*ROUTINES, "IN_PYTHON")]
-        return [each for each in self.program["primitives"] if each.kind not in routines]
+        others = [kinds[name] for name in (*ROUTINES, *WITH_MEMORY, "IN_PYTHON")]
+        return [each for each in self.program["primitives"] if each.kind not in others]
 
-    def needed_by(self, graphs: Graphs) -> bool:
-        """Whether any of the graphs uses an action that Python has to run."""
-        if not any(self.in_python):
+    def resumable_alone(self, graphs: Graphs) -> bool:
+        """Whether any of the graphs uses an action that only resumable rollouts can run."""
+        if not self.some_only_resumable:
             return False
-        needs, action = self.needs_python, graphs.action.contiguous()
+        marks, action = self.only_resumable, graphs.action.contiguous()
         if not action.is_cpu:
-            outside = (action < 0) | (action >= len(needs) - 1)
-            return bool(needs[torch.where(outside, len(needs) - 1, action)].any())
-        call = function("any_in_python", self.dtype)
-        return bool(call(action, action.numel(), needs, len(needs) - 1))
+            outside = (action < 0) | (action >= len(marks) - 1)
+            return bool(marks[torch.where(outside, len(marks) - 1, action)].any())
+        call = function("any_marked", self.dtype)
+        return bool(call(action, action.numel(), marks, len(marks) - 1))
 
     def to(self, device: torch.device) -> "CompiledActions":
-        """The same with all tables of `program`, and `needs_python`, on a device."""
+        """The same with all tables of `program`, and `only_resumable`, on a device."""
         moved = {
             name: value.to(device) if isinstance(value, Tensor) else value
             for name, value in self.program.items()
         }
         rows = bytearray(bytes(self.program["primitives"]))
         moved["primitives"] = torch.frombuffer(rows, dtype=torch.uint8).to(device)
-        return replace(self, program=moved, needs_python=self.needs_python.to(device))
+        return replace(self, program=moved, only_resumable=self.only_resumable.to(device))
 
 
 @lru_cache(maxsize=16)  # it is asked for with every call of `rollout`
@@ -117,14 +122,16 @@ def compiled_actions(
         "rows": len(skills[0]),
         "depth": table.depth,
     }
-    python = constants("action_kinds", dtype)["IN_PYTHON"]
-    in_python = tuple(each["kind"] == python for each in fields)
-    needs = [int(_needs_python(each, table, in_python)) for each in actions.actions]
+    numbers = constants("action_kinds", dtype)
+    apart = [numbers[name] for name in (*WITH_MEMORY, "IN_PYTHON")]
+    only = [each["kind"] in apart for each in fields]
+    marks = [int(_uses_any(each, table, only)) for each in actions.actions]
     return CompiledActions(
         table=table,
         dtype=dtype,
-        in_python=in_python,
-        needs_python=torch.tensor([*needs, 0]),
+        in_python=tuple(each["kind"] == numbers["IN_PYTHON"] for each in fields),
+        only_resumable=torch.tensor([*marks, 0]),
+        some_only_resumable=any(marks),
         longest=max([0, *table.limits]),
         program=program,
         memory=torch.tensor([[part.start, part.stop - part.start] for part in table.memory]),
@@ -139,20 +146,22 @@ def _fields(
     kinds, most = constants("action_kinds", dtype), constants("engine_limits", dtype)
     kind, inputs = vars(type(action)).get("native_kind", ""), getattr(action, "percept_size", 0)
     sizes = {name: getattr(action, name, 0) for name in ("inputs", "hidden", "outputs")}
-    ordinary = kind in (*ROUTINES, *NETWORKS)
+    ordinary = kind in (*ROUTINES, *NETWORKS, *WITH_MEMORY)
     fits = inputs <= percept_size if ordinary else inputs == percept_size
     fits &= inputs <= most["MOST_PERCEPT"] and sizes["hidden"] <= most["MOST_HIDDEN"]
     fits &= sizes["outputs"] <= most["MOST_MESSAGE"]
+    fits &= action.num_parameters <= most["MOST_WEIGHTS"]
+    fits &= kind not in WITH_MEMORY or action.memory_size >= sizes["hidden"]
     if kind not in known or "forward" in vars(action) or not fits:
         numbers = action.num_parameters
         return {"kind": kinds["IN_PYTHON"], "inputs": 0, "hidden": 0, "outputs": numbers}
     return {"kind": kinds[kind], **sizes}
 
 
-def _needs_python(action: Action, table: ActionTable, in_python: Sequence[bool]) -> bool:
-    """Whether Python has to run an action, or one that a sub-skill's graph uses."""
+def _uses_any(action: Action, table: ActionTable, marked: Sequence[bool]) -> bool:
+    """Whether an action is, or a sub-skill's graph uses, any of the marked primitives (K,)."""
     if not isinstance(action, SubSkill):
-        return in_python[table.numbers[id(action)]]
+        return marked[table.numbers[id(action)]]
     skill = action.skill
     used = (skill.actions.actions[i] for i in skill.graph.action.unique().tolist() if i >= 0)
-    return any(_needs_python(each, table, in_python) for each in used)
+    return any(_uses_any(each, table, marked) for each in used)

@@ -4,7 +4,7 @@ from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.native.gpu import Launcher, launcher_of
 from cgtorch.simulation.compiled import CompiledEngine, compiled_models
-from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, compiled_actions
+from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, WITH_MEMORY, compiled_actions
 from cgtorch.simulation.gpu_engine import GpuEngine, gpu_engine
 from cgtorch.simulation.model import ModelEnvironment
 
@@ -24,7 +24,7 @@ def engine_of(
     if found is None:
         return None
     models, own = found
-    size, kinds = environment.percept_size, (*ROUTINES, *NETWORKS, *models.networks)
+    size, kinds = environment.percept_size, (*ROUTINES, *NETWORKS, *WITH_MEMORY, *models.networks)
     known = compiled_actions(actions, size, models.dtype, kinds)
     if known is None or known.table.message_size < environment.control_size:
         return None

@@ -103,7 +103,7 @@ class GpuEngine:
     ) -> dict[str, int] | None:
         """What is counted when all is done; None where kernels do not know all of it."""
         program = program_of(graphs, self.known, (max_transitions, max_steps))
-        if program is None or self.known.needed_by(graphs):
+        if program is None or self.known.resumable_alone(graphs):
             return None
         (p, b), device, dtype = (len(graphs), len(scenarios)), self.gpu.device, self.known.dtype
         numbers = constants("counts", dtype)

@@ -2,7 +2,8 @@
 
 Lanes run compiled until they come to something that is Python's, and wait. What most lanes wait for
 is then done for all of these at once, and they go on. It says what the engine in torch says, which
-runs everything where there is no compiler, and on other devices.
+runs everything where there is no compiler, and on other devices. Lanes have a memory here, so that
+networks with one run here compiled, too.
 """
 
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from cgtorch.simulation.compiled import CompiledEngine, is_whole, program_of
 from cgtorch.simulation.compiled_actions import (
     LARGEST,
     NETWORKS,
+    WITH_MEMORY,
     CompiledActions,
     compiled_actions,
 )
@@ -86,7 +88,8 @@ def _known(
 ) -> CompiledActions | None:
     """The actions where Python has the environment."""
     # Γ predicts what would be perceived.
-    kinds = (*NETWORKS, "DETECT") if type(environment) is ModelEnvironment else NETWORKS
+    more = ("DETECT",) if type(environment) is ModelEnvironment else ()
+    kinds = (*NETWORKS, *WITH_MEMORY, *more)
     return compiled_actions(actions, environment.percept_size, dtype, kinds)
 
 

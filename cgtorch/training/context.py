@@ -14,6 +14,7 @@ from cgtorch.domains.summary import summary_of
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Environment
 from cgtorch.evolution import (
+    REWARDS,
     EvolutionSettings,
     chance_of_success,
     episode_return,
@@ -95,13 +96,16 @@ def evolution_settings(run: Run) -> EvolutionSettings:
     s, rewarded = run.settings, run.domain.rewarded
     # Of continuous scores lexicase selection would leave one to three distinct parents.
     by_rank = s.method == "paper" or rewarded
-    return EvolutionSettings(
+    common = EvolutionSettings(
         population=s.population,
         selection=tournament(s.tournament) if by_rank else lexicase,
         fitness=episode_return if rewarded else chance_of_success,
         islands=s.islands,
         migration=s.migration,
     )
+    if not rewarded or s.method == "paper" or s.islands > 1:
+        return common
+    return replace(common, initial_nodes=REWARDS.initial_nodes, lineages=s.lineages)
 
 
 def initial_progress(training: Training) -> Progress[Any]:

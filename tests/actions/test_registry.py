@@ -68,7 +68,7 @@ def test_entry_points_and_classes_are_added() -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("Fly", "unknown action 'Fly'; known are BranchingNN, .*MoveBase, gone, wave, or give"),
+        ("Fly", "unknown action 'Fly'; known are Branch.*Base, RecurrentNN, gone, wave, or give"),
         ("", "unknown action ''"),
         ("gone", "cannot import action 'gone' .*no attribute 'Gone'"),
         ("none_such:Action", "cannot import action 'none_such:Action' .ModuleNotFoundError"),

@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 from support import custom_actions
 from trained import SMALL
 
+from cgtorch.actions import RecurrentNN, paper_actions
 from cgtorch.commands.train import command
 from cgtorch.commands.training import fastest_device
 from cgtorch.ground.files import read_json
@@ -42,6 +43,7 @@ def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
         (3999, True, "", "cpu", "device: cpu, which is as fast for a population of 3999"),
         (4000, False, "", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
         (4000, True, "own", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
+        (4000, True, "memory", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
     ],
 )
 def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
@@ -56,7 +58,8 @@ def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
 ) -> None:
     run = planned_run(tmp_path, RunSettings(population=population), TabletopSettings())
     if actions:
-        run = replace(run, actions=custom_actions())
+        memory = paper_actions().extended(["RecurrentNN"], [RecurrentNN()])
+        run = replace(run, actions=custom_actions() if actions == "own" else memory)
     monkeypatch.setattr(native_gpu, "gpu_of", lambda device: EmulatedGpu() if kernels else None)
     assert fastest_device(run) == torch.device("cpu")
     assert not capsys.readouterr().err

@@ -100,6 +100,7 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
         ],
         "population/unsolved": [float((e.generation.fitness == 0).sum()) / 60 for e in told],
         "population/not_finite": [0.0] * len(told),
+        "population/distinct_parents": [float(e.generation.distinct_parents) for e in told],
         "speed/transitions_per_second": [e.generation.executed / e.seconds for e in told],
     }
     for tag, values in wanted.items():

@@ -9,10 +9,19 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import torch
-from support import Counter, Wander
+from support import Counter, Visits, Wander
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet, BranchingNN, ContinuousNN, Detect, Grasp, MoveBase
+from cgtorch.actions import (
+    Action,
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    Detect,
+    Grasp,
+    MoveBase,
+    RecurrentNN,
+)
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, SubSkill, to_networkx
 
@@ -35,6 +44,8 @@ class Robot:
     message: list[float] = field(default_factory=lambda: [0.0] * 8)
     has_message: bool = False
     memory: list[float] = field(default_factory=lambda: [0.0] * 8)
+    remembered: list[float] = field(default_factory=lambda: [0.0] * 4)
+    visits: list[float] = field(default_factory=lambda: [0.0] * 2)
     tired: float = 0.0  # metres that Wander has sent the robot
     draws: int = 0
     steps: int = 0
@@ -141,13 +152,18 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
                 return "tired"
             side = robot.message[1]
             return "left" if side > 0.1 else "right" if side < -0.1 else "ahead"
+        case RecurrentNN():
+            robot.remembered, robot.message[:3] = remembering(percept, robot.remembered, parameters)
+            robot.has_message = True
+            return "success"
         case Counter():
-            robot.memory[0] += 1
-            robot.memory[1] = percept[4]
+            memory = robot.visits if isinstance(action, Visits) else robot.memory
+            memory[0] += 1
+            memory[1] = percept[4]
             robot.message[3] += parameters[0]
             if percept[4] > 1.2 + abs(parameters[1]):
                 return "lost"
-            return "enough" if robot.memory[0] + robot.message[3] > 3 else "again"
+            return "enough" if memory[0] + robot.message[3] > 3 else "again"
     raise TypeError(f"the plain interpreter knows no {type(action).__name__}")
 
 
@@ -182,6 +198,26 @@ def network(inputs: list[float], weights: list[float], outputs: int) -> list[flo
     return [
         b + sum(w * h for w, h in zip(row, hidden, strict=True))
         for row, b in zip(w2, b2, strict=True)
+    ]
+
+
+def remembering(
+    inputs: list[float], state: list[float], parameters: list[float]
+) -> tuple[list[float], list[float]]:
+    """A network that reads what it has said to itself before: its next state, and its message."""
+    rest = iter(parameters)
+    seen = [*inputs, *state]
+    wr = [[next(rest) / 2 for _ in seen] for _ in state]
+    b = [next(rest) / 20 for _ in state]
+    v = [[next(rest) / 2 for _ in state] for _ in range(3)]
+    c = [next(rest) / 20 for _ in range(3)]
+    after = [
+        math.tanh(bias + sum(w * x for w, x in zip(row, seen, strict=True)))
+        for row, bias in zip(wr, b, strict=True)
+    ]
+    return after, [
+        bias + sum(w * h for w, h in zip(row, after, strict=True))
+        for row, bias in zip(v, c, strict=True)
     ]
 
 

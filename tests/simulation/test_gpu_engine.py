@@ -8,10 +8,17 @@ import torch
 from emulated_gpu import EmulatedGpu, launchers
 from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from random_models import models_as, random_models
-from support import as_double, as_double_actions, custom_actions, nested_actions, random_graphs
+from support import (
+    as_double,
+    as_double_actions,
+    custom_actions,
+    nested_actions,
+    random_graphs,
+    recurrent_actions,
+)
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet, RecurrentNN, paper_actions
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
 from cgtorch.native import available
@@ -136,12 +143,33 @@ def test_wrong_graphs_are_told() -> None:
         gpu.rollouts(graphs, torch.arange(4), 20, 400)
 
 
-def test_graphs_with_own_actions_are_left_to_others() -> None:
-    environment, actions = models_as(random_models(0, 4), torch.float32), custom_actions()
-    graphs = random_graphs(0, 30, actions)
+@pytest.mark.parametrize("name", ["Counter", "RecurrentNN"])
+def test_graphs_with_own_actions_or_memory_are_left_to_others(name: str) -> None:
+    environment = models_as(random_models(0, 4), torch.float32)
+    actions = custom_actions() if name == "Counter" else recurrent_actions()
+    graphs = random_graphs(0, 30, paper_actions())
     gpu = engine_of(actions, environment, EmulatedGpu())
-    assert gpu is not None
+    assert isinstance(gpu, GpuEngine)
+    assert gpu.rollouts(graphs, torch.arange(4), 20, 400) is not None
+    graphs.action[3, 0] = actions.index(name)
     assert gpu.rollouts(graphs, torch.arange(4), 20, 400) is None
+
+
+def test_kernels_have_the_sizes_of_the_networks_that_they_run() -> None:
+    environment = models_as(random_models(0, 4), torch.float32)
+    paper = paper_actions()
+    both = paper.extended(["RecurrentNN"], [RecurrentNN(7, 20)])
+    engines = [engine_of(actions, environment, EmulatedGpu()) for actions in (paper, both)]
+    assert all(isinstance(engine, GpuEngine) for engine in engines)
+    sizes = [engine.module.defines() for engine in engines if isinstance(engine, GpuEngine)]
+    for name in ("INPUTS", "HIDDEN", "MOST_HIDDEN"):
+        assert sizes[0][name] == sizes[1][name]
+    graphs = random_graphs(0, 30, paper)
+    one, other = (e.rollouts(graphs, torch.arange(4), 20, 400) for e in engines if e)
+    assert one is not None
+    assert other is not None
+    for name, tensor in tensors_of(one).items():
+        assert torch.equal(tensors_of(other)[name], tensor), name
 
 
 def test_more_lanes_than_threads_at_once() -> None:

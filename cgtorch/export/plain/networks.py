@@ -1,4 +1,4 @@
-"""The networks of `cgtorch.actions.networks`, one percept at a time, in plain Python."""
+"""The networks of `cgtorch.actions`, one percept at a time, in plain Python."""
 
 import math
 from collections.abc import Sequence
@@ -49,6 +49,38 @@ class BranchingNN(Network):
         """Choose."""
         one, two = map(sigmoid, self.output(userdata.percept))
         return self.outcomes[two > one]
+
+
+class RecurrentNN(State):
+    """From the percept, and its own places in the memory, to a motion, sent as message.
+
+    The parameters are W with R, b, V, c one after the other, row by row.
+    """
+
+    outcomes = (SUCCESS,)
+
+    def __init__(
+        self, parameters: Sequence[float], inputs: int, hidden: int, outputs: int, memory: range
+    ):
+        super().__init__(parameters)
+        self.inputs, self.outputs, self.memory = inputs, outputs, memory[:hidden]
+        self.first = hidden * (inputs + hidden + 1)
+
+    def execute(self, userdata: Userdata) -> str:
+        """Remember, and send."""
+        seen = userdata.percept[: self.inputs] + [userdata.memory[i] for i in self.memory]
+        state = [math.tanh(x) for x in self.small_layer(self.parameters[: self.first], seen)]
+        for i, x in zip(self.memory, state, strict=True):
+            userdata.memory[i] = x
+        userdata.message[: self.outputs] = self.small_layer(self.parameters[self.first :], state)
+        userdata.has_message = True
+        return SUCCESS
+
+    def small_layer(self, parameters: Sequence[float], inputs: list[float]) -> list[float]:
+        """What a layer gives; weights are half of their parameters, biases a twentieth."""
+        weights = len(parameters) // (len(inputs) + 1) * len(inputs)
+        small = [x * (0.5 if i < weights else 0.05) for i, x in enumerate(parameters)]
+        return layer(small, inputs)
 
 
 def sigmoid(x: float) -> float:

@@ -1,5 +1,8 @@
 /* The kinds of actions that compiled rollouts know, and the parts of them that can be timed. */
 #pragma once
 
-enum { MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING, IN_PYTHON };
+/* RECURRENT has a memory, which lanes of resumable.h alone have. */
+enum {
+  MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING, RECURRENT, IN_PYTHON
+};
 enum { IN_GAMMA, IN_C, IN_NETWORKS, IN_POSSIBLE, PARTS };

@@ -7,10 +7,13 @@
 INLINE vec weight(const real *w, const vec *columns, int i) {
   return columns ? columns[i] : vec_of(w[i]);
 }
-INLINE vec weighted(const vec *x, const real *w, const vec *columns, int first, int count, int bias) {
+INLINE vec product(const vec *x, const real *w, const vec *columns, int first, int count) {
   vec total = vec_of(0);
   for (int i = 0; i < count; i++) total = vec_fma(weight(w, columns, first + i), x[i], total);
-  return total + weight(w, columns, bias);
+  return total;
+}
+INLINE vec weighted(const vec *x, const real *w, const vec *columns, int first, int count, int bias) {
+  return product(x, w, columns, first, count) + weight(w, columns, bias);
 }
 INLINE void layers(const vec *x, const real *w, const vec *columns, int inputs, int hidden,
                    int outputs, vec *out) {

@@ -3,6 +3,7 @@
 #include "actions.h"
 #include "columns.h"
 #include "library.h"
+#include "recurrent.h"
 #include "walk.h"
 
 /* Some lanes that go on together: those of a share's queue, the first of them to fill up. */
@@ -25,31 +26,61 @@ INLINE const real *weights_of(const Waiting *w, int64_t node) {
 
 INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_BRANCHING; }
 
+/* `count` weights: of the node that all lanes are at or, in columns, of each its own, and then NULL. */
+INLINE const real *weights_for(const Waiting *w, Together *t, int count, vec *columns) {
+  int32_t node = w->places[t->lane[0]].node, differ = 0;
+  for (int i = 1; i < WIDTH; i++) differ |= w->places[t->lane[i]].node ^ node;
+  if (!differ) return weights_of(w, node);
+  for (int i = 0; i < WIDTH; i++) t->rows[i] = weights_of(w, w->places[t->lane[i]].node);
+  into_columns_of(t->rows, count, columns);
+  return NULL;
+}
+
+/* Part i of some vectors, as a row: whether that was another one. */
+INLINE int write_row(const vec *from, int i, real *to, int64_t count) {
+  int other = 0;
+  for (int64_t j = 0; j < count; j++) {
+    other |= to[j] != from[j][i];
+    to[j] = from[j][i];
+  }
+  return other;
+}
+INLINE int tell(const Waiting *w, int64_t lane, const vec *out, int i, int64_t count) {
+  int other = !w->has_message[lane];
+  w->has_message[lane] = 1;
+  return other | write_row(out, i, w->message + lane * w->message_size, count);
+}
+
 INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Together *t) {
   vec percept[MOST_PERCEPT], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
-  int32_t node = w->places[t->lane[0]].node, differ = 0;
+  int hidden = (int)a->hidden, count = hidden * ((int)a->inputs + 1) + (int)a->outputs * (hidden + 1);
   rows_of(t, w->percept, w->percept_size);
   into_columns_of(t->rows, (int)(reads_all(a->kind) ? w->percept_size : a->inputs), percept);
-  for (int i = 1; i < WIDTH; i++) differ |= w->places[t->lane[i]].node ^ node;
-  if (differ) {
-    int hidden = (int)a->hidden, outputs = (int)a->outputs;
-    for (int i = 0; i < WIDTH; i++) t->rows[i] = weights_of(w, w->places[t->lane[i]].node);
-    into_columns_of(t->rows, hidden * ((int)a->inputs + 1) + outputs * (hidden + 1), columns);
-    answer_with(a, NULL, columns, layout, percept, out);
-  } else {
-    answer(a, weights_of(w, node), layout, percept, out);
-  }
+  const real *weights = weights_for(w, t, count, columns);
+  if (weights) answer(a, weights, layout, percept, out);
+  else answer_with(a, NULL, columns, layout, percept, out);
   if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
   vwhole changed = every(0);
+  for (int i = 0; i < t->count; i++) changed[i] = -tell(w, t->lane[i], out, i, a->outputs);
+  return MAKE(Done){every(0), changed};
+}
+
+INLINE Done recurrent_of(const Waiting *w, const Action *a, Together *t) {
+  vec x[MOST_PERCEPT + MOST_HIDDEN], state[MOST_HIDDEN], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  int inputs = (int)a->inputs, hidden = (int)a->hidden, outputs = (int)a->outputs;
+  real *memory = w->common + w->memory[2 * (a - w->program->primitives)];
+  rows_of(t, w->percept, w->percept_size);
+  into_columns_of(t->rows, inputs, x);
+  rows_of(t, memory, w->memory_size);
+  into_columns_of(t->rows, hidden, x + inputs);
+  int count = hidden * (inputs + hidden + 1) + outputs * (hidden + 1);
+  const real *weights = weights_for(w, t, count, columns);
+  if (weights) recurrent(x, weights, NULL, inputs, hidden, outputs, state, out);
+  else recurrent(x, NULL, columns, inputs, hidden, outputs, state, out);
+  vwhole changed = every(0);
   for (int i = 0; i < t->count; i++) {
-    real *message = w->message + t->lane[i] * w->message_size;
-    int other = !w->has_message[t->lane[i]];
-    for (int64_t j = 0; j < a->outputs; j++) {
-      other |= message[j] != out[j][i];
-      message[j] = out[j][i];
-    }
-    w->has_message[t->lane[i]] = 1;
-    changed[i] = -other;
+    int other = tell(w, t->lane[i], out, i, outputs);
+    changed[i] = -(other | write_row(state, i, memory + t->lane[i] * w->memory_size, hidden));
   }
   return MAKE(Done){every(0), changed};
 }
@@ -110,6 +141,7 @@ INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together 
   case MOVE_BASE: return move_of(w, layout, t);
   case GRASP: return grasp_of(w, layout, t);
   case DETECT: return MAKE(Done){every(0), every(0)};
+  case RECURRENT: return recurrent_of(w, a, t);
   default: return network_of(w, layout, a, t);
   }
 }

@@ -14,16 +14,16 @@ EXPORT_STRUCT(Groups)
 EXPORT_CONSTANTS(selection_limits, CANDIDATES)
 EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRONG, COUNTS)
 EXPORT_CONSTANTS(action_kinds, MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_BRANCHING,
-                 IN_PYTHON)
+                 RECURRENT, IN_PYTHON)
 EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)
-EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DEPTH)
+EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_WEIGHTS, MOST_DEPTH)
 
-/* Whether any of `count` nodes has an action that needs Python; what is no action needs none. */
-int any_in_python(const int64_t *action, int64_t count, const int64_t *needs, int64_t actions) {
+/* Whether any of `count` nodes has an action that is marked; what is no action has the last mark. */
+int any_marked(const int64_t *action, int64_t count, const int64_t *marks, int64_t actions) {
   int64_t found = 0;
   for (int64_t i = 0; i < count; i++) {
     int64_t a = action[i] < 0 || action[i] >= actions ? actions : action[i];
-    found |= needs[a];
+    found |= marks[a];
   }
   return found != 0;
 }

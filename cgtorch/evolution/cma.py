@@ -1,0 +1,140 @@
+"""CMA-ES: a normal distribution of parameters that follows what was good (Hansen 2016).
+
+Equations and constants are those of Hansen, "The CMA Evolution Strategy: A Tutorial"
+(arXiv:1604.00772). Of more than `MOST_FULL` parameters only variances are learned, by the larger
+rates of sep-CMA-ES (Ros and Hansen, "A simple modification in CMA-ES achieving linear time and
+space complexity", PPSN 2008).
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Generator, Tensor
+
+MOST_FULL = 200
+"""Parameters up to which their covariances are learned, too."""
+LEAST_VARIANCE = 1e-20
+"""Of any direction, in units of the squared step."""
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Distribution:
+    """A normal distribution of n parameters; all tensors are float64.
+
+    Attributes:
+        mean: (n,).
+        step: the step size σ.
+        covariance: C, (n, n), or its diagonal (n,) of more than `MOST_FULL` parameters.
+        path: (n,) the evolution path of C.
+        step_path: (n,) the evolution path of the step.
+        updates: how many there have been.
+    """
+
+    mean: Tensor
+    step: float
+    covariance: Tensor
+    path: Tensor
+    step_path: Tensor
+    updates: int = 0
+
+
+def initial_distribution(mean: Tensor, deviation: Tensor) -> Distribution:
+    """The distribution around a mean (n,) with these deviations (n,) and no correlations."""
+    n, mean, variance = len(mean), mean.double(), deviation.double().square()
+    zeros = torch.zeros_like(mean)
+    covariance = variance.diag() if n <= MOST_FULL else variance
+    return Distribution(mean, 1.0, covariance, zeros, zeros)
+
+
+def usual_count(parameters: int) -> int:
+    """The default number λ of samples."""
+    return 4 + int(3 * math.log(max(1, parameters)))
+
+
+def sampled(distribution: Distribution, count: int, generator: Generator) -> Tensor:
+    """(count, n) float32 samples."""
+    normal = torch.randn(count, len(distribution.mean), generator=generator).double()
+    basis, scale = axes(distribution.covariance)
+    moved = normal * scale if basis is None else (normal * scale) @ basis.T
+    return (distribution.mean + distribution.step * moved).float()
+
+
+def axes(covariance: Tensor) -> tuple[Tensor | None, Tensor]:
+    """Principal axes (n, n), or None where they are the parameters' own, and deviations (n,)."""
+    if covariance.dim() == 1:
+        return None, covariance.clamp_min(LEAST_VARIANCE).sqrt()
+    variance, basis = torch.linalg.eigh(covariance)
+    return basis, variance.clamp_min(LEAST_VARIANCE).sqrt()
+
+
+def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Distribution:
+    """The distribution after samples (λ, n) of it had such a fitness (λ,), more being better."""
+    old, n, count = distribution, len(distribution.mean), len(samples)
+    weights = _weights(count)
+    mass = 1 / float(weights.square().sum())  # μ_eff
+    rates = _rates(n, mass, old.covariance.dim() == 1)
+    order = fitness.argsort(descending=True, stable=True)[: len(weights)]
+    steps = (samples.double()[order] - old.mean) / old.step
+    shift = weights @ steps
+    basis, scale = axes(old.covariance)
+    white = shift / scale if basis is None else basis @ ((basis.T @ shift) / scale)
+    step_path = (1 - rates.c_step) * old.step_path + rates.step_gain * white
+    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # E|N(0, I)|
+    length, updates = float(step_path.norm()), old.updates + 1
+    grown = math.sqrt(1 - (1 - rates.c_step) ** (2 * updates))
+    calm = float(length / grown < (1.4 + 2 / (n + 1)) * usual)
+    path = (1 - rates.c_path) * old.path + calm * rates.path_gain * shift
+    kept = (
+        1
+        - rates.c_one
+        - rates.c_many
+        + (1 - calm) * rates.c_one * rates.c_path * (2 - rates.c_path)
+    )
+    if old.covariance.dim() == 1:
+        rank_one, rank_many = path.square(), weights @ steps.square()
+    else:
+        rank_one, rank_many = path.outer(path), (steps.T * weights) @ steps
+    covariance = kept * old.covariance + rates.c_one * rank_one + rates.c_many * rank_many
+    change = (rates.c_step / rates.damping) * (length / usual - 1)
+    step = old.step * math.exp(min(1.0, change))
+    return Distribution(old.mean + shift * old.step, step, covariance, path, step_path, updates)
+
+
+@dataclass(frozen=True)
+class _Rates:
+    """Learning rates of the tutorial's table 1."""
+
+    c_path: float
+    c_step: float
+    c_one: float
+    c_many: float
+    damping: float
+    path_gain: float
+    step_gain: float
+
+
+def _weights(count: int) -> Tensor:
+    """(μ,) positive weights of the better half of so many samples; their sum is 1."""
+    ranks = torch.arange(1, count // 2 + 1, dtype=torch.float64)
+    weights = math.log((count + 1) / 2) - ranks.log()
+    return weights / weights.sum()
+
+
+def _rates(n: int, mass: float, separable: bool) -> _Rates:
+    c_path = (4 + mass / n) / (n + 4 + 2 * mass / n)
+    c_step = (mass + 2) / (n + mass + 5)
+    c_one = 2 / ((n + 1.3) ** 2 + mass)
+    c_many = 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass)
+    if separable:
+        c_one, c_many = (rate * (n + 2) / 3 for rate in (c_one, c_many))
+        c_one = min(1.0, c_one)
+    return _Rates(
+        c_path=c_path,
+        c_step=c_step,
+        c_one=c_one,
+        c_many=min(1 - c_one, c_many),
+        damping=1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + c_step,
+        path_gain=math.sqrt(c_path * (2 - c_path) * mass),
+        step_gain=math.sqrt(c_step * (2 - c_step) * mass),
+    )

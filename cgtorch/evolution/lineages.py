@@ -1,0 +1,167 @@
+"""Lineages: the best structures of a population have their parameters tuned, in a race.
+
+Operators on structure change a parameter of a node here and there, by one step size for all of a
+graph. That finds structures, and tunes them badly. So the search goes in turns. A population is
+bred and evaluated as in Algorithm 2. Its best structures found lineages, in each of which the graph
+stays and CMA-ES (`cgtorch.evolution.cma`) moves its parameters. All are sampled in every
+generation; after `RUNGS` generations the better half of them stay (successive halving: Jamieson and
+Talwalkar, AISTATS 2016), and the last one goes on until it stalls. What they have come to joins the
+structures that they came from as parents of the next population, tuned parameters included.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution.cma import (
+    Distribution,
+    initial_distribution,
+    sampled,
+    updated,
+    usual_count,
+)
+from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.evolution.population import Population, join, slim
+from cgtorch.graphs import Graphs, compacted
+
+RUNGS = (5, 15)
+"""After how many generations the worse half of the lineages is given up."""
+STALL = 40
+"""Generations without progress after which a lineage is given up."""
+LEAST_STEP = 1e-4
+RECENT = 8
+"""Generations whose better quarters say how far a lineage has come."""
+LEAST_PROGRESS = 0.01
+"""Of what a lineage has come to, which counts as progress."""
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Lineage:
+    """A graph whose parameters are tuned.
+
+    Attributes:
+        best: the best individual so far, a population of one.
+        fitness: what it had, -inf before the first sample.
+        scores: (B,) what that is the mean of.
+        distribution: of the parameters of its nodes.
+        recent: mean fitness of the better quarter of samples in each of the last generations.
+        level: the most that the mean of these has been.
+        since: generations since then.
+    """
+
+    best: Population
+    fitness: float
+    scores: Tensor
+    distribution: Distribution
+    recent: tuple[float, ...] = ()
+    level: float = float("-inf")
+    since: int = 0
+
+    @property
+    def standing(self) -> float:
+        """How good samples have been lately."""
+        return sum(self.recent) / len(self.recent) if self.recent else self.fitness
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing left to tune."""
+        return self.since >= STALL or self.distribution.step < LEAST_STEP
+
+
+def founded(
+    population: Population, order: Tensor, fitness: Tensor, scores: Tensor, actions: ActionSet,
+    count: int,
+) -> tuple[Lineage, ...]:  # fmt: skip
+    """Up to `count` lineages of the best of P individuals, given in `order` (P,).
+
+    At most half of them have the same actions in their nodes. Without parameters, or if its
+    fitness (P,) says that an individual has not finished, it founds none.
+    """
+    found: list[Lineage] = []
+    kinds: Counter[tuple[int, ...]] = Counter()
+    for row in order.tolist():
+        if len(found) == count or float(fitness[row]) < WORTHLESS:
+            break
+        one = population[row : row + 1]
+        one = slim(Population(compacted(one.graphs), one.strategy))
+        where = tuned(one.graphs, actions)
+        kind = tuple(sorted(one.graphs.action[0].tolist()))
+        if not where.any() or kinds[kind] >= max(1, count // 2):
+            continue
+        kinds[kind] += 1
+        steps = torch.tensor([action.first_step for action in actions.actions])
+        deviation = steps[one.graphs.action[0]][:, None].expand(where.shape)[where]
+        distribution = initial_distribution(one.graphs.parameters[0][where], deviation)
+        found.append(Lineage(one, float(fitness[row]), scores[row].clone(), distribution))
+    return tuple(found)
+
+
+def tuned(graphs: Graphs, actions: ActionSet) -> Tensor:
+    """(N, K) bool, which parameters of a single graph its nodes have."""
+    action = graphs.action[0]
+    count = actions.num_parameters[action.clamp_min(0)] * (action >= 0)
+    return torch.arange(graphs.parameters.shape[2]) < count[:, None]
+
+
+def samples(lineages: Sequence[Lineage], actions: ActionSet, generator: Generator) -> Population:
+    """Samples of all lineages, one lineage after the other."""
+    parts = []
+    for lineage in lineages:
+        where = tuned(lineage.best.graphs, actions)
+        count = usual_count(int(where.sum()))
+        copies = lineage.best[torch.zeros(count, dtype=torch.long)]
+        parameters = copies.graphs.parameters.clone()
+        parameters[:, where] = sampled(lineage.distribution, count, generator)
+        graphs = replace(copies.graphs, parameters=parameters)
+        parts.append(Population(graphs, copies.strategy))
+    return join(*parts)
+
+
+def told(
+    lineages: Sequence[Lineage],
+    population: Population,
+    fitness: Tensor,
+    scores: Tensor,
+    actions: ActionSet,
+) -> tuple[Lineage, ...]:
+    """The lineages after their `samples` had a fitness (P,), which is the mean of scores (P, B)."""
+    after, begin = [], 0
+    for lineage in lineages:
+        where = tuned(lineage.best.graphs, actions)
+        end = begin + usual_count(int(where.sum()))
+        rows = slice(begin, end)
+        after.append(_told(lineage, population[rows], fitness[rows], scores[rows], where))
+        begin = end
+    return tuple(after)
+
+
+def _told(
+    lineage: Lineage, population: Population, fitness: Tensor, scores: Tensor, where: Tensor
+) -> Lineage:
+    nodes, k = where.shape
+    parameters = population.graphs.parameters[:, :nodes, :k]
+    distribution = updated(lineage.distribution, parameters[:, where], fitness)
+    better = fitness.sort(descending=True).values[: max(1, len(fitness) // 4)]
+    recent = (*lineage.recent, float(better.double().mean()))[-RECENT:]
+    lineage = replace(lineage, distribution=distribution, recent=recent, since=lineage.since + 1)
+    if lineage.standing > lineage.level + LEAST_PROGRESS * min(abs(lineage.level), 1e9):
+        lineage = replace(lineage, level=lineage.standing, since=0)
+    top = int(fitness.argmax())
+    if float(fitness[top]) <= lineage.fitness:
+        return lineage
+    best = slim(population[top : top + 1])
+    return replace(lineage, best=best, fitness=float(fitness[top]), scores=scores[top].clone())
+
+
+def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:
+    """Which lineages go on, and which are given up."""
+    going = [each for each in lineages if not each.over]
+    if going and max(each.distribution.updates for each in going) in RUNGS:
+        order = sorted(range(len(going)), key=lambda i: -going[i].standing)
+        stay = set(order[: -(-len(going) // 2)])
+        going = [each for i, each in enumerate(going) if i in stay]
+    return tuple(going), tuple(each for each in lineages if not any(each is x for x in going))

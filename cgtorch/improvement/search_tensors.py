@@ -1,0 +1,81 @@
+"""Lineages, and parents that wait for them, as tensors (`cgtorch.evolution.lineages`)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.evolution import EvolutionState, Population
+from cgtorch.evolution.cma import Distribution
+from cgtorch.evolution.evolution import Parents
+from cgtorch.evolution.lineages import RECENT, Lineage
+
+VECTORS = ("mean", "covariance", "path", "step_path")
+"""Tensors of a `Distribution`."""
+
+Read = Callable[[str, dict[str, Tensor]], Population]
+"""Reads the population that `population_tensors` has named."""
+
+
+def population_tensors(part: str, population: Population) -> dict[str, Tensor]:
+    """A population by the names of its fields."""
+    values = {**vars(population.graphs), "strategy": population.strategy}
+    return {f"{part}.{name}": value for name, value in values.items()}
+
+
+def search_tensors(state: EvolutionState) -> dict[str, Tensor]:
+    """What `with_search` reads again; nothing where there are neither lineages nor parents."""
+    found: dict[str, Tensor] = {}
+    if state.lineages or state.parents is not None or not state.fresh:
+        found["turns"] = torch.tensor([len(state.lineages), int(state.fresh)])
+    if state.parents is not None:
+        found |= population_tensors("parents", state.parents.population)
+        found |= {"parents.fitness": state.parents.fitness, "parents.scores": state.parents.scores}
+    for number, lineage in enumerate(state.lineages):
+        part, about = f"lineage {number}", lineage.distribution
+        recent = [*lineage.recent, *[float("nan")] * (RECENT - len(lineage.recent))]
+        found |= population_tensors(part, lineage.best)
+        found |= {f"{part}.{name}": getattr(about, name) for name in VECTORS}
+        numbers = [lineage.fitness, lineage.level, about.step, *recent]
+        found[f"{part}.numbers"] = torch.tensor(numbers, dtype=torch.float64)
+        found[f"{part}.counts"] = torch.tensor([lineage.since, about.updates, len(lineage.recent)])
+        found[f"{part}.scores"] = lineage.scores
+    return found
+
+
+def with_search(state: EvolutionState, tensors: dict[str, Tensor], read: Read) -> EvolutionState:
+    """The state with lineages and parents, if the tensors hold any.
+
+    KeyError, ValueError, TypeError or RuntimeError if they do not fit together.
+    """
+    if "turns" not in tensors:
+        return state
+    count, fresh = tensors["turns"].tolist()
+    parents = None
+    if "parents.fitness" in tensors:
+        parents = Parents(
+            read("parents", tensors), tensors["parents.fitness"], tensors["parents.scores"]
+        )
+        if not len(parents.population) == len(parents.fitness) == len(parents.scores):
+            raise ValueError("parents and what they achieved differ in number")
+    lineages = tuple(_lineage(f"lineage {number}", tensors, read) for number in range(count))
+    return replace(state, lineages=lineages, parents=parents, fresh=bool(fresh))
+
+
+def _lineage(part: str, tensors: dict[str, Tensor], read: Read) -> Lineage:
+    fitness, level, step, *recent = tensors[f"{part}.numbers"].tolist()
+    since, updates, known = tensors[f"{part}.counts"].tolist()
+    vectors = {name: tensors[f"{part}.{name}"] for name in VECTORS}
+    sizes = {len(vector) for vector in vectors.values()}
+    if len(sizes) != 1 or not all(bool(vector.isfinite().all()) for vector in vectors.values()):
+        raise ValueError("a lineage's distribution is not one of finite numbers")
+    return Lineage(
+        best=read(part, tensors)[:1],
+        fitness=fitness,
+        scores=tensors[f"{part}.scores"],
+        distribution=Distribution(step=step, updates=updates, **vectors),
+        recent=tuple(recent[:known]),
+        level=level,
+        since=since,
+    )

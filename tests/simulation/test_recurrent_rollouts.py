@@ -1,0 +1,268 @@
+"""Networks that remember: compiled, in torch and by the plain interpreter."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_kernel_models import DOMAINS, random_kernel_models
+from random_models import models_as, random_models
+from support import (
+    as_double,
+    as_double_actions,
+    model,
+    nested_actions,
+    random_graphs,
+    recurrent_actions,
+    seeded,
+    world,
+)
+from test_resumable_rollouts import assert_same, in_torch, waiting
+from test_rollout import compare
+from told_by_runs import tensors_of
+from torch.nn.functional import pad
+from walking import Path, RewardedPath, chain, path
+
+from cgtorch import native
+from cgtorch.actions import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    Grasp,
+    MoveBase,
+    RecurrentNN,
+    paper_actions,
+)
+from cgtorch.environment import Environment
+from cgtorch.graphs import Graphs
+from cgtorch.native import available
+from cgtorch.simulation import rollout
+from cgtorch.simulation.compiled_actions import NETWORKS, WITH_MEMORY, compiled_actions
+from cgtorch.simulation.engines import engine_of
+
+pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
+
+PLAIN_SETS = [recurrent_actions(), nested_actions(0, recurrent_actions())]
+SETS = [as_double_actions(actions) for actions in PLAIN_SETS]
+
+
+def using(graphs: Graphs, actions: ActionSet) -> torch.Tensor:
+    """(P,) bool, which graphs have a node that remembers."""
+    return (graphs.action == actions.index("RecurrentNN")).any(1)
+
+
+def not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    def asked(*given: Any) -> None:
+        raise AssertionError("Python is asked for what the network says")
+
+    monkeypatch.setattr(RecurrentNN, "forward", asked)
+
+
+@pytest.mark.parametrize("actions", SETS)
+@pytest.mark.parametrize("place", [world, model])
+@given(seed=st.integers(0, 2**31), limit=st.integers(1, 20), steps=st.integers(1, 40))
+@settings(max_examples=15)
+def test_the_plain_interpreter_says_the_same(
+    actions: ActionSet, place: Any, seed: int, limit: int, steps: int
+) -> None:
+    graphs = as_double(random_graphs(seed, 6, actions))
+    compare(graphs, actions, place(seed, 4, dtype=torch.float64), limit, steps)
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    actions=st.sampled_from(SETS),
+    in_world=st.booleans(),
+    limits=st.tuples(st.integers(1, 20), st.integers(1, 60)),
+)
+@settings(max_examples=60)
+def test_compiled_they_do_what_they_do_in_torch(
+    seed: int, actions: ActionSet, in_world: bool, limits: tuple[int, int]
+) -> None:
+    graphs = as_double(random_graphs(seed, 20, actions))
+    place: Environment = random_models(seed, 5)
+    if in_world:
+        place = world(seed, 5, dtype=torch.float64)
+    given = graphs, actions, place, limits
+    assert_same(waiting(*given), in_torch(*given), 1e-8)
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+@pytest.mark.parametrize("hidden", [1, 3, 5, 20])
+def test_in_the_models_of_any_domain(domain: str, hidden: int) -> None:
+    environment = random_kernel_models(3, 7, *DOMAINS[domain])
+    d, u = environment.percept_size, environment.control_size
+    networks = RecurrentNN(d, hidden, u), BranchingNN(d), ContinuousNN(d - 1, outputs=u)
+    actions = ActionSet(
+        ("RecurrentNN", "Branch", "Aim", "Step", "Test"), (*networks, MoveBase(u), Grasp())
+    )
+    graphs = as_double(random_graphs(hidden, 60, actions))
+    given = graphs, actions, environment, (20, 60)
+    found = waiting(*given)
+    assert (found.state[..., 0] > 1).any()
+    assert_same(found, in_torch(*given), 1e-8)
+
+
+def walk_back(hidden: int = 3) -> ActionSet:
+    return ActionSet(("RecurrentNN", "Step"), (RecurrentNN(2, hidden, 1), MoveBase(1)))
+
+
+@pytest.mark.parametrize("kind", [Path, RewardedPath])
+def test_whole_walks(kind: type[Path]) -> None:
+    """Two networks in turns, in every graph others, which go on from one another's states."""
+    actions, place = walk_back(), kind(path(3, 30, 40).scenarios)
+    one = chain(actions, "RecurrentNN", "Step", "RecurrentNN", "Step")
+    graphs = one[torch.zeros(40, dtype=torch.long)]
+    values = torch.randn(graphs.parameters.shape, generator=seeded(1))
+    values[:, :, actions.actions[0].num_parameters :] = 0
+    values[:, 1::2] = 0
+    given = replace(graphs, parameters=values), actions, place, (60, 400)
+    found, wanted = waiting(*given), in_torch(*given)
+    assert found.executed == wanted.executed > 10_000
+    assert found.percept.std() > 0.1
+    assert_same(found, wanted, 1e-3)
+
+
+@pytest.mark.parametrize("actions", PLAIN_SETS)
+def test_python_is_not_asked(actions: ActionSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    graphs = random_graphs(1, 200, paper_with(actions))
+    assert using(graphs, paper_with(actions)).any()
+    places: list[Environment] = [models_as(random_models(1, 5), torch.float32), world(1, 5)]
+    wanted = [rollout(graphs, paper_with(actions), place) for place in places]
+    not_asked(monkeypatch)
+    for place, runs in zip(places, wanted, strict=True):
+        found = rollout(graphs, paper_with(actions), place)
+        assert all(torch.equal(x, tensors_of(found)[n]) for n, x in tensors_of(runs).items())
+
+
+def paper_with(actions: ActionSet) -> ActionSet:
+    """The paper's actions and a network that remembers of those given, which may be in skills."""
+    names = [*paper_actions().names, "RecurrentNN", *(n for n in actions.names if n[0] == "S")]
+    return ActionSet(tuple(names), tuple(actions.actions[actions.index(n)] for n in names))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_result_depends_on_nothing_else_in_the_batch(dtype: torch.dtype) -> None:
+    """One graph's lanes share their weights, those of many have columns of them: the same bits."""
+    actions, place = PLAIN_SETS[0], world(2, 33, dtype=dtype)
+    graphs = random_graphs(2, 60, actions)
+    if dtype == torch.float64:
+        graphs = as_double(graphs)
+    everything = rollout(graphs, actions, place)
+    for i in using(graphs, actions).nonzero()[:20, 0].tolist():
+        alone = rollout(graphs[i : i + 1], actions, place)
+        for name, value in tensors_of(alone).items():
+            assert torch.equal(value[0], getattr(everything, name)[i]), name
+
+
+def test_no_number_of_threads_changes_anything() -> None:
+    actions, place = SETS[1], world(0, 40, dtype=torch.float64)
+    graphs = as_double(random_graphs(2, 60, actions))  # more lanes than one thread takes at once
+    found = []
+    for count in (1, 2, 5):
+        native.use_threads(count)
+        found.append(waiting(graphs, actions, place, (20, 60)))
+    for other in found[1:]:
+        for name, value in tensors_of(found[0]).items():
+            assert torch.equal(getattr(other, name), value), name
+
+
+@pytest.mark.parametrize(("silent", "still"), [(False, False), (True, False), (True, True)])
+def test_what_is_remembered_counts_as_a_change(silent: bool, still: bool) -> None:
+    """A loop is only skipped where neither the message nor the state is another one."""
+    actions, place = walk_back(), Path(path(0, 20).scenarios)
+    graphs = chain(actions, "RecurrentNN")
+    values = torch.randn(graphs.parameters.shape, generator=seeded(4))
+    own, first = actions.actions[0].num_parameters, 3 * (2 + 3 + 1)
+    values[..., own:] = 0
+    if silent:
+        values[..., first:own] = 0
+    if still:
+        values[..., :first] = 0
+    given = replace(graphs, parameters=values), actions, place, (8, 400)  # before it comes to rest
+    found, wanted = waiting(*given), in_torch(*given)
+    assert (found.transitions == 8).all()
+    assert found.executed == wanted.executed == (2 if still else 8) * 20
+
+
+def test_graphs_without_it_stay_where_they_were() -> None:
+    """In a set that has it they run graph by graph, to the same bits; those with it do not."""
+    environment, some = models_as(random_models(3, 21), torch.float32), torch.arange(21)
+    paper = paper_actions()
+    actions = paper_with(PLAIN_SETS[1])
+    before, after = engine_of(paper, environment), engine_of(actions, environment)
+    graphs = random_graphs(0, 40, paper)
+    assert before is not None
+    assert after is not None
+    wide = replace(graphs, parameters=pad(graphs.parameters, (0, 20)))
+    for limits in ((20, 400), (7, 11)):
+        wanted, found = (
+            before.rollouts(graphs, some, *limits),
+            after.rollouts(wide, some, *limits),
+        )
+        assert wanted is not None
+        assert found is not None
+        assert found.executed == wanted.executed
+        for name, value in tensors_of(wanted).items():
+            assert torch.equal(getattr(found, name), value), name
+    assert not after.known.resumable_alone(wide)
+    for name in ("RecurrentNN", "S0", "S1"):
+        mixed = replace(wide, action=wide.action.clone())
+        mixed.action[7, 0] = actions.index(name)
+        skill = {"S0": 0, "S1": 1}.get(name)
+        uses = skill is None or uses_it(actions, name)
+        assert after.known.resumable_alone(mixed) == uses
+        assert (after.rollouts(mixed, some, 20, 400) is None) == uses
+
+
+def uses_it(actions: ActionSet, name: str) -> bool:
+    """Whether a skill has a node, however deep, of another action than the paper's."""
+    skill: Any = actions.actions[actions.index(name)]
+    inner = skill.skill
+    used = {inner.actions.names[i] for i in inner.graph.action[0].tolist() if i >= 0}
+    own = used - {*paper_actions().names, "S0"}
+    return bool(own) or ("S0" in used and uses_it(inner.actions, "S0"))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "compiled"),
+    [
+        ((7, 64, 16), True), ((64, 20, 3), True), ((7, 65, 3), False), ((65, 3, 3), False),
+        ((7, 3, 17), False), ((64, 64, 3), False), ((71, 3, 3), False),
+    ],
+)  # fmt: skip
+def test_what_is_too_large_is_pythons(sizes: tuple[int, int, int], compiled: bool) -> None:
+    actions = ActionSet(("RecurrentNN",), (RecurrentNN(*sizes),))
+    kinds = (*NETWORKS, *WITH_MEMORY)
+    known = compiled_actions(actions, 70, torch.float32, kinds)
+    assert known is not None
+    assert known.in_python == (not compiled,)
+    assert known.only_resumable.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("hidden", [30, 64, 65])
+def test_large_ones_say_the_same(hidden: int) -> None:
+    actions, place = walk_back(hidden), Path(path(5, 9).scenarios)
+    one = chain(actions, "RecurrentNN", "Step")
+    graphs = one[torch.zeros(20, dtype=torch.long)]
+    values = torch.randn(graphs.parameters.shape, generator=seeded(0)) / 4
+    values[:, 1] = 0
+    given = replace(graphs, parameters=values), actions, place, (20, 400)
+    assert_same(waiting(*given), in_torch(*given), 1e-4)
+
+
+class Dimmed(RecurrentNN):
+    """Another class, which C knows nothing of."""
+
+
+def test_subclasses_and_changed_ones_run_in_python() -> None:
+    changed = RecurrentNN()
+    changed.forward = changed.forward  # type: ignore[method-assign]
+    short = RecurrentNN()
+    short.memory_size = 2
+    for action in (Dimmed(), changed, short):
+        known = compiled_actions(ActionSet(("A",), (action,)), 7, torch.float32, WITH_MEMORY)
+        assert known is not None
+        assert known.in_python == (True,)

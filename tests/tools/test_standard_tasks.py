@@ -1,0 +1,279 @@
+"""The frame of the standard tasks; what it measures is never a test."""
+
+import json
+import os
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from click.testing import CliRunner, Result
+from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import standard_tasks
+from standard.measure import BUDGETS, Budget, Trial, alike, played, player
+from standard.measure import Result as Found
+from standard.peers import LIBRARIES, Library, UnsuitableError
+from standard.task import Starts
+from standard.tasks import TASKS
+
+CARTPOLE = TASKS["cartpole"]
+FALLING = 10  # steps a cart always pushed to one side lasts at most, and 8 at least
+
+
+@pytest.fixture(autouse=True)
+def environment_as_before() -> Any:
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
+
+
+def to_the_right(percept: Tensor, memory: Any, live: Tensor) -> tuple[Tensor, Any]:
+    return torch.tensor([[0.0, 1.0]]).repeat(len(percept), 1), None
+
+
+def balancing(percept: Tensor, memory: Any, live: Tensor) -> tuple[Tensor, Any]:
+    leaning = percept @ torch.tensor([0.1, 0.3, 1.0, 1.0])
+    return torch.stack([-leaning, leaning], 1), None
+
+
+def counting(percept: Tensor, memory: Any, live: Tensor) -> tuple[Tensor, Any]:
+    """The second half of lanes is pushed to the other side after two steps."""
+    memory = torch.zeros(len(percept)) if memory is None else memory + 1
+    turned = (torch.arange(len(percept)) >= len(percept) // 2) & (memory > 1)
+    return torch.stack([turned.float(), 1 - turned.float()], 1), memory
+
+
+def a_trial(task: str = "cartpole", **changes: Any) -> Trial:
+    return Trial(TASKS[task], "test", 0, replace(Budget(1000, 1000), **changes))
+
+
+def test_what_a_policy_does_is_counted() -> None:
+    trial = a_trial()
+    returns = trial.returns(to_the_right, individuals=3, count=4)
+    assert returns.shape == (3, 4)
+    assert ((returns >= FALLING - 2) & (returns <= FALLING)).all()
+    assert torch.equal(returns, returns[:1].expand(3, 4))  # all of them meet the same starts
+    counts = trial.counts
+    # In CartPole every step of an episode counts 1.
+    assert (counts.evaluations, counts.episodes) == (3, 12)
+    assert counts.world_steps == int(returns.sum())
+    own = trial.returns(to_the_right, individuals=50, count=1, common=False)
+    assert own.shape == (50, 1)
+    assert len(own.unique()) > 1
+    assert (counts.evaluations, counts.episodes) == (53, 62)
+    assert counts.world_steps == int(returns.sum() + own.sum())
+
+
+def test_lanes_that_are_over_take_no_more_steps() -> None:
+    trial = a_trial()
+    world = trial.world(2)
+    lanes_of = world.start(torch.arange(2))
+    assert trial.counts.episodes == 2
+    returns = played(world, counting, torch.tensor([0, 1, 0, 1]))
+    assert returns[2:].min() > returns[:2].max()
+    assert trial.counts.episodes == 6
+    assert trial.counts.world_steps == int(returns.sum())
+    assert len(lanes_of[0]) == 2
+
+
+def test_a_row_does_the_same_whatever_else_is_played() -> None:
+    world = CARTPOLE.world(Starts(torch.arange(6)))
+    together = played(world, balancing, torch.arange(6))
+    alone = [played(world, balancing, torch.tensor([i])).item() for i in range(6)]
+    assert together.tolist() == alone
+
+
+def test_a_control_that_is_no_number_does_not_stop_the_clock() -> None:
+    def nothing(percept: Tensor, memory: Any, live: Tensor) -> tuple[Tensor, Any]:
+        return torch.full((len(percept), 2), torch.nan), None
+
+    assert played(CARTPOLE.world(Starts(torch.arange(2))), nothing, torch.arange(2)).max() < 20
+
+
+def test_trained_and_tested_starts_are_different() -> None:
+    trial = a_trial()
+    trained = trial.world(1000).scenarios.seed
+    assert (trained % 2 == 0).all()
+    assert len(trained.unique()) == 1000
+    seen = []
+
+    def watching(world: Any) -> Tensor:
+        seen.append(world.scenarios.seed)
+        return torch.zeros(1)
+
+    trial.offer(watching, 475.0)
+    assert len(seen[0]) == 100
+    assert (seen[0] % 2 == 1).all()
+
+
+def test_a_champion_is_tried_once_it_is_good_in_training() -> None:
+    trial = a_trial()
+    trial.offer(player(balancing), 474.9)
+    assert (trial.solved, trial.mean_return, trial.open) == (False, None, True)
+    trial.offer(player(to_the_right), 475.0, "one")
+    assert not trial.solved
+    assert trial.mean_return is not None
+    assert trial.mean_return < 475
+    trial.offer(player(balancing), 475.0, "one")  # the same is not tried again
+    assert not trial.solved
+    trial.offer(player(balancing), 475.0, "two")
+    assert trial.solved
+    assert not trial.open
+    found = trial.result()
+    assert found.mean_return == 500
+    assert (found.evaluations, found.episodes, found.world_steps) == (0, 0, 0)
+    assert found.cpu_seconds > 0
+
+
+def test_who_has_not_solved_it_is_tried_in_the_end() -> None:
+    trial = a_trial()
+    assert trial.result().mean_return is None
+    trial.offer(player(to_the_right), 9.0)
+    found = trial.result("a note")
+    assert found.note == "a note"
+    assert not found.solved
+    assert found.mean_return is not None
+    assert FALLING - 2 <= found.mean_return <= FALLING
+
+
+def test_a_search_ends_with_its_budget() -> None:
+    assert not a_trial(cpu_seconds=0).open
+    trial = a_trial(evaluations=5)
+    trial.evaluated(4)
+    assert trial.open
+    trial.evaluated(1)
+    assert not trial.open
+
+
+def test_where_episodes_begin_alike_one_is_enough() -> None:
+    known = {name for name, task in TASKS.items() if name != "lunar_lander" and alike(task)}
+    assert known == {"double_pole", "double_pole_no_velocities"}
+    assert a_trial("double_pole").starts(8) == 1
+    assert a_trial().starts(8) == 8
+
+
+def test_further_tests_have_to_be_passed() -> None:
+    trial = a_trial("double_pole_no_velocities")
+    tried: list[int] = []
+
+    def good(world: Any, enough: int = 200) -> Tensor:
+        tried.append(world.num_scenarios)
+        returns = torch.zeros(world.num_scenarios)
+        returns[:enough] = 100_000.0
+        return returns
+
+    trial.offer(lambda world: good(world, 199), 0.1)
+    assert not trial.solved
+    assert tried == [1, 625]
+    trial.offer(good, 0.1)
+    assert trial.solved
+    assert tried == [1, 625, 1, 625, 1]
+
+
+def test_every_task_has_a_budget() -> None:
+    assert BUDGETS.keys() == TASKS.keys()
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(standard_tasks.command, words, catch_exceptions=False)
+
+
+@pytest.fixture
+def one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LIBRARIES, "evosax", Library("not_there_at_all", "not-there", "nowhere"))
+
+
+def test_the_command(one_missing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = tmp_path / "results.json"
+    words = ["--only", "cartpole", "--library", "cgtorch", "--library", "evosax"]
+    words += ["--seeds", "0:1", "--output", str(output)]
+    found = run(*words, "--json")
+    whole = json.loads(found.stdout)
+    assert whole.keys() == {"tasks", "machine", "versions"}
+    assert whole["versions"]["cgtorch"]
+    ours, other = whole["tasks"]["cartpole"]["cgtorch"], whole["tasks"]["cartpole"]["evosax"]
+    assert ours.keys() == other.keys()
+    assert (ours["solved"], ours["seeds"]) == (1, 1)
+    for name in ("evaluations", "episodes", "world_steps", "cpu_seconds", "mean_return"):
+        assert ours[f"{name}_median"] > 0
+        assert ours[f"{name}_range"] == [ours[f"{name}_median"]] * 2
+        assert other[f"{name}_median"] is None
+    assert other["note"] == "not installed"
+    assert "cartpole, cgtorch, seed 0: solved" in found.stderr
+
+    kept = json.loads(output.read_text())["results"]
+    assert [Found(**each).evaluations for each in kept] == [ours["evaluations_median"]]
+    monkeypatch.setattr(standard_tasks, "apart", None)  # nothing is made again
+    assert json.loads(run(*words, "--json").stdout)["tasks"] == whole["tasks"]
+    lines = run(*words).stdout.splitlines()
+    assert len(lines) == 4
+    assert lines[2].startswith("| CartPole | cgtorch | 1 of 1 | ")
+    assert lines[3] == "| CartPole | evosax | – | – | – | – | – | not installed |"
+
+
+def test_what_has_failed_is_said_and_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["--only", "cartpole", "--library", "cgtorch", "--seeds", "3:5"]
+    words += ["--output", str(tmp_path / "results.json")]
+    made = []
+
+    def apart(task: str, library: str, seed: int) -> Found:
+        made.append(seed)
+        if made == [3]:
+            return standard_tasks._failed(task, library, seed, "it broke")
+        return Found(task, library, seed, True, 10 * seed, 2, 3, 4.0, 0.5, 500.0)
+
+    monkeypatch.setattr(standard_tasks, "apart", apart)
+    row = run(*words).stdout.splitlines()[2]
+    costs = "40 | 2 | 3 | 4.0, 0.5 of them compiling"
+    assert row == f"| CartPole | cgtorch | 1 of 1 | {costs} | failed: it broke |"
+    row = run(*words).stdout.splitlines()[2]
+    costs = "35 (30–40) | 2 | 3 | 4.0, 0.5 of them compiling"
+    assert row == f"| CartPole | cgtorch | 2 of 2 | {costs} |  |"
+    assert made == [3, 4, 3]
+
+
+def test_a_process_that_dies_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(standard_tasks, "_search", os._exit)  # which takes no such arguments
+    found = standard_tasks.apart("cartpole", "cgtorch", 0)
+    assert (found.note, found.solved) == ("failed: exit code 1", False)
+
+
+class Answers(list[Found]):
+    """What takes the place of the pipe to the process that waits."""
+
+    send = list.append
+
+
+@pytest.mark.parametrize(
+    ("error", "note"),
+    [
+        (UnsuitableError("it cannot"), "it cannot"),
+        (ValueError("two\nlines"), "failed: ValueError: two lines"),
+    ],
+)
+def test_an_error_becomes_a_note(
+    error: Exception, note: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def search(trial: Trial) -> None:
+        trial.evaluated(7)
+        raise error
+
+    monkeypatch.setattr("standard.ours.search", search)
+    answers: Any = Answers()
+    standard_tasks._search(answers, "cartpole", "cgtorch", 0)
+    assert [(each.note, each.solved, each.evaluations) for each in answers] == [(note, False, 7)]
+    assert asdict(answers[0])["seed"] == 0
+
+
+def test_a_library_that_cannot_be_imported_is_said_so(one_missing: None) -> None:
+    answers: Any = Answers()
+    standard_tasks._search(answers, "cartpole", "evosax", 0)
+    assert answers[0].note.startswith("failed: cannot be imported (")

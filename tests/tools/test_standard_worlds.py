@@ -1,0 +1,268 @@
+"""The standard worlds do what those of the field do: the same steps, rewards and ends."""
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from standard.cards import CARDS, SUITS
+from standard.double_pole import CHALLENGES, LongWorld
+from standard.task import OVER, RETURN, STEPS, Starts, Task, starts
+from standard.tasks import TASKS
+
+from cgtorch.environment import Lanes, start_lanes
+from cgtorch.environment.dry_run import check_environment
+
+GYMNASIUM = {
+    "cartpole": "CartPole-v1",
+    "cartpole_no_velocities": "CartPole-v1",
+    "acrobot": "Acrobot-v1",
+    "mountain_car_continuous": "MountainCarContinuous-v0",
+    "pendulum": "Pendulum-v1",
+}
+OWN = sorted(TASKS.keys() - {"lunar_lander"})
+CLOSE = 1e-6
+FREE = {"acrobot": 150, "cartpole": 150, "cartpole_no_velocities": 150}
+"""Steps in which what differs in the last digit stays small, although nothing holds it back.
+
+After that, theirs goes on from our state in each step.
+"""
+
+
+def drawn(count: int) -> Starts:
+    return starts(count, torch.Generator().manual_seed(0))
+
+
+def begun(world: Any, count: int) -> Lanes:
+    return start_lanes(world, torch.arange(count), 0, 0)
+
+
+def random_controls(task: Task, count: int, steps: int) -> Tensor:
+    generator = torch.Generator().manual_seed(1)
+    return 2.4 * torch.rand(steps, count, task.outputs, generator=generator) - 1.2
+
+
+def lively(name: str, state: Tensor) -> Tensor:
+    """Controls that get somewhere: up the hill, up with the tip, or on balancing."""
+    signal = {
+        "acrobot": state[:, 2],
+        "mountain_car_continuous": state[:, 1],
+        "pendulum": state[:, 1],
+    }.get(name, state[:, 2] + state[:, 3] + 0.1 * state[:, 1] + 0.05 * state[:, 0])
+    toward = signal.sign()[:, None].float()
+    size = TASKS[name].outputs
+    return toward if size == 1 else toward * torch.linspace(-1, 1, size)
+
+
+def action(name: str, control: Tensor) -> Any:
+    """What Gymnasium is given for a control."""
+    if TASKS[name].discrete:
+        return int(control.argmax())
+    torque = control.clamp(-1, 1).double().numpy()
+    return 2 * torque if name == "pendulum" else torque.astype(np.float32)
+
+
+def set_state(name: str, environment: Any, state: Tensor) -> None:
+    values = state[:STEPS].numpy().copy()
+    wanted = np.float32 if name == "mountain_car_continuous" else np.float64
+    environment.unwrapped.state = values.astype(wanted)
+
+
+@pytest.mark.parametrize("name", GYMNASIUM)
+def test_episodes_are_gymnasiums(name: str) -> None:
+    task, count = TASKS[name], 8
+    lanes = begun(world := task.world(drawn(count)), count)
+    theirs = [gymnasium.make(GYMNASIUM[name], disable_env_checker=True) for _ in range(count)]
+    for lane, environment in enumerate(theirs):
+        environment.reset(seed=lane)
+        set_state(name, environment, lanes.state[lane])
+    gained, over = torch.zeros(count, dtype=torch.float64), torch.zeros(count, dtype=torch.bool)
+    for step, control in enumerate(random_controls(task, count, task.most_steps)):
+        control[::2] = lively(name, lanes.state)[::2]
+        lanes, _ = world.step(lanes, control)
+        for lane in (~over).nonzero()[:, 0].tolist():
+            _, reward, done, late, _ = theirs[lane].step(action(name, control[lane]))
+            gained[lane] += reward
+            over[lane] = done or late
+            there = np.array(theirs[lane].unwrapped.state)
+            assert np.abs(there - lanes.state[lane, :STEPS].numpy()).max() <= CLOSE
+            if step >= FREE.get(name, task.most_steps):
+                set_state(name, theirs[lane], lanes.state[lane])
+        assert torch.equal(over, lanes.state[:, OVER] > 0)
+        torch.testing.assert_close(gained, lanes.state[:, RETURN], rtol=0, atol=CLOSE)
+    assert over.all()
+
+
+@pytest.mark.parametrize("name", GYMNASIUM)
+def test_percepts_are_gymnasiums_but_for_their_scale(name: str) -> None:
+    task = TASKS[name]
+    lanes = begun(task.world(drawn(1)), 1)
+    environment: Any = gymnasium.make(GYMNASIUM[name], disable_env_checker=True)
+    environment.reset(seed=0)
+    set_state(name, environment, lanes.state[0])
+    seen = environment.step(action(name, torch.zeros(task.outputs)))[0]
+    percept = task.world(drawn(1)).step(lanes, torch.zeros(1, task.outputs))[0].percept[0].double()
+    centre, scale = {
+        "cartpole": ([0.0] * 4, [2.4, 2, 0.21, 2]),
+        "cartpole_no_velocities": ([0.0] * 2, [2.4, 0.21]),
+        "acrobot": ([0.0] * 6, [1, 1, 1, 1, 4 * math.pi, 9 * math.pi]),
+        "mountain_car_continuous": ([-0.3, 0], [0.9, 0.07]),
+        "pendulum": ([0.0] * 3, [1, 1, 8]),
+    }[name]
+    back = percept * torch.tensor(scale) + torch.tensor(centre)
+    expected = seen[::2] if name == "cartpole_no_velocities" else seen
+    torch.testing.assert_close(back, torch.from_numpy(expected).double(), rtol=0, atol=2e-5)
+
+
+def test_starts_are_spread_as_gymnasiums() -> None:
+    ranges = {
+        "cartpole": [(-0.05, 0.05)] * 4,
+        "acrobot": [(-0.1, 0.1)] * 4,
+        "mountain_car_continuous": [(-0.6, -0.4), (0.0, 0.0)],
+        "pendulum": [(-math.pi, math.pi), (-1.0, 1.0)],
+    }
+    for name, bounds in ranges.items():
+        state = begun(TASKS[name].world(drawn(4000)), 4000).state[:, :STEPS]
+        low, high = torch.tensor(bounds, dtype=torch.float64).unbind(1)
+        slack = 0.005 * (high - low) + 1e-7
+        for found, bound in ((state.amin(0), low), (state.amax(0), high)):
+            assert ((found - bound).abs() <= slack).all()
+        assert ((state.mean(0) - (low + high) / 2).abs() <= 0.02 * (high - low) + 1e-7).all()
+
+
+def test_thresholds_and_lengths_are_gymnasiums() -> None:
+    for name, theirs in {**GYMNASIUM, "lunar_lander": "LunarLander-v3"}.items():
+        spec = gymnasium.spec(theirs)
+        assert TASKS[name].most_steps == spec.max_episode_steps
+        assert spec.reward_threshold in (TASKS[name].solved, None)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_worlds_are_what_tasks_say(name: str) -> None:
+    task = TASKS[name]
+    world = task.world(drawn(3))
+    check_environment(world)
+    assert task.name == name
+    assert (world.percept_size, world.control_size) == (task.inputs, task.outputs)
+
+
+@pytest.mark.parametrize("world", [challenge.world for challenge in CHALLENGES])
+def test_worlds_of_challenges_are_worlds(world: type[LongWorld]) -> None:
+    check_environment(world())
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_starts_and_steps_of_a_lane_are_its_own(name: str) -> None:
+    task, count = TASKS[name], 13
+    scenarios = drawn(count)
+    several, alone = task.world(scenarios), task.world(scenarios[3:4])
+    together, single = begun(several, count), begun(alone, 1)
+    for control in random_controls(task, count, 60):
+        assert torch.equal(together.state[3], single.state[0])
+        assert torch.equal(together.percept[3], single.percept[0])
+        together, _ = several.step(together, control)
+        single, _ = alone.step(single, control[3:4])
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_an_episode_that_is_over_stays_as_it_is(name: str) -> None:
+    task, count = TASKS[name], 2
+    lanes = begun(world := task.world(drawn(count)), count)
+    for control in random_controls(task, count, min(task.most_steps, 1000)):
+        lanes, _ = world.step(lanes, control)
+    assert world.over(lanes).all()
+    assert not name.startswith("double_pole") or (lanes.state[:, STEPS] < 100).all()
+    assert (lanes.state[:, STEPS] <= task.most_steps).all()
+    further, _ = world.step(lanes, torch.ones(count, task.outputs))
+    assert torch.equal(lanes.state, further.state)
+    assert torch.equal(lanes.percept, further.percept)
+
+
+def test_a_lander_is_gymnasiums() -> None:
+    task, scenarios = TASKS["lunar_lander"], drawn(2)
+    lanes = begun(world := task.world(scenarios), 2)
+    theirs: Any = gymnasium.make("LunarLander-v3", disable_env_checker=True)
+    theirs.reset(seed=int(scenarios.seed[1]))
+    gained, over = 0.0, False
+    for control in random_controls(task, 2, task.most_steps):
+        lanes, _ = world.step(lanes, control)
+        if not over:
+            _, reward, done, late, _ = theirs.step(int(control[1].argmax()))
+            gained, over = gained + float(reward), done or late
+    assert over
+    assert world.over(lanes).all()
+    assert float(world.returns(lanes)[1]) == pytest.approx(gained)
+
+
+def played(name: str, decide: Callable[[list[int]], int]) -> tuple[list[int], float, float]:
+    """The suits shown in an episode of one who decides by those, the return, and that by hand."""
+    lanes = begun(world := TASKS[name].world(drawn(1)), 1)
+    shown, by_hand = [int(lanes.percept[0].argmax())], 0.0
+    for _ in range(CARDS - 1):
+        assert lanes.state[0, OVER] == 0
+        named = decide(shown)
+        by_hand += reward_by_hand(name, shown, named)
+        lanes, _ = world.step(lanes, torch.eye(SUITS)[named : named + 1])
+        assert lanes.percept.sum() == 1
+        shown.append(int(lanes.percept[0].argmax()))
+    assert lanes.state[0, OVER] == 1
+    return shown, float(lanes.state[0, RETURN]), by_hand
+
+
+def reward_by_hand(name: str, shown: list[int], named: int) -> float:
+    if name == "repeat_first":
+        return (1 if named == shown[0] else -1) / 51
+    if len(shown) < 4:
+        return 0.0
+    return (1 if named == shown[-4] else -1) / 48
+
+
+DECISIONS = {
+    "first": lambda shown: shown[0],
+    "previous": lambda shown: shown[-4] if len(shown) >= 4 else 0,
+    "always the same": lambda shown: 2,
+    "what is seen": lambda shown: shown[-1],
+}
+
+
+@pytest.mark.parametrize("decision", DECISIONS)
+@pytest.mark.parametrize("name", ["repeat_first", "repeat_previous"])
+def test_card_games_follow_their_rules(name: str, decision: str) -> None:
+    shown, gained, by_hand = played(name, DECISIONS[decision])
+    assert sorted(shown) == [suit for suit in range(SUITS) for _ in range(CARDS // SUITS)]
+    assert gained == pytest.approx(by_hand, abs=1e-12)
+    if name.endswith(decision):
+        assert gained == pytest.approx(1)
+    assert abs(gained) <= 1 + 1e-12
+
+
+@pytest.mark.parametrize("decision", DECISIONS)
+@pytest.mark.parametrize("name", ["repeat_first", "repeat_previous"])
+def test_card_games_are_popgyms(name: str, decision: str) -> None:
+    envs = pytest.importorskip(f"popgym.envs.{name}")
+    shown, gained, _ = played(name, DECISIONS[decision])
+    theirs = getattr(envs, name.title().replace("_", "") + "Easy")()
+    theirs.reset(seed=0)
+    # Deal the same suits: cards come from the end, and the first has been dealt already.
+    left = {suit: [c for c in range(CARDS) if c % SUITS == suit] for suit in range(SUITS)}
+    theirs.deck.reset(shuffle=False)
+    theirs.deck.idx = np.array([left[suit].pop() for suit in shown])[::-1].copy()
+    theirs.deck.deal("player", 1)
+    theirs.card = theirs.deck.show("player", ["suits_idx"])[0, -1]
+    sum_of_rewards, seen = 0.0, [int(theirs.card)]
+    for step in range(CARDS - 1):
+        suit, reward, done, late, _ = theirs.step(DECISIONS[decision](seen))
+        sum_of_rewards += float(reward)
+        seen.append(int(suit))
+        assert (done or late) == (step == CARDS - 2)
+    assert seen == shown
+    assert sum_of_rewards == pytest.approx(gained)

@@ -1,0 +1,187 @@
+"""Classic control tasks of Gymnasium, for many episodes at once and with Gymnasium's own numbers.
+
+Controls are preferences among actions, or numbers from -1 to 1 for all that the motor can do.
+Columns of states are copied into rows first, as what a sine is in its last digit may depend on how
+numbers lie in memory, and nothing may depend on how many lanes there are.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from cgtorch.ground.counter_rng import uniform
+from standard.task import TaskWorld
+
+PI, TURN = math.pi, 2 * math.pi
+
+
+def drawn(seed: Tensor, name: str, size: int) -> Tensor:
+    """(n, size) uniform numbers in [-1, 1) of starts with these seeds (n,), in float64."""
+    return 2 * uniform(seed, name, torch.zeros_like(seed), size).double() - 1
+
+
+class CartPole(TaskWorld):
+    """CartPole-v1: position, velocity, angle and angular velocity; every step counts 1.
+
+    The threshold is Gymnasium's own.
+    """
+
+    control_size, most_steps, solved_return = 2, 500, 475.0
+    scale = 1 / torch.tensor([2.4, 2.0, 0.21, 2.0], dtype=torch.float64)
+    limits = torch.tensor([2.4, 12 * TURN / 360], dtype=torch.float64)
+
+    def begin(self, seed: Tensor) -> Tensor:
+        """See `TaskWorld.begin`."""
+        return 0.05 * drawn(seed, "cartpole", 4)
+
+    def advance(
+        self, physics: Tensor, control: Tensor, step: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `TaskWorld.advance`."""
+        _, speed, angle, spin = physics.T.contiguous().unbind()
+        force = 20 * (control[:, 1] > control[:, 0]).double() - 10
+        sine, cosine = angle.sin(), angle.cos()
+        pushed = (force + 0.05 * spin * spin * sine) / 1.1
+        turning = (9.8 * sine - cosine * pushed) / (2 / 3 - (0.05 / 1.1) * cosine * cosine)
+        pushed = pushed - (0.05 / 1.1) * turning * cosine
+        after = physics + 0.02 * torch.stack([speed, pushed, spin, turning], 1)
+        fallen = (after[:, ::2].abs() > self.limits).any(1)
+        return after, torch.ones_like(speed), fallen
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return state[:, :4] * self.scale
+
+
+class CartPoleNoVelocities(CartPole):
+    """CartPole-v1 of which only position and angle are seen."""
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return state[:, :4:2] * self.scale[::2]
+
+
+class Acrobot(TaskWorld):
+    """Acrobot-v1: two angles and their velocities; every step costs 1 until the tip is high enough.
+
+    The threshold is Gymnasium's own.
+    """
+
+    control_size, most_steps, solved_return = 3, 500, -100.0
+    fastest = torch.tensor([4 * PI, 9 * PI], dtype=torch.float64)
+    period = 0.2
+
+    def begin(self, seed: Tensor) -> Tensor:
+        """See `TaskWorld.begin`; Gymnasium draws in float64 and rounds to float32."""
+        return (0.1 * drawn(seed, "acrobot", 4)).float()
+
+    def advance(
+        self, physics: Tensor, control: Tensor, step: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `TaskWorld.advance`; one step of the classic method of Runge and Kutta."""
+        start, torque = physics.T.contiguous(), control.argmax(1) - 1.0
+        half = self.period / 2
+        a = acrobot_rates(start, torque)
+        b = acrobot_rates(torch.add(start, a, alpha=half), torque)
+        c = acrobot_rates(torch.add(start, b, alpha=half), torque)
+        d = acrobot_rates(torch.add(start, c, alpha=self.period), torque)
+        after = torch.add(start, a + 2 * (b + c) + d, alpha=self.period / 6).T
+        angle, spin = after[:, :2], after[:, 2:]
+        angle = angle - TURN * (angle / TURN).round()
+        spin = torch.minimum(torch.maximum(spin, -self.fastest), self.fastest)
+        first = angle[:, 0].contiguous()
+        high = first.cos() + (first + angle[:, 1]).cos() < -1
+        return torch.cat([angle, spin], 1), high.double() - 1, high
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        angle = state[:, :2].contiguous()
+        spin = state[:, 2:4] / self.fastest
+        both = torch.stack([angle.cos(), angle.sin()], 2).flatten(1)
+        return torch.cat([both, spin], 1)
+
+
+def acrobot_rates(state: Tensor, torque: Tensor) -> Tensor:
+    """Time derivatives (4, n) of states (4, n), as in Sutton and Barto's book.
+
+    Links have length and mass 1, their centres of mass are in their middles, and their moments of
+    inertia are 1; gravity is 9.8. What is constant is multiplied out.
+    """
+    first, second, speed, turn = state.unbind()
+    sine, cosine = second.sin(), second.cos()
+    own, both = cosine + 3.5, 0.5 * cosine + 1.25
+    low = 4.9 * (first + second).sin()
+    whole = low + 14.7 * first.sin() - sine * turn * (0.5 * turn + speed)
+    ratio = both / own
+    pulled = torque + ratio * whole - 0.5 * speed * speed * sine - low
+    bent = pulled / (1.25 - ratio * both)
+    return torch.stack([speed, turn, -(both * bent + whole) / own, bent])
+
+
+class MountainCarContinuous(TaskWorld):
+    """MountainCarContinuous-v0: position and velocity; pushing costs, and the flag brings 100.
+
+    Gymnasium rounds this state to float32 in each step, and so does this world: the numbers of its
+    float64 state are float32's. The threshold is Gymnasium's own.
+    """
+
+    most_steps, solved_return = 999, 90.0
+    centre = torch.tensor([-0.3, 0.0], dtype=torch.float64)
+    scale = 1 / torch.tensor([0.9, 0.07], dtype=torch.float64)
+    wall, flag = torch.tensor([-1.2, 0.45]).unbind()
+
+    def begin(self, seed: Tensor) -> Tensor:
+        """See `TaskWorld.begin`."""
+        position = (0.1 * drawn(seed, "mountain_car_continuous", 1) - 0.5).float()
+        return torch.nn.functional.pad(position, (0, 1))
+
+    def advance(
+        self, physics: Tensor, control: Tensor, step: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `TaskWorld.advance`."""
+        position, velocity = physics.T.float().contiguous().unbind()
+        force = control[:, 0].clamp(-1, 1)
+        slope = 0.0025 * (3 * position).double().cos()
+        velocity = (velocity + (0.0015 * force.float() - slope.float())).clamp(-0.07, 0.07)
+        position = (position + velocity).clamp(-1.2, 0.6)
+        velocity = torch.where(position == self.wall, velocity.clamp_min(0), velocity)
+        there = position >= self.flag
+        after = torch.stack([position, velocity], 1).double()
+        return after, 100 * there.double() - 0.1 * force * force, there
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return (state[:, :2] - self.centre) * self.scale
+
+
+class Pendulum(TaskWorld):
+    """Pendulum-v1: angle and angular velocity; a control of 1 is the greatest torque, 2 N m.
+
+    Gymnasium names no threshold. -200 asks for swinging up and holding from nearly all starts, as
+    good controllers have a mean return of about -150.
+    """
+
+    most_steps, solved_return = 200, -200.0
+    ranges = torch.tensor([PI, 1.0], dtype=torch.float64)
+
+    def begin(self, seed: Tensor) -> Tensor:
+        """See `TaskWorld.begin`."""
+        return self.ranges * drawn(seed, "pendulum", 2)
+
+    def advance(
+        self, physics: Tensor, control: Tensor, step: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `TaskWorld.advance`."""
+        angle, spin = physics.T.contiguous().unbind()
+        torque = 2 * control[:, 0].clamp(-1, 1)
+        leaning = (angle + PI) % TURN - PI
+        cost = leaning * leaning + 0.1 * spin * spin + 0.001 * torque * torque
+        spin = (spin + 0.75 * angle.sin() + 0.15 * torque).clamp(-8, 8)
+        after = torch.stack([angle + 0.05 * spin, spin], 1)
+        return after, -cost, torch.zeros_like(cost, dtype=torch.bool)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        angle, spin = state[:, :2].T.contiguous().unbind()
+        return torch.stack([angle.cos(), angle.sin(), spin / 8], 1)

@@ -1,0 +1,271 @@
+"""Measure this library and its peers on ten standard tasks, with the same worlds and budgets.
+
+    python tools/standard_tasks.py [--only cartpole] [--library evosax] [--seeds 0:10] [--jobs 2]
+                                   [--json] [--output FILE]
+
+A champion that is good enough in training is tried on 100 fresh episodes, and has solved the task
+if their mean return passes the task's threshold, and further tests where a task has such
+(`tools/standard/`). Evaluations, episodes and world steps are those of the training until then, CPU
+seconds those of the process with all its tests. Each search has a process and a thread of its own.
+The peers are installed by `pip install -r tools/standard/peers.txt`; those that are not are left
+out, and the table says so.
+"""
+
+import importlib
+import importlib.metadata
+import importlib.util
+import json
+import multiprocessing
+import os
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from statistics import median
+from typing import Any, TypeAlias
+
+import click
+from standard.measure import BUDGETS, Result, Trial
+from standard.peers import LIBRARIES, UnsuitableError
+from standard.tasks import TASKS
+
+from cgtorch.ground.files import read_json, write_json
+
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "JAX_PLATFORMS": "cpu",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
+FAILED = "failed: "
+"""How the note of a search begins that has to be made again."""
+
+NOT_INSTALLED = "not installed"
+COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
+HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
+
+
+Work: TypeAlias = tuple[str, str, int]
+"""A task, a library and a seed."""
+
+
+Summary: TypeAlias = dict[str, dict[str, dict[str, Any]]]
+"""What has come out, by task and library."""
+
+
+@click.command(help=__doc__.split("\n")[0] if __doc__ else None)
+@click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these tasks only.")
+@click.option("--library", multiple=True, type=click.Choice([*LIBRARIES]), help="Of these only.")
+@click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
+@click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
+@click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
+def command(
+    only: tuple[str, ...],
+    library: tuple[str, ...],
+    seeds: str,
+    jobs: int,
+    as_json: bool,
+    output: Path | None,
+) -> None:
+    """Measure what is not kept yet, and print what has come out."""
+    tasks, libraries = only or tuple(TASKS), library or tuple(LIBRARIES)
+    numbers = range(*map(int, seeds.split(":")))
+    there = [name for name in libraries if importlib.util.find_spec(LIBRARIES[name].package)]
+    kept = _kept(output)
+    work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
+    for found in measured([each for each in work if each not in kept], jobs):
+        kept[found.task, found.library, found.seed] = found
+        click.echo(_line(found), err=True)
+        if output:
+            results = [asdict(result) for result in kept.values()]
+            write_json(output, {"results": results, "machine": machine(), "versions": versions()})
+    wanted = [kept[each] for each in work]
+    missing = {name: NOT_INSTALLED for name in libraries if name not in there}
+    about = summary(wanted, tasks, libraries, missing)
+    if as_json:
+        whole = {"tasks": about, "machine": machine(), "versions": versions()}
+        click.echo(json.dumps(whole, indent=1))
+    else:
+        click.echo(markdown(about, {name: TASKS[name].title for name in tasks}))
+
+
+def measured(work: list[Work], jobs: int) -> Iterator[Result]:
+    """Results as they come in."""
+    os.environ.update(ONE_THREAD)  # for the processes that are started
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+        for future in as_completed([pool.submit(apart, *each) for each in work]):
+            yield future.result()
+
+
+def apart(task: str, library: str, seed: int) -> Result:
+    """The result of a search in a process of its own, whatever becomes of that."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_search, args=(sender, task, library, seed), daemon=True)
+    process.start()
+    sender.close()
+    failed = partial(_failed, task, library, seed)
+    patience = 20 * BUDGETS[task].cpu_seconds + 600
+    try:
+        found: Result = receiver.recv() if receiver.poll(patience) else failed("no end")
+    except EOFError:
+        process.join()
+        found = failed(f"exit code {process.exitcode}")
+    process.kill()
+    process.join()
+    return found
+
+
+def _failed(task: str, library: str, seed: int, why: str) -> Result:
+    """The result of a search that has not come to an end."""
+    return Result(task, library, seed, False, 0, 0, 0, 0.0, None, None, FAILED + why)
+
+
+def _search(sender: Connection, task: str, library: str, seed: int) -> None:
+    """Search, in this process, and send the result."""
+    import torch
+
+    torch.set_num_threads(1)
+    try:
+        module = importlib.import_module(LIBRARIES[library].module)
+    except ImportError as error:
+        sender.send(_failed(task, library, seed, f"cannot be imported ({error})"))
+        return
+    trial, note = Trial(TASKS[task], library, seed, BUDGETS[task]), ""
+    try:
+        module.search(trial)
+    except UnsuitableError as error:
+        note = str(error)
+    except Exception as error:
+        note = f"{FAILED}{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    sender.send(trial.result(note))
+
+
+def _kept(output: Path | None) -> dict[Work, Result]:
+    """What a file holds already, but what has failed."""
+    if output is None or not output.is_file():
+        return {}
+    results = [Result(**each) for each in read_json(output)["results"]]
+    good = [each for each in results if not each.note.startswith(FAILED)]
+    return {(each.task, each.library, each.seed): each for each in good}
+
+
+def _line(found: Result) -> str:
+    """A line on a search that has ended."""
+    outcome = "solved" if found.solved else "not solved"
+    cost = f"{found.evaluations:,} evaluations, {found.cpu_seconds:.1f} CPU s"
+    note = f" ({found.note})" if found.note else ""
+    return f"{found.task}, {found.library}, seed {found.seed}: {outcome}, {cost}{note}"
+
+
+def summary(
+    results: Sequence[Result],
+    tasks: Sequence[str],
+    libraries: Sequence[str],
+    missing: Mapping[str, str],
+) -> Summary:
+    """For each task and library how many seeds have solved it, and at what costs these have.
+
+    Medians and ranges are None where no seed has. Of libraries that are missing it is said why.
+    """
+    return {
+        task: {
+            library: _about(
+                [each for each in results if (each.task, each.library) == (task, library)],
+                missing.get(library, ""),
+            )
+            for library in libraries
+        }
+        for task in tasks
+    }
+
+
+def _about(results: Sequence[Result], note: str) -> dict[str, Any]:
+    """What seeds of one library have made of one task."""
+    good = [each for each in results if each.solved]
+    about: dict[str, Any] = {
+        "solved": len(good),
+        "seeds": sum(each.evaluations > 0 for each in results),  # that were tried
+    }
+    for name in COSTS:
+        about |= _spread(name, [getattr(each, name) for each in good])
+    compiled = [each.compile_seconds for each in good if each.compile_seconds is not None]
+    about["compile_seconds_median"] = median(compiled) if compiled else None
+    about |= _spread("mean_return", [x for each in results if (x := each.mean_return) is not None])
+    notes = dict.fromkeys([note, *(each.note for each in results)])
+    about["note"] = "; ".join(each for each in notes if each)
+    return about
+
+
+def _spread(name: str, values: Sequence[float]) -> dict[str, Any]:
+    """The median and the extremes."""
+    if not values:
+        return {f"{name}_median": None, f"{name}_range": None}
+    return {f"{name}_median": median(values), f"{name}_range": [min(values), max(values)]}
+
+
+def markdown(about: Summary, titles: Mapping[str, str]) -> str:
+    """One row for each task and library."""
+    rows = [HEADINGS, ("---",) * len(HEADINGS)]
+    for task, found in about.items():
+        rows += [_row(titles[task], library, each) for library, each in found.items()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _row(title: str, library: str, about: Mapping[str, Any]) -> tuple[str, ...]:
+    """A task and a library."""
+    solved = f"{about['solved']} of {about['seeds']}" if about["seeds"] else "–"
+    costs = [_costs(about, name) for name in COSTS]
+    if about["compile_seconds_median"] is not None:
+        costs[-1] += f", {about['compile_seconds_median']:.1f} of them compiling"
+    return title, library, solved, *costs, about["note"]
+
+
+def _costs(about: Mapping[str, Any], name: str) -> str:
+    """The median, and the range if there is one."""
+    if about[f"{name}_median"] is None:
+        return "–"
+    form = "{:,.1f}" if name == "cpu_seconds" else "{:,.0f}"
+    spread = (about[f"{name}_median"], *about[f"{name}_range"])
+    middle, low, high = map(form.format, spread)
+    return middle if low == high else f"{middle} ({low}–{high})"
+
+
+def machine() -> dict[str, Any]:
+    """What it was measured on."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+    }
+
+
+def _processor() -> str:
+    """The name of the processor, as far as it is known."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of all that takes part, None of what is not installed."""
+    names = [name for each in LIBRARIES.values() for name in (each.distribution, *each.others)]
+    return {name: _version(name) for name in dict.fromkeys(names)}
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+if __name__ == "__main__":
+    command()
