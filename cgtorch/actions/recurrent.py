@@ -9,7 +9,7 @@ from cgtorch.actions.action import Action
 from cgtorch.environment import Environment, Lanes
 from cgtorch.ground.numerics import sigmoid
 
-WEIGHT, BIAS = 0.5, 0.05
+WEIGHT, BIAS = 0.5, 0.01
 """What parameters count as weights and as biases; `native/engine/recurrent.h` as well."""
 
 
@@ -51,7 +51,7 @@ class RecurrentNN(Action):
     its own.
 
     The parameters of a node are standard normal, as for any action; as weights W, R and V they
-    count half, as biases b and c a twentieth. Measured on double pole balancing, small weights and
+    count half, as biases b and c a hundredth. Measured on double pole balancing, small weights and
     smaller biases are what makes it learnable: the constant input 1 of a bias is far larger than a
     percept near its goal.
     """

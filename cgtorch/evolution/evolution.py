@@ -90,7 +90,7 @@ REWARDS = EvolutionSettings(
     population=48,
     selection=tournament(),
     fitness=episode_return,
-    initial_nodes=(2, 4),
+    initial_nodes=(2, 2),
     lineages=4,
 )
 """Settings for worlds with rewards, where every episode is one of the world itself."""

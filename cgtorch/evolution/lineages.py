@@ -5,7 +5,8 @@ graph. That finds structures, and tunes them badly. So the search goes in turns.
 bred and evaluated as in Algorithm 2. Its best structures found lineages, in each of which the graph
 stays and CMA-ES (`cgtorch.evolution.cma`) moves its parameters. All are sampled in every
 generation; after `RUNGS` generations the better half of them stay (successive halving: Jamieson and
-Talwalkar, AISTATS 2016), and the last one goes on until it stalls. What they have come to joins the
+Talwalkar, AISTATS 2016), the best of each kind of graph before others, as some kinds get better
+later than others. The last one goes on until it stalls. What they have come to joins the
 structures that they came from as parents of the next population, tuned parameters included.
 """
 
@@ -28,10 +29,12 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import Population, join, slim
 from cgtorch.graphs import Graphs, compacted
 
-RUNGS = (5, 15)
+RUNGS = (5, 40)
 """After how many generations the worse half of the lineages is given up."""
 STALL = 40
 """Generations without progress after which a lineage is given up."""
+MOST_UPDATES = 200
+"""Generations of a lineage at most: one that gets better for ever still can be on a wrong way."""
 LEAST_STEP = 1e-4
 RECENT = 8
 """Generations whose better quarters say how far a lineage has come."""
@@ -67,9 +70,15 @@ class Lineage:
         return sum(self.recent) / len(self.recent) if self.recent else self.fitness
 
     @property
+    def kind(self) -> tuple[int, ...]:
+        """Which actions its nodes have, in any order."""
+        return tuple(sorted(self.best.graphs.action[0].tolist()))
+
+    @property
     def over(self) -> bool:
         """Whether there is nothing left to tune."""
-        return self.since >= STALL or self.distribution.step < LEAST_STEP
+        tuned = self.distribution.step < LEAST_STEP or self.distribution.updates >= MOST_UPDATES
+        return tuned or self.since >= STALL
 
 
 def founded(
@@ -89,14 +98,15 @@ def founded(
         one = population[row : row + 1]
         one = slim(Population(compacted(one.graphs), one.strategy))
         where = tuned(one.graphs, actions)
-        kind = tuple(sorted(one.graphs.action[0].tolist()))
-        if not where.any() or kinds[kind] >= max(1, count // 2):
+        if not where.any():
             continue
-        kinds[kind] += 1
         steps = torch.tensor([action.first_step for action in actions.actions])
         deviation = steps[one.graphs.action[0]][:, None].expand(where.shape)[where]
         distribution = initial_distribution(one.graphs.parameters[0][where], deviation)
-        found.append(Lineage(one, float(fitness[row]), scores[row].clone(), distribution))
+        lineage = Lineage(one, float(fitness[row]), scores[row].clone(), distribution)
+        if kinds[lineage.kind] < max(1, count // 2):
+            kinds[lineage.kind] += 1
+            found.append(lineage)
     return tuple(found)
 
 
@@ -161,7 +171,9 @@ def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Linea
     """Which lineages go on, and which are given up."""
     going = [each for each in lineages if not each.over]
     if going and max(each.distribution.updates for each in going) in RUNGS:
-        order = sorted(range(len(going)), key=lambda i: -going[i].standing)
-        stay = set(order[: -(-len(going) // 2)])
-        going = [each for i, each in enumerate(going) if i in stay]
+        best = sorted(going, key=lambda each: -each.standing)
+        first = {each.kind: each for each in reversed(best)}.values()  # the best of its kind
+        order = sorted(best, key=lambda each: all(each is not x for x in first))
+        stay = order[: -(-len(going) // 2)]
+        going = [each for each in going if any(each is x for x in stay)]
     return tuple(going), tuple(each for each in lineages if not any(each is x for x in going))

@@ -29,8 +29,8 @@ def by_hand(x: Numbers, h: Numbers, numbers: Numbers, outputs: int) -> tuple[Num
     sizes = [hidden * (inputs + hidden), hidden, outputs * hidden, outputs]
     wr, b, v, c = np.split(numbers, np.cumsum(sizes)[:-1])
     w, r = np.split(wr.reshape(hidden, inputs + hidden), [inputs], axis=1)
-    after = np.tanh(0.5 * w @ x + 0.5 * r @ h + 0.05 * b)
-    return after, 0.5 * v.reshape(outputs, hidden) @ after + 0.05 * c
+    after = np.tanh(0.5 * w @ x + 0.5 * r @ h + 0.01 * b)
+    return after, 0.5 * v.reshape(outputs, hidden) @ after + 0.01 * c
 
 
 @given(

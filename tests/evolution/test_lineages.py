@@ -110,7 +110,7 @@ def test_random_populations_and_children_take_turns_and_nothing_good_is_lost() -
     generator = seeded(9)
     state = initial_state(SETTINGS, ACTIONS, generator)
     turns, best = [], -1e9
-    for _ in range(500):
+    for _ in range(1200):
         fitness = fitness_of(state)
         if not state.lineages:
             turns.append((state.distinct_parents > 0, len(fitness)))

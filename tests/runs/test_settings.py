@@ -25,7 +25,7 @@ CHOICES = {f.name: (kind, f.metadata["choices"]) for kind, f in EVERY if f.metad
 TEXTS = [
     (kind, f.name) for kind, f in EVERY if isinstance(f.default, str) and f.name not in CHOICES
 ]
-LEAST = {"seed": 0, "population": 2, "practice": 0, "transitions": 50, "labels": 60}
+LEAST = {"seed": 0, "population": 2, "practice": 0, "lineages": 0, "transitions": 50, "labels": 60}
 
 
 def refused(kind: Kind, **values: Any) -> str:

@@ -208,9 +208,9 @@ def remembering(
     rest = iter(parameters)
     seen = [*inputs, *state]
     wr = [[next(rest) / 2 for _ in seen] for _ in state]
-    b = [next(rest) / 20 for _ in state]
+    b = [next(rest) / 100 for _ in state]
     v = [[next(rest) / 2 for _ in state] for _ in range(3)]
-    c = [next(rest) / 20 for _ in range(3)]
+    c = [next(rest) / 100 for _ in range(3)]
     after = [
         math.tanh(bias + sum(w * x for w, x in zip(row, seen, strict=True)))
         for row, bias in zip(wr, b, strict=True)

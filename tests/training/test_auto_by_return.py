@@ -49,7 +49,7 @@ def test_the_fittest_individual_is_the_skill_until_one_meets_eq_1(tmp_path: Path
     results = train_until(Training(run, events.append, quietly), GOAL)
     assert run.rounds == ("auto-1", "auto-2")
     means = [result["fresh"]["mean_return"] for result in results]
-    assert all(1 < mean < 500 for mean in means)
+    assert all(1 < mean <= 500 for mean in means)
     assert [result["targets_succeeded"] for result in results] == [0, 0]
     assert [result["skill"] for result in results] == ["auto-1", "auto-2"]
     progress = load_progress(run, run.folder / "auto-2")

@@ -79,7 +79,7 @@ class RecurrentNN(State):
     def small_layer(self, parameters: Sequence[float], inputs: list[float]) -> list[float]:
         """What a layer gives; weights are half of their parameters, biases a twentieth."""
         weights = len(parameters) // (len(inputs) + 1) * len(inputs)
-        small = [x * (0.5 if i < weights else 0.05) for i, x in enumerate(parameters)]
+        small = [x * (0.5 if i < weights else 0.01) for i, x in enumerate(parameters)]
         return layer(small, inputs)
 
 

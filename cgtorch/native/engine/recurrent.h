@@ -3,7 +3,7 @@
 #include "networks.h"
 
 #define OF_WEIGHTS ((real)0.5) /* what parameters count as weights, and as biases */
-#define OF_BIASES ((real)0.05)
+#define OF_BIASES ((real)0.01)
 
 INLINE vec tanh_vec(vec x) { return 2 * sigmoid_vec(2 * x) - 1; }
 INLINE vec lightly(const vec *x, const real *w, const vec *columns, int first, int count, int bias) {
