@@ -11,7 +11,7 @@ from support import seeded
 from cgtorch.domains.check import check_domain
 from cgtorch.environment import ScenarioBatch
 from cgtorch.evolution import episode_return, evolve
-from cgtorch.evolution.evolution import EvolutionSettings
+from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.simulation import Rollouts, rollout
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own-domain.md"

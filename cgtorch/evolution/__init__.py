@@ -1,8 +1,5 @@
 """Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
 
-from cgtorch.evolution.evolution import REWARDS as REWARDS
-from cgtorch.evolution.evolution import EvolutionSettings as EvolutionSettings
-from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
@@ -27,3 +24,6 @@ from cgtorch.evolution.search import evolve as evolve
 from cgtorch.evolution.selection import Selection as Selection
 from cgtorch.evolution.selection import lexicase as lexicase
 from cgtorch.evolution.selection import tournament as tournament
+from cgtorch.evolution.settings import REWARDS as REWARDS
+from cgtorch.evolution.settings import EvolutionSettings as EvolutionSettings
+from cgtorch.evolution.state import EvolutionState as EvolutionState

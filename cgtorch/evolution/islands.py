@@ -17,14 +17,11 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.evolution import (
-    EvolutionSettings,
-    EvolutionState,
-    initial_state,
-    next_state,
-)
+from cgtorch.evolution.evolution import initial_state, next_state
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
+from cgtorch.evolution.settings import EvolutionSettings
+from cgtorch.evolution.state import EvolutionState
 from cgtorch.graphs import Graphs, widened
 
 MIGRANTS = 10  # one individual in so many

@@ -6,9 +6,9 @@ from torch import Generator
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.environment.dry_run import ROWS, expect, kind, returned, two_rows
-from cgtorch.evolution.evolution import EvolutionSettings
 from cgtorch.evolution.fitness import last_success
 from cgtorch.evolution.population import check_offspring, random_population
+from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
 

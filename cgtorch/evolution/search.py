@@ -12,7 +12,6 @@ from cgtorch.actions import ActionSet, check_action
 from cgtorch.environment import Environment
 from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import compiled
-from cgtorch.evolution.evolution import EvolutionSettings
 from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.evolution.islands import (
     Island,
@@ -25,6 +24,7 @@ from cgtorch.evolution.islands import (
 from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
+from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import SubSkill
 from cgtorch.ground import distributed as ranks
 from cgtorch.native.gpu import launcher_of

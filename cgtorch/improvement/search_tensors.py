@@ -8,8 +8,8 @@ from torch import Tensor
 
 from cgtorch.evolution import EvolutionState, Population
 from cgtorch.evolution.cma import Distribution
-from cgtorch.evolution.evolution import Parents
 from cgtorch.evolution.lineages import RECENT, Lineage
+from cgtorch.evolution.state import Parents
 
 VECTORS = ("mean", "covariance", "path", "step_path")
 """Tensors of a `Distribution`."""

@@ -26,8 +26,7 @@ from benchmarks.workload import (
     later_population,
     workload,
 )
-from cgtorch.evolution import EvolutionSettings, Population
-from cgtorch.evolution.evolution import EvolutionState, tell
+from cgtorch.evolution import EvolutionSettings, EvolutionState, Population, tell
 from cgtorch.evolution.fitness import evaluator
 from cgtorch.graphs import Graphs, widened
 from cgtorch.simulation import rollout

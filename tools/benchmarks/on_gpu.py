@@ -19,7 +19,8 @@ from benchmarks.measure import (
     run_threads,
 )
 from benchmarks.workload import CAPACITY, Workload, later_population, workload
-from cgtorch.evolution.evolution import EvolutionSettings, EvolutionState, next_state
+from cgtorch.evolution import EvolutionSettings, EvolutionState
+from cgtorch.evolution.evolution import next_state
 from cgtorch.evolution.fitness import evaluator
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking

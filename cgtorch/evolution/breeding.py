@@ -1,0 +1,61 @@
+"""The next population from the one before: the elite and children (Algorithm 2, lines 7 to 12)."""
+
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution.offspring import crossover, mutate, offspring
+from cgtorch.evolution.population import Population, check_offspring, join, slim
+from cgtorch.evolution.selection import lexicase
+from cgtorch.evolution.settings import EvolutionSettings
+from cgtorch.evolution.state import EvolutionState
+from cgtorch.graphs import compacted, resized
+
+
+def bred(
+    state: EvolutionState,
+    order: Tensor,
+    fitness: Tensor,
+    scores: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> EvolutionState:
+    """The elite and children of the population."""
+    population, size = state.population, settings.population
+    elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
+    home = scores.device
+    if settings.selection is not lexicase:  # others choose on the CPU
+        order, scores = order.cpu(), scores.cpu()
+    parents = settings.selection(order, scores, 2 * pairs, generator).to(home)
+    elite, best = elite.to(home), int(order[0])
+    if settings.crossover is crossover and settings.mutation is mutate:
+        sizes = settings.capacity, settings.tau, size
+        following = offspring(population, elite, parents, actions, generator, *sizes)
+    else:
+        children = _children(population, parents, settings, actions, generator)
+        following = join(slim(population[elite]), children)[:size]
+    return EvolutionState(
+        population=following,
+        generation=state.generation + 1,
+        best=population[best : best + 1],
+        best_fitness=float(fitness[best]),
+        distinct_parents=len(parents.unique()),
+    )
+
+
+def _children(
+    population: Population,
+    parents: Tensor,
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    generator: Generator,
+) -> Population:
+    """As many children as parents (2 Q,), by operators of which one at least is of one's own."""
+    graphs, q = population.graphs, len(parents) // 2
+    slots = min(int(graphs.num_nodes.max()) + 1, settings.capacity)
+    sizes = slots, graphs.edges.shape[2], graphs.parameters.shape[2]
+    some = Population(resized(compacted(graphs), *sizes), population.strategy)
+    children = settings.crossover(some[parents[:q]], some[parents[q:]], generator)
+    children = settings.mutation(children, actions, generator, settings.tau)
+    check_offspring(children, 2 * q, settings.capacity, actions)
+    return children
