@@ -30,30 +30,31 @@ Examples:
 @click.command("cgtorch-evaluate", epilog=options.epilog(EXAMPLES))
 @options.run_or_skill
 @options.scenario_options(
-    "Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
-    "table, from any side; general-clutter: half of them with a box in the way; of another domain "
-    "one of its own kinds.  [those of the run; the usual ones for a skill file]",
-    count="How many scenarios.",
-    seed="Seed of the scenarios and their noise.",
+    "The kind of scenarios. The tabletop has near, left, right, far and perimeter (the paper's "
+    "table), general (any table, from any side) and general-clutter (half of them with a box in "
+    "the way). Another domain has its own kinds.  [the run's; a skill file: the domain's usual]",
+    count="Number of scenarios.",
+    seed="Seed of the scenarios and of their noise.",
     most=1_000_000,
 )
 @options.skill_option
 @options.domain_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
-    help=f"Also draw the first {PICTURED} scenarios into this PNG file, if the domain can.",
+    help=f"Draw the first {PICTURED} scenarios into this PNG file, if the domain draws any.",
 )
 @options.common_options
 def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
-    Of a run it also prints how often the skill succeeded where the run's models promise it, and
-    how W did under other noise when the skill was accepted.
+    For a run, two more shares are printed: how often the skill succeeded where the run's models
+    predicted success, and how often it solved W under other noise when it was accepted.
 
-    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
-    skill file, which is tried in its domain as it is by default: the built-in PR2.
+    RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
+    a skill file. A skill file is tried in its domain's default world; for the tabletop this has
+    the built-in PR2.
     """
     with importing():
         import torch

@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from cgtorch import native
+from cgtorch.commands import guidance
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
@@ -155,7 +156,11 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     stage, goal = _asked(run, wish)
     taken, auto = take_over(run, settings, stage), stage == AUTO
     run = taken.run
+    plan = guidance.Plan(run, stage, goal)
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
+        if only_begun(run.folder):
+            for line in guidance.before(plan):
+                display.say(line, style="bold" if line.startswith("New") else "")
         if native.to_be_compiled():
             with display.working("compiling for this CPU, once"):
                 native.available()
@@ -177,6 +182,9 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
         Console().print(final_table(results, run.domain))
+    with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
+        for line in guidance.after(plan):
+            display.say(line)
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:

@@ -26,7 +26,7 @@ class GymnasiumSettings(DomainSettings):
     )
     target_return: float = option(
         math.inf,
-        "Return from which an episode is solved; the environment's own threshold if not given.",
+        "Return from which an episode counts as solved; by default the environment's threshold.",
         "W is what has that return",
         least=-math.inf,
         most=math.inf,
