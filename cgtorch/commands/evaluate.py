@@ -27,7 +27,11 @@ Examples:
 """
 
 
-@click.command("cgtorch-evaluate", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-evaluate",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Try a skill on fresh scenarios.",
+)
 @options.run_or_skill
 @options.scenario_options(
     "The kind of scenarios. The tabletop has near, left, right, far and perimeter (the paper's "

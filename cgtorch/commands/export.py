@@ -24,7 +24,11 @@ Examples:
 FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
 
 
-@click.command("cgtorch-export", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-export",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Write a skill for other programs.",
+)
 @options.run_or_skill
 @click.option(
     "--format",
@@ -54,7 +58,9 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     """
     options.check_output(output, force)
     if form == "module" and output.suffix != ".pt2":
-        raise click.UsageError(f"--output is {str(output)!r}; give a name that ends in .pt2, as torch.export.load needs")
+        raise click.UsageError(
+            f"--output is {str(output)!r}; give a name that ends in .pt2, as torch.export.load needs"
+        )
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill

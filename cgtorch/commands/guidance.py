@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from cgtorch.domains.registry import TABLETOP, is_code
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import AUTO, Run
+from cgtorch.training.stages import stages_to_make
 
 
 @dataclass(frozen=True)
@@ -17,11 +18,12 @@ class Plan:
     goal: Goal
 
     @property
-    def missing(self) -> list[str]:
-        """The stages that are not finished yet, up to the last one to make."""
-        names = self.run.domain.stages
-        wanted = names if self.stage == AUTO else names[: names.index(self.stage) + 1]
-        return [name for name in wanted if name not in self.run.stages]
+    def new(self) -> bool:
+        """Whether the run has made nothing yet."""
+        folder = self.run.folder
+        return not self.run.stages and not any(
+            (folder / name).exists() for name in ("start", "journal")
+        )
 
 
 def before(plan: Plan) -> Iterator[str]:
@@ -32,7 +34,7 @@ def before(plan: Plan) -> Iterator[str]:
         aim = run.domain.target_return if run.domain.rewarded else plan.goal.target
         yield f"New run {run.folder}: evolve skills until the target of {aim:.4g} is met ({about})."
     else:
-        stages = ", ".join(plan.missing)
+        stages = ", ".join(stages_to_make(run, plan.stage))
         yield f"New run {run.folder}: evolve one skill for each of {stages} ({about})."
     if run.learns:
         yield "  1. Collect data, and fit the transition model Γ and the success classifier C to it."

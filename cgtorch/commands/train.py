@@ -59,7 +59,13 @@ def _option(f: Field[Any], default: Any) -> click.Option:
     )
 
 
-@click.command("cgtorch-train", cls=DomainCommand, add=_options, epilog=epilog(EXAMPLES))
+@click.command(
+    "cgtorch-train",
+    cls=DomainCommand,
+    add=_options,
+    epilog=epilog(EXAMPLES),
+    short_help="Evolve a skill for a domain.",
+)
 @click.option(
     "--domain",
     default=RunSettings.domain,

@@ -158,7 +158,7 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     run = taken.run
     plan = guidance.Plan(run, stage, goal)
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
-        if only_begun(run.folder):
+        if plan.new:
             for line in guidance.before(plan):
                 display.say(line, style="bold" if line.startswith("New") else "")
         if native.to_be_compiled():

@@ -26,7 +26,11 @@ Examples:
 """
 
 
-@click.command("cgtorch-view", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-view",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Watch a skill at work in the browser.",
+)
 @options.run_or_skill
 @click.option(
     "--against",
@@ -46,7 +50,10 @@ Examples:
 @options.skill_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @options.number_option(
-    "--port", click.IntRange(0, 65535), 8080, "Port to listen on. If it is taken, the next free one is used; 0 stands for any free one."
+    "--port",
+    click.IntRange(0, 65535),
+    8080,
+    "Port to listen on. If it is taken, the next free one is used; 0 stands for any free one.",
 )
 @options.common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:

@@ -41,7 +41,9 @@ class RunSettings:
         choices=MODELS,
     )
     population: int = option(400, "Number of individuals in a population.", least=2)
-    islands: int = option(1, "Number of populations that evolve separately and exchange their best individuals.")
+    islands: int = option(
+        1, "Number of populations that evolve separately and exchange their best individuals."
+    )
     migration: int = option(5, "Number of generations between two exchanges of islands.")
     generations: int = option(150, "Maximum number of generations of one evolution.")
     attempts: int = option(24, "Maximum number of evolutions in one stage.")
@@ -56,7 +58,9 @@ class RunSettings:
     )
     max_transitions: int = option(20, "Number of executed actions after which a skill has failed.")
     practice: int = option(
-        150, "Number of random scenarios to practise in each stage, besides its test scenarios.", least=0
+        150,
+        "Number of random scenarios to practise in each stage, besides its test scenarios.",
+        least=0,
     )
     transitions: int = option(
         2000,

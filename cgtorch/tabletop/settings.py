@@ -26,7 +26,11 @@ class TabletopSettings(DomainSettings):
         "the run has its robot already",
     )
     position_noise: float = option(
-        0.005, "Standard deviation of the noise of odometry and detection, m.", "W was solved under it", least=0, most=10
+        0.005,
+        "Standard deviation of the noise of odometry and detection, m.",
+        "W was solved under it",
+        least=0,
+        most=10,
     )
     heading_noise: float = option(
         math.pi / 360,
