@@ -59,7 +59,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     options.check_output(output, force)
     if form == "module" and output.suffix != ".pt2":
         raise click.UsageError(
-            f"--output is {str(output)!r}; give a name that ends in .pt2, as torch.export.load needs"
+            f"--output is {str(output)!r}; give a name that ends in .pt2 for --format module"
         )
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes

@@ -37,7 +37,7 @@ def before(plan: Plan) -> Iterator[str]:
         stages = ", ".join(stages_to_make(run, plan.stage))
         yield f"New run {run.folder}: evolve one skill for each of {stages} ({about})."
     if run.learns:
-        yield "  1. Collect data, and fit the transition model Γ and the success classifier C to it."
+        yield "  1. Collect data, and fit the transition model Γ and the success classifier C."
         yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
         yield "  3. Accept a skill if it forgets nothing and solves something new."
     else:
@@ -45,7 +45,8 @@ def before(plan: Plan) -> Iterator[str]:
         yield "  2. Accept a skill if it forgets nothing and solves something new."
     yield f"  {_duration(plan)} Progress appears here, and in TensorBoard:"
     yield f"    tensorboard --logdir {run.folder}"
-    yield f"  Ctrl-C stops the run. This continues it: cgtorch-train --resume {run.folder}{_code(run)}"
+    resume = f"cgtorch-train --resume {run.folder}{_code(run)}"
+    yield f"  Ctrl-C stops the run, and this command continues it: {resume}"
 
 
 def after(plan: Plan) -> Iterator[str]:
@@ -68,7 +69,7 @@ def _duration(plan: Plan) -> str:
     if plan.stage == AUTO:
         return f"No round begins after {plan.goal.minutes:g} minutes (--minutes)."
     if plan.run.settings.domain == TABLETOP:
-        return "A stage takes about a quarter of a minute on two cores."
+        return "On two quiet cores, S0 to S3 take about a minute together."
     return "The time depends on the domain."
 
 

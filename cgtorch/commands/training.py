@@ -162,12 +162,14 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
             for line in guidance.before(plan):
                 display.say(line, style="bold" if line.startswith("New") else "")
         if native.to_be_compiled():
-            with display.working("compiling for this CPU, once"):
+            with display.working("compiling the engine for this CPU (once)"):
                 native.available()
         missing = [s for s in run.domain.stages if s not in run.stages]
         if not auto and stage in missing[1:]:
             earlier = ", ".join(missing[: missing.index(stage)])
-            display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
+            display.say(
+                f"{stage} needs {earlier} first; {run.folder} lacks them, so they are made as well"
+            )
         for line in _changes(taken):
             display.say(line)
         with _board(run, run.all_settings() | (vars(goal) if auto else {})) as board:

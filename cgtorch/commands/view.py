@@ -53,7 +53,7 @@ Examples:
     "--port",
     click.IntRange(0, 65535),
     8080,
-    "Port to listen on. If it is taken, the next free one is used; 0 stands for any free one.",
+    "Port to listen on. If it is taken, the next free one is used. 0: any free one.",
 )
 @options.common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
