@@ -39,7 +39,7 @@ from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
 WORTH_A_GPU = 4000
-"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions.md)."""
+"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions/engine.md)."""
 
 
 @dataclass(frozen=True)
