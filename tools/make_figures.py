@@ -22,6 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FIGURES, PLOTS = Path("docs", "figures"), Path("docs", "images")
 MARKED = re.compile(r"(<!-- figure: (\w+) -->\n).*?(<!-- /figure -->)", re.DOTALL)
 
+COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+
 Figure: TypeAlias = dict[str, Any]
 """A figure as its JSON file holds it: command, commit, machine, code, columns, rows, keys."""
 
@@ -79,7 +81,7 @@ def markdown(figure: Figure, figures: dict[str, Figure]) -> str:
 def origin(figure: Figure) -> str:
     """One line on how a figure came about, and whether the code has changed since."""
     if "command" not in figure:
-        return "Each value is taken from a table of the [results](docs/results.md)."
+        return str(figure["origin"])
     line = f"Measured by `{figure['command']}` at commit {figure['commit']} on {figure['machine']}."
     return line + (" **Stale:** the code has changed since then." if stale(figure) else "")
 
@@ -98,10 +100,10 @@ def resolved(figure: Figure, figures: dict[str, Figure]) -> list[list[str]]:
 
 
 def referred(figures: dict[str, Figure], cell: dict[str, Any]) -> str:
-    """The value that a cell refers to: of a figure, a row by its first cells, and a column."""
+    """The value that a cell refers to, in its text: a figure, a row's first cells, a column."""
     other = figures[cell["figure"]]
     (row,) = (r for r in other["rows"] if r[: len(cell["row"])] == cell["row"])
-    return str(row[other["columns"].index(cell["column"])])
+    return str(cell.get("text", "{}")).format(row[other["columns"].index(cell["column"])])
 
 
 def contradictions(figures: dict[str, Figure]) -> list[str]:
@@ -120,13 +122,13 @@ def contradictions(figures: dict[str, Figure]) -> list[str]:
 
 
 def code_hash(folders: list[str]) -> str:
-    """A hash of all sources in some folders, without the comments and docstrings of Python."""
+    """A hash of all sources in some folders, without comments and docstrings."""
     digest = hashlib.sha256()
     for folder in sorted(folders):
         for path in sorted((ROOT / folder).rglob("*")):
             if path.suffix in (".py", ".c", ".h", ".cu", ".inc"):
                 text = path.read_text()
-                said = _shape(ast.parse(text)) if path.suffix == ".py" else text
+                said = _shape(ast.parse(text)) if path.suffix == ".py" else COMMENT.sub("", text)
                 digest.update(f"{path.relative_to(ROOT)}\n{said}\n".encode())
     return digest.hexdigest()[:16]
 

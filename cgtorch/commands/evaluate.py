@@ -66,7 +66,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         from cgtorch.runs.ledger import read_index
         from cgtorch.runs.skills import chosen_skill
         from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
-        from cgtorch.training.evaluate import evaluate_skill, promise_kept
+        from cgtorch.training.evaluate import evaluate_skill, robust_successes
 
     torch.set_num_threads(1)
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
@@ -81,8 +81,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         # A run may be passed on without its models.
         if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
             knowledge = load_knowledge(stage, domain.unfitted())
-            with options.waiting(f"asking the models what they promise of {skill.name}", quiet):
-                kept = promise_kept(score, skill, knowledge, domain, seed)
+            with options.waiting(f"predicting robust successes of {skill.name}", quiet):
+                kept = robust_successes(score, skill, knowledge, domain, seed)
             promised = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}
         again = index.get(skill.name, {}).get("w_other_noise")
@@ -104,8 +104,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         click.echo(_returns_as_text(score, domain.target_return))
     if promised is not None:
         click.echo(
-            f"the models promised {promised['tried']} of {score.tried}, of which "
-            f"{promised['succeeded']} succeeded in the world, {_confidence(promised)}"
+            f"the models predicted robust success on {promised['tried']} of {score.tried}, "
+            f"of which {promised['succeeded']} succeeded in the world, {_confidence(promised)}"
         )
     if noise is not None:
         click.echo(f"of W, met by other noise when it was accepted, {_as_text(noise)}")

@@ -50,7 +50,7 @@ def common_options(function: F) -> F:
             multiple=True,
             shell_complete=completion.declared_actions,
             callback=_importable,
-            help="An additional action for skills: a name or package.module:Class. Repeat the option "
+            help="Additional action for skills: a name or package.module:Class. Repeat the option "
             "for several actions.",
         ),
         click.option("--quiet", is_flag=True, help="Print the result only, without progress."),

@@ -22,7 +22,10 @@ class GymnasiumSettings(DomainSettings):
     }
 
     environment: str = option(
-        "CartPole-v1", "Id of the environment, as in the domain's name.", "the run is about it"
+        "CartPole-v1",
+        "Id of the environment, as in the domain's name.",
+        "the run is about it",
+        when="It follows from --domain gymnasium:ENV_ID.",
     )
     target_return: float = option(
         math.inf,
@@ -30,4 +33,5 @@ class GymnasiumSettings(DomainSettings):
         "W is what has that return",
         least=-math.inf,
         most=math.inf,
+        when="Give --target if the environment has no threshold.",
     )

@@ -31,11 +31,20 @@ class Goal:
         "return from which an episode counts as solved, and the mean return to reach.",
         least=0.5,
         most=0.999,
+        when="Raise it for a surer skill; the tests become longer.",
     )
     minutes: float = option(
-        10.0, "With --stage auto: begin no round after this time, min.", least=0, most=1e6
+        10.0,
+        "With --stage auto: begin no round after this time, min.",
+        least=0,
+        most=1e6,
+        when="Raise it for hard tasks.",
     )
-    rounds: int = option(30, "With --stage auto: maximum number of rounds of a run.")
+    rounds: int = option(
+        30,
+        "With --stage auto: maximum number of rounds of a run.",
+        when="Lower it to bound the work in place of the time.",
+    )
 
     def __post_init__(self) -> None:
         check_options(self)

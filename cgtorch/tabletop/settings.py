@@ -19,11 +19,13 @@ class TabletopSettings(DomainSettings):
         "pr2",
         "The robot: pr2, fetch, a folder with a URDF and a robot.json, or a robot.json.",
         "the run has its robot already",
+        when="Change it to train another robot.",
     )
     urdf: str = option(
         "",
         "The robot's URDF, if it does not lie beside its description.",
         "the run has its robot already",
+        when="Give it if a description has no URDF beside it.",
     )
     position_noise: float = option(
         0.005,
@@ -31,6 +33,7 @@ class TabletopSettings(DomainSettings):
         "W was solved under it",
         least=0,
         most=10,
+        when="Set it to what your robot's odometry and detector have.",
     )
     heading_noise: float = option(
         math.pi / 360,
@@ -38,6 +41,7 @@ class TabletopSettings(DomainSettings):
         "W was solved under it",
         least=0,
         most=10,
+        when="Set it to what your robot's odometry has.",
     )
     percept: str = option(
         "auto",
@@ -45,6 +49,7 @@ class TabletopSettings(DomainSettings):
         "(yaw for general scenarios, else box).",
         "the data and models of the run have it",
         choices=("auto", "box", "yaw"),
+        when="Use yaw if tables stand at any angle.",
     )
     networks: str = option(
         "auto",
@@ -52,4 +57,5 @@ class TabletopSettings(DomainSettings):
         "edge nearest to the object), or auto (percept for --method paper, else edge).",
         "the graphs of the run are made of them",
         choices=("auto", "percept", "edge"),
+        when="Use percept to reproduce the publication.",
     )
