@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "tutorial.md"
-SHORT = "--target 0.8 --rounds 1 --transitions 500 --labels 500 --population 80 --generations 60"
+SHORT = "--target 0.6 --attempts 2 --transitions 1000 --labels 1000"
 
 
 def ran(words: list[str], folder: Path) -> str:

@@ -13,6 +13,7 @@ import hashlib
 import json
 import re
 import subprocess
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -127,10 +128,15 @@ def code_hash(folders: list[str]) -> str:
     for folder in sorted(folders):
         for path in sorted((ROOT / folder).rglob("*")):
             if path.suffix in (".py", ".c", ".h", ".cu", ".inc"):
-                text = path.read_text()
-                said = _shape(ast.parse(text)) if path.suffix == ".py" else COMMENT.sub("", text)
-                digest.update(f"{path.relative_to(ROOT)}\n{said}\n".encode())
+                digest.update(
+                    f"{path.relative_to(ROOT)}\n{_said(path.read_text(), path.suffix)}".encode()
+                )
     return digest.hexdigest()[:16]
+
+
+@lru_cache(maxsize=1000)
+def _said(text: str, suffix: str) -> str:
+    return _shape(ast.parse(text)) if suffix == ".py" else COMMENT.sub("", text)
 
 
 def _shape(node: Any) -> str:

@@ -2,7 +2,8 @@
 
 A computational graph runs one short step after another, which take a tenth of what they would as
 tensor operations (docs/decisions/engine.md). Nothing has to be compiled: where there is no
-compiler, what was compiled for the wheel is used, if it suits this machine. Else, or with `CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
+compiler, what was compiled for the wheel is used, if it suits this machine. Else, or with
+`CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
 """
 
 import ctypes
