@@ -25,7 +25,7 @@ PACKAGES = sorted(path.parent.name for path in (ROOT / "cgtorch").glob("*/__init
 MODULES = sorted(path.stem for path in (ROOT / "cgtorch").glob("*.py") if path.stem != "__init__")
 REFERENCE = {
     **{f"reference/{name}.md": (f"cgtorch.{name}", [f"cgtorch.{name}"]) for name in PACKAGES},
-    "reference/cgtorch.md": ("What all stand on", [f"cgtorch.{name}" for name in MODULES]),
+    "reference/cgtorch.md": ("cgtorch", [f"cgtorch.{name}" for name in MODULES]),
 }
 """Each page of the reference: its title, and the modules that it shows."""
 HELPS, SETTINGS = "<!-- every command -->", "<!-- every setting -->"

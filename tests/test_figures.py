@@ -1,4 +1,4 @@
-"""Tables in the pages are those of docs/figures. None contradicts another, stale ones are marked."""
+"""Tables in pages are those of docs/figures. None contradicts another, stale ones are marked."""
 
 import sys
 from copy import deepcopy

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "cgtorch"
 OUTPUT = ROOT / "docs" / "images" / "architecture.svg"
 COMMON = ("ground", "environment")
-WIDTH, HEIGHT, GAP_X, GAP_Y, LEFT = 112, 32, 24, 44, 16
+WIDTH, HEIGHT, GAP_X, GAP_Y, EDGE, LEAST = 112, 30, 40, 30, 16, 720
 STYLE = """\
   <style>
     rect { fill: #eef1fb; stroke: #4051b5 }
@@ -65,19 +65,19 @@ def drawing(graph: nx.DiGraph) -> str:
     rows = [sorted(n for n in graph if height[n] == h) for h in range(max(height.values()), -1, -1)]
     rows = [part for row in rows if row for part in (row[i : i + 5] for i in range(0, len(row), 5))]
     widest = max(map(len, rows))
-    full = 2 * LEFT + widest * (WIDTH + GAP_X) - GAP_X
+    full = max(LEAST, 2 * EDGE + 40 + widest * (WIDTH + GAP_X) - GAP_X)
     place = {}
     for r, row in enumerate(rows):
-        begin = (full - len(row) * (WIDTH + GAP_X) + GAP_X) / 2 + (r % 2 - 0.5) * 40
+        begin = (full - len(row) * (WIDTH + GAP_X) + GAP_X) / 2 + (r % 2 - 0.5) * 80
         for i, name in enumerate(row):
-            place[name] = begin + i * (WIDTH + GAP_X), LEFT + r * (HEIGHT + GAP_Y)
+            place[name] = begin + i * (WIDTH + GAP_X), EDGE + r * (HEIGHT + GAP_Y)
     shown = graph.copy()
     shown.remove_nodes_from(COMMON)
     if nx.is_directed_acyclic_graph(shown):
         shown = nx.transitive_reduction(shown)
     lines = [arrow(place[a], place[b]) for a, b in sorted(shown.edges)]
     boxes = [box(name, *place[name]) for name in sorted(place)]
-    total = 2 * LEFT + len(rows) * (HEIGHT + GAP_Y) - GAP_Y
+    total = 2 * EDGE + len(rows) * (HEIGHT + GAP_Y) - GAP_Y
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {full} {total}" role="img">'
     title = "  <title>The folders of the package and the imports between them</title>"
     return "\n".join([head, title, STYLE, *lines, *boxes, "</svg>", ""])
