@@ -107,7 +107,7 @@ class Visits(Counter):
 
 
 def recurrent_actions(size: int = 7) -> ActionSet:
-    """The paper's actions, two with a memory of their own, a linear network, and one with memory."""
+    """The paper's actions, two with memory of their own, a linear network, and one with memory."""
     paper = paper_actions(size).extended(["Counter"], [Counter()])
     own = [RecurrentNN(size, 4), Visits(), LinearNN(size)]
     return paper.extended(["RecurrentNN", "Visits", "LinearNN"], own)
