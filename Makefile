@@ -1,11 +1,17 @@
-# cgtorch: `make` lists what can be done. Everything is installed into .venv, versions pinned.
+# `make` lists the targets. Everything is installed into .venv, with the versions of constraints.txt.
+# Each target sets up .venv first, if pyproject.toml or constraints.txt have changed since.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: gpu help setup train test lint docs format types fingerprint reference clean
+.PHONY: help setup train check test durations lint prose types format docs figures fingerprint \
+	reference gpu clean
+
+# Tests that need no training: a habit of every change. `make test` runs all.
+FAST := tests/ground tests/graphs tests/actions tests/environment tests/test_house.py \
+	tests/test_figures.py tests/test_public_names.py tests/commands/test_all_commands.py
 
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -21,12 +27,21 @@ setup: $(READY)  ## Install everything into .venv
 train: setup  ## Evolve a skill up to stage S2 (a minute)
 	$(BIN)/cgtorch-train --stage S2
 
-test: setup  ## Run all tests
+check: lint  ## Lint, then the fast tests: less than 90 seconds, for every change
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 $(FAST)
+
+test: setup  ## Run all tests (at most 12 minutes on two cores)
 	$(BIN)/python -m pytest -n auto
 
-lint: setup types  ## Check style and types
+durations: setup  ## Run all tests, and print the 40 slowest
+	$(BIN)/python -m pytest -n auto --durations 40
+
+lint: setup types prose  ## Check style, types and prose
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+prose: setup  ## Check README, documentation, help texts and docstrings against docs/style.md
+	$(BIN)/python tools/check_prose.py
 
 docs: setup  ## Build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
@@ -34,18 +49,22 @@ docs: setup  ## Build the documentation into site/
 types: setup  ## Check types
 	$(BIN)/mypy
 
-format: setup  ## Put the code into the house style
+figures: setup  ## Write the tables and plots of the pages from docs/figures
+	$(BIN)/python tools/make_figures.py
+	$(BIN)/python tools/draw_architecture.py
+
+format: setup  ## Format the code
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-fingerprint: setup  ## Print one number of a small run, to compare machines by
+fingerprint: setup  ## Print one number of a small run, to compare machines
 	$(BIN)/python tools/fingerprint.py
 
-gpu: setup  ## Try all kernels on this machine's GPU, and time them beside its cores
+gpu: setup  ## Test all kernels on this machine's GPU, and time them
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/simulation/test_gpu_engine.py tests/evolution/test_gpu_operators.py tests/native/test_nvrtc.py
 	$(BIN)/python tools/benchmark.py --device cuda
 
-reference: setup  ## Make runs/reference again
+reference: setup  ## Make runs/reference again (3 minutes)
 	$(BIN)/python tools/make_reference_run.py
 
 clean:  ## Remove the environment and caches

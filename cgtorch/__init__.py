@@ -1,7 +1,7 @@
-"""cgtorch: robot skills that improve themselves, as evolving computational graphs in PyTorch.
+"""cgtorch: evolving robot skills as computational graphs in PyTorch.
 
-What one begins with is here by its name, as in `from cgtorch import Action, evolve`; everything
-else is in the folder that it belongs to.
+The names that most programs need are here, as in `from cgtorch import Action, evolve`. All other
+names are in the folders that they belong to.
 """
 
 from importlib import import_module

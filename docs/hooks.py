@@ -1,26 +1,34 @@
-"""What mkdocs writes by itself: a reference page of each package, and the help of each command.
+"""What mkdocs writes by itself: reference pages of packages, helps of commands, and settings.
 
 A new package has its page, and a new command of pyproject.toml its section, without a line here.
 """
 
 import tomllib
+from dataclasses import Field, fields
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.settings import MOST
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.settings import RunSettings
+from cgtorch.tabletop.settings import TabletopSettings
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in (ROOT / "cgtorch").glob("*/__init__.py"))
 MODULES = sorted(path.stem for path in (ROOT / "cgtorch").glob("*.py") if path.stem != "__init__")
 REFERENCE = {
     **{f"reference/{name}.md": (f"cgtorch.{name}", [f"cgtorch.{name}"]) for name in PACKAGES},
-    "reference/cgtorch.md": ("What all stand on", [f"cgtorch.{name}" for name in MODULES]),
+    "reference/cgtorch.md": ("cgtorch", [f"cgtorch.{name}" for name in MODULES]),
 }
 """Each page of the reference: its title, and the modules that it shows."""
-HELPS = "<!-- every command -->"
+HELPS, SETTINGS = "<!-- every command -->", "<!-- every setting -->"
 
 
 def on_config(config: MkDocsConfig) -> None:
@@ -38,11 +46,48 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Write what the commands say of themselves to where the page asks for it."""
+    if SETTINGS in markdown:
+        return markdown.replace(SETTINGS, settings_tables())
     if HELPS not in markdown:
         return markdown
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     helps = (_help(name, place.partition(":")[0]) for name, place in scripts.items())
     return markdown.replace(HELPS, "\n\n".join(helps))
+
+
+def settings_tables() -> str:
+    """All settings of a run, of its goal and of the library's domains, as tables."""
+    groups = {
+        "Every run": RunSettings,
+        "The target of --stage auto": Goal,
+        "The tabletop": TabletopSettings,
+        "Gymnasium environments": GymnasiumSettings,
+    }
+    return "\n\n".join(f"## {title}\n\n{_settings(kind)}" for title, kind in groups.items())
+
+
+def _settings(kind: type) -> str:
+    rows = [
+        "| setting | meaning | default | values | when to change it | fixed |",
+        "|---|---|---|---|---|---|",
+    ]
+    for f in fields(kind):
+        about = f.metadata
+        default = f"`{f.default:.4g}`" if isinstance(f.default, float) else f"`{f.default!r}`"
+        fixed = "yes" if about["fixed"] else "no"
+        cells = f"`{f.name}`", about["help"], default, _values(f), about["when"], fixed
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _values(f: Field[Any]) -> str:
+    about = f.metadata
+    if about["choices"]:
+        return ", ".join(f"`{choice}`" for choice in about["choices"])
+    if isinstance(f.default, str | tuple):
+        return "text" if isinstance(f.default, str) else "texts"
+    most = "" if about["most"] >= MOST else f" to {about['most']:g}"
+    return f"{about['least']:g}{most or ' or more'}"
 
 
 def _help(name: str, module: str) -> str:

@@ -29,7 +29,7 @@ COMMANDS = {
     "cgtorch-report": report.command,
     "cgtorch-view": view.command,
 }
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OWN, PYTHON = ROOT / "docs" / "own-action.md", ROOT / "docs" / "python.md"
 
 
@@ -57,8 +57,11 @@ def commands() -> list[tuple[str, list[str]]]:
     return [(first, rest) for first, *rest in words]
 
 
-def test_every_command_in_the_documents_is_understood(monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder in (ROOT, ROOT / "examples"):  # where the documents say one is
+def test_every_command_in_the_documents_is_understood(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(ROOT / "docs" / "tutorial.md", tmp_path)
+    for folder in (ROOT, ROOT / "examples", tmp_path):  # where the documents say one is
         monkeypatch.syspath_prepend(folder)
     found = commands()
     assert {name for name, _ in found} == set(COMMANDS)
@@ -68,6 +71,16 @@ def test_every_command_in_the_documents_is_understood(monkeypatch: pytest.Monkey
             COMMANDS[name].make_context(name, about, resilient_parsing=words != about)
         except click.ClickException as e:
             pytest.fail(f"{name} {' '.join(words)}: {e.format_message()}")
+
+
+def test_the_example_of_the_readme_prints_what_it_says(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = (ROOT / "README.md").read_text()
+    ((code, said),) = re.findall(r"^```python\n(.*?)^```.*?^```text\n(.*?)^```", text, re.M | re.S)
+    exec(compile(code, "README.md", "exec"), {})  # noqa: S102
+    assert capsys.readouterr().out == said
+    assert len(text.splitlines()) <= 120
 
 
 def test_the_template_of_an_action_passes_its_test(tmp_path: Path) -> None:

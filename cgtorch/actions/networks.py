@@ -31,7 +31,7 @@ def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> T
 class _Network(Action):
     """A network with one hidden layer whose weights are the node's parameters."""
 
-    first_step = 4.0  # strong actions are found soon; docs/decisions.md has the others
+    first_step = 4.0  # strong actions are found soon; docs/decisions/search.md has the others
 
     def __init__(self, inputs: int, hidden: int, outputs: int):
         super().__init__()

@@ -42,7 +42,9 @@ def run_command(command: click.Command) -> None:
     except click.exceptions.Exit as e:
         sys.exit(e.exit_code)
     except click.ClickException as e:
-        _end(name, f"{e.format_message().rstrip('.')}; see {name} --help", 2)
+        context = e.ctx if isinstance(e, click.UsageError) else None
+        called = name if context is None else context.command_path
+        _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
     except CgtorchError as e:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort):

@@ -27,33 +27,38 @@ Examples:
 """
 
 
-@click.command("cgtorch-evaluate", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-evaluate",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Try a skill on fresh scenarios.",
+)
 @options.run_or_skill
 @options.scenario_options(
-    "Of the tabletop near, left, right, far or perimeter of the paper's table; general: any "
-    "table, from any side; general-clutter: half of them with a box in the way; of another domain "
-    "one of its own kinds.  [those of the run; the usual ones for a skill file]",
-    count="How many scenarios.",
-    seed="Seed of the scenarios and their noise.",
+    "The kind of scenarios. The tabletop has near, left, right, far and perimeter (the paper's "
+    "table), general (any table, from any side) and general-clutter (half of them with a box in "
+    "the way). Another domain has its own kinds.  [the run's; a skill file: the domain's usual]",
+    count="Number of scenarios.",
+    seed="Seed of the scenarios and of their noise.",
     most=1_000_000,
 )
 @options.skill_option
 @options.domain_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
-    help=f"Also draw the first {PICTURED} scenarios into this PNG file, if the domain can.",
+    help=f"Draw the first {PICTURED} scenarios into this PNG file, if the domain draws any.",
 )
 @options.common_options
 def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
-    Of a run it also prints how often the skill succeeded where the run's models promise it, and
-    how W did under other noise when the skill was accepted.
+    For a run, two more shares are printed: how often the skill succeeded where the run's models
+    predicted success, and how often it solved W under other noise when it was accepted.
 
-    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
-    skill file, which is tried in its domain as it is by default: the built-in PR2.
+    RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
+    a skill file. A skill file is tried in its domain's default world; for the tabletop this has
+    the built-in PR2.
     """
     with importing():
         import torch
@@ -61,7 +66,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         from cgtorch.runs.ledger import read_index
         from cgtorch.runs.skills import chosen_skill
         from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
-        from cgtorch.training.evaluate import evaluate_skill, promise_kept
+        from cgtorch.training.evaluate import evaluate_skill, robust_successes
 
     torch.set_num_threads(1)
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
@@ -76,8 +81,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         # A run may be passed on without its models.
         if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
             knowledge = load_knowledge(stage, domain.unfitted())
-            with options.waiting(f"asking the models what they promise of {skill.name}", quiet):
-                kept = promise_kept(score, skill, knowledge, domain, seed)
+            with options.waiting(f"predicting robust successes of {skill.name}", quiet):
+                kept = robust_successes(score, skill, knowledge, domain, seed)
             promised = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}
         again = index.get(skill.name, {}).get("w_other_noise")
@@ -99,8 +104,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         click.echo(_returns_as_text(score, domain.target_return))
     if promised is not None:
         click.echo(
-            f"the models promised {promised['tried']} of {score.tried}, of which "
-            f"{promised['succeeded']} succeeded in the world, {_confidence(promised)}"
+            f"the models predicted robust success on {promised['tried']} of {score.tried}, "
+            f"of which {promised['succeeded']} succeeded in the world, {_confidence(promised)}"
         )
     if noise is not None:
         click.echo(f"of W, met by other noise when it was accepted, {_as_text(noise)}")

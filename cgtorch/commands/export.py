@@ -1,4 +1,4 @@
-"""`cgtorch-export`: a skill as something that others read or run."""
+"""`cgtorch-export`: write a skill in a format that other programs read or run."""
 
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,11 @@ Examples:
 FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
 
 
-@click.command("cgtorch-export", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-export",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Write a skill for other programs.",
+)
 @options.run_or_skill
 @click.option(
     "--format",
@@ -41,20 +45,22 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
 @click.option(
     "--scenarios",
     shell_complete=one_of(SCENARIOS),
-    help="Of a skill file: what the skill was evolved on, which says what it perceives.  "
-    "[the usual ones of the domain]",
+    help="For a skill file: the kind of scenarios that the skill was evolved on. It decides what "
+    "the percept contains.  [the domain's usual kind]",
 )
 @options.force_option
 @options.common_options
 def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
-    """Write a skill as something that others read or run, without cgtorch.
+    """Write a skill in a format that other programs read or run, without cgtorch.
 
-    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
-    skill file.
+    RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
+    a skill file.
     """
     options.check_output(output, force)
     if form == "module" and output.suffix != ".pt2":
-        raise click.UsageError(f"torch.export.load wants a name in .pt2, not {str(output)!r}")
+        raise click.UsageError(
+            f"--output is {str(output)!r}; give a name that ends in .pt2 for --format module"
+        )
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill

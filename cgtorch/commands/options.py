@@ -32,6 +32,16 @@ def _importable(context: click.Context, parameter: click.Parameter, specs: Any) 
     return specs
 
 
+completion_option = click.option(
+    "--completion",
+    type=click.Choice(completion.SHELLS),
+    expose_value=False,
+    is_eager=True,
+    callback=_print_script,
+    help="Print the script that completes all commands in this shell, then exit.",
+)
+
+
 def common_options(function: F) -> F:
     """Decorator: the options that every command has, to stand last."""
     options = (
@@ -40,19 +50,12 @@ def common_options(function: F) -> F:
             multiple=True,
             shell_complete=completion.declared_actions,
             callback=_importable,
-            help="Further action that a skill may use: name or package.module:Class; may be given "
-            "more than once.",
+            help="Additional action for skills: a name or package.module:Class. Repeat the option "
+            "for several actions.",
         ),
-        click.option("--quiet", is_flag=True, help="Show no progress, only the result."),
+        click.option("--quiet", is_flag=True, help="Print the result only, without progress."),
         click.version_option(package_name="cgtorch"),
-        click.option(
-            "--completion",
-            type=click.Choice(completion.SHELLS),
-            expose_value=False,
-            is_eager=True,
-            callback=_print_script,
-            help="Print what makes this shell complete the words of all commands and exit.",
-        ),
+        completion_option,
     )
     return _with_options(function, options)
 
@@ -72,18 +75,18 @@ skill_option = click.option(
     "--skill",
     "name",
     shell_complete=completion.ledger_names,
-    help="An earlier skill of the run, by its name in the run's ledger.",
+    help="Use this skill of the run's ledger in place of the last one.",
 )
 
 domain_option = click.option(
     "--domain",
     shell_complete=completion.domains,
     callback=_importable,
-    help="The run's domain, where that is code of its own that may be imported; of a skill file "
-    "what it is for.  [tabletop]",
+    help="The domain as package.module:Class, if the run's domain is your own code. For a skill "
+    "file: the domain of the skill.  [tabletop]",
 )
 
-force_option = click.option("--force", is_flag=True, help="Replace the file if there is one.")
+force_option = click.option("--force", is_flag=True, help="Replace the file if it exists.")
 
 
 def output_option(what: str) -> Callable[[F], F]:

@@ -1,4 +1,4 @@
-"""`cgtorch-report`: a run as one HTML page."""
+"""`cgtorch-report`: write one HTML page about a run."""
 
 from functools import partial
 from pathlib import Path
@@ -28,11 +28,12 @@ Examples:
 def command(
     run: Path, output: Path, domain: str | None, actions: tuple[str, ...], force: bool, quiet: bool
 ) -> None:
-    """Write one HTML page about a run that needs no other file, no script and no network.
+    """Write one HTML page about a run. The page needs no other file, no script and no network.
 
-    Its stages beside what others report, pictures of what is solved, fitness and rates over
-    generations, the graphs, Γ and C, settings, versions, and how to make it again. Everything
-    comes from the folder RUN; of an unfinished run the page tells what is there and what is not.
+    It shows the stages beside published results, pictures of the solved scenarios, fitness and
+    mutation rates over generations, the graphs, the quality of Γ and C, settings, versions, and
+    the commands that make the run again. Everything is read from the folder RUN. For an
+    unfinished run, the page says which parts are missing.
     """
     options.check_output(output, force)
     import torch

@@ -59,59 +59,65 @@ def _option(f: Field[Any], default: Any) -> click.Option:
     )
 
 
-@click.command("cgtorch-train", cls=DomainCommand, add=_options, epilog=epilog(EXAMPLES))
+@click.command(
+    "cgtorch-train",
+    cls=DomainCommand,
+    add=_options,
+    epilog=epilog(EXAMPLES),
+    short_help="Evolve a skill for a domain.",
+)
 @click.option(
     "--domain",
     default=RunSettings.domain,
     show_default=True,
     shell_complete=completion.domains,
-    help="What the run is about: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
-    "package.module:Class. With --help, its settings are among the options below.",
+    help="The domain of the run: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
+    "package.module:Class. Add --help to list the domain's own options.",
 )
 @click.option(
     "--stage",
     shell_complete=completion.stages,
-    help="Last stage to make, S0 to S3 of the tabletop, or auto: go on until a goal is met.  "
-    "[what the run was begun for; else S2 of the tabletop, auto where a domain has no stages]",
+    help="The last stage to make (the tabletop has S0 to S3), or auto for rounds until the target "
+    "is met.  [as the run began; a new run: S2 for the tabletop, auto without stages]",
 )
 @click.option(
-    "--run-dir", type=click.Path(path_type=Path), help="Folder of the run.  [runs/seed-N]"
+    "--run-dir", type=click.Path(path_type=Path), help="The folder of the run.  [runs/seed-N]"
 )
 @click.option(
     "--resume",
     type=click.Path(path_type=Path),
     shell_complete=completion.runs,
-    help="Go on with this run.",
+    help="Continue this run.",
 )
 @click.option(
     "--override",
     multiple=True,
     metavar="NAME=VALUE",
-    help="With --resume, go on with another value of a setting; may be given more than once.",
+    help="With --resume: continue with another value of a setting. Repeat it for several.",
 )
 @click.option(
     "--device",
     default="auto",
     show_default=True,
     shell_complete=completion.one_of(("auto", "cpu", "cuda")),
-    help="cpu, cuda, cuda:N, or auto for the fastest; a run may go on with another one.",
+    help="The device: cpu, cuda, cuda:N, or auto for the fastest. A run may change its device.",
 )
 @number_option(
     "--checkpoint-seconds",
     click.FloatRange(min=0),
     20.0,
-    "Keep this often where an evolution stands, s; what is finished is kept at once.",
+    "Seconds between two checkpoints of an evolution. Finished work is kept at once.",
 )
 @common_options
 @click.pass_context
 def command(context: click.Context, /, **options: Any) -> None:
     """Evolve a skill: collect data, fit Γ and C, evolve, and test it in the world.
 
-    Without --domain it is a robot that reaches objects on a table. A stage needs the ones before
-    it; those the run lacks are made first. S0 reaches objects along the near edge of the table, S1
-    the left, S2 the right, S3 the far edge. With --stage auto nobody sets stages: the skill is
-    tried on fresh scenarios and improved on what it missed, round by round, until the target
-    holds.
+    The default domain is a robot that reaches objects on a table. Its stages are S0 (objects along
+    the near edge of the table), S1 (left edge), S2 (right edge) and S3 (far edge). A stage needs
+    all stages before it, and missing ones are made first. With --stage auto there are rounds in
+    place of stages: each round tries the skill on fresh scenarios and improves it on those that it
+    failed, until the target is met.
     """
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():

@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from cgtorch import native
+from cgtorch.commands import guidance
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
@@ -38,7 +39,7 @@ from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
 WORTH_A_GPU = 4000
-"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions.md)."""
+"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions/engine.md)."""
 
 
 @dataclass(frozen=True)
@@ -155,14 +156,20 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     stage, goal = _asked(run, wish)
     taken, auto = take_over(run, settings, stage), stage == AUTO
     run = taken.run
+    plan = guidance.Plan(run, stage, goal)
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
+        if plan.new:
+            for line in guidance.before(plan):
+                display.say(line, style="bold" if line.startswith("New") else "")
         if native.to_be_compiled():
-            with display.working("compiling for this CPU, once"):
+            with display.working("compiling the engine for this CPU (once)"):
                 native.available()
         missing = [s for s in run.domain.stages if s not in run.stages]
         if not auto and stage in missing[1:]:
             earlier = ", ".join(missing[: missing.index(stage)])
-            display.say(f"{stage} needs {earlier} first, which {run.folder} lacks; making all")
+            display.say(
+                f"{stage} needs {earlier} first; {run.folder} lacks them, so they are made as well"
+            )
         for line in _changes(taken):
             display.say(line)
         with _board(run, run.all_settings() | (vars(goal) if auto else {})) as board:
@@ -177,6 +184,9 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
         display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
     if ranks.first():
         Console().print(final_table(results, run.domain))
+    with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
+        for line in guidance.after(plan):
+            display.say(line)
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:

@@ -26,36 +26,43 @@ Examples:
 """
 
 
-@click.command("cgtorch-view", epilog=options.epilog(EXAMPLES))
+@click.command(
+    "cgtorch-view",
+    epilog=options.epilog(EXAMPLES),
+    short_help="Watch a skill at work in the browser.",
+)
 @options.run_or_skill
 @click.option(
     "--against",
     metavar="RUN_OR_SKILL",
     type=click.Path(path_type=Path),
     shell_complete=runs_or_skills,
-    help="Another skill, to be shown beside the first one on the same scenario.",
+    help="A second skill, shown beside the first one on the same scenario.",
 )
 @options.scenario_options(
-    "What is shown first: near, left, right, far or perimeter of the paper's table; general: any "
-    "table, from any side; general-clutter: half of them with a box in the way. If not given, "
-    "what the run is about.",
-    count="Scenarios to choose from.",
-    seed="Of these.",
+    "The kind of scenarios shown first: near, left, right, far and perimeter (the paper's "
+    "table), general (any table, from any side) or general-clutter (half of them with a box in "
+    "the way).  [the run's]",
+    count="Number of scenarios to choose from.",
+    seed="Seed of the scenarios and of their noise.",
     most=10_000,
 )
 @options.skill_option
-@click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @options.number_option(
-    "--port", click.IntRange(0, 65535), 8080, "If it is taken, the next free one; 0: any free one."
+    "--port",
+    click.IntRange(0, 65535),
+    8080,
+    "Port to listen on. If it is taken, the next free one is used. 0: any free one.",
 )
 @options.common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
-    RUN_OR_SKILL is a run's folder, which stands for its last skill, a stage's folder in it, or a
-    skill file, which acts with the built-in PR2 and the default noise. The page shows the robot,
-    its graph, what it perceives and what travels along the edges; there one can also choose
-    another scenario, drag the object, and take any other skill of the run.
+    RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
+    a skill file, which acts with the built-in PR2 and the default noise. The page shows the robot,
+    the graph, the percept and the message. On the page you can choose another scenario, drag the
+    object, and take any other skill of the run.
     """
     if find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")

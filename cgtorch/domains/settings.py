@@ -20,14 +20,16 @@ def option(
     choices: tuple[str, ...] = (),
     least: float = 1,
     most: float = MOST,
+    when: str = "",
 ) -> Any:
     """A field with its default, whose type is the option's, and its help on the command line.
 
     What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
-    `choices`, if there are any; a number is from `least` to `most`.
+    `choices`, if there are any; a number is from `least` to `most`. `when` says in which case one
+    changes it.
     """
     about = {"help": text, "fixed": fixed, "choices": choices, "least": least, "most": most}
-    return field(default=default, metadata=about)
+    return field(default=default, metadata=about | {"when": when})
 
 
 def check_options(settings: Any) -> None:

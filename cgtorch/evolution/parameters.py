@@ -44,8 +44,8 @@ def copied(graphs: Graphs, old: Tensor) -> Graphs:
 def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int]]:
     """The graphs with origins -1, -2, … of new nodes: first all of action 0, and so on.
 
-    And after how many those of each action begin, and how many there are. Those of actions whose
-    parameters are `standard` (A,) normal keep 0.
+    And the CSR offsets by action: where those of each action begin, and how many there are. Those
+    of actions whose parameters are `standard` (A,) normal keep 0.
     """
     if bool(standard.all()):
         return graphs, [0] * (len(standard) + 1)

@@ -1,1 +1,1 @@
-"""What everyone stands on: errors, files, numbers, random numbers, ranks and processes."""
+"""What all other folders use: errors, files, numerics, random numbers, ranks and processes."""

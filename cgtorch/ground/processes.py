@@ -1,7 +1,7 @@
 """Work shared out to forked processes, for operations too short to be shared out to threads.
 
-Threads of Python's would wait for one another's interpreter lock (docs/decisions.md). A forked
-process has all data at once and one thread inside torch, as PyTorch's own data loaders do it.
+Python's threads would wait for one another's interpreter lock (docs/decisions/models.md). A
+forked process has all data at once and one thread inside torch, as in PyTorch's data loaders.
 """
 
 import multiprocessing

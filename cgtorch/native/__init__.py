@@ -1,4 +1,4 @@
-"""What the hot paths run on CPUs where there is a C compiler; without one torch does the same."""
+"""Compiled code of the hot paths. Without a C compiler, torch computes the same."""
 
 from cgtorch.native.library import NO_PARENT as NO_PARENT
 from cgtorch.native.library import VECTOR as VECTOR

@@ -1,9 +1,9 @@
 """C sources below this folder, compiled once for this very CPU and kept in the user's cache.
 
 A computational graph runs one short step after another, which take a tenth of what they would as
-tensor operations (docs/decisions.md). Nothing has to be compiled: where there is no compiler, what
-was compiled for the wheel is used, if it was installed from one that suits this machine. Else, or
-with `CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
+tensor operations (docs/decisions/engine.md). Nothing has to be compiled: where there is no
+compiler, what was compiled for the wheel is used, if it suits this machine. Else, or with
+`CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
 """
 
 import ctypes

@@ -1,1 +1,1 @@
-"""A run on disk: its folder, settings, journal and ledger, and how one goes on with it."""
+"""A run on disk: its folder, settings, journal and ledger, and how it is resumed."""

@@ -27,15 +27,24 @@ class Goal:
 
     target: float = option(
         0.99,
-        "With --stage auto, share of fresh scenarios to be solved. Where the domain gives rewards: "
-        "the return from which an episode is solved, and the mean to be reached.",
+        "With --stage auto: the share of fresh scenarios to solve. In a domain with rewards: the "
+        "return from which an episode counts as solved, and the mean return to reach.",
         least=0.5,
         most=0.999,
+        when="Raise it for a surer skill; the tests become longer.",
     )
     minutes: float = option(
-        10.0, "With --stage auto, begin no round after so many minutes.", least=0, most=1e6
+        10.0,
+        "With --stage auto: begin no round after this time, min.",
+        least=0,
+        most=1e6,
+        when="Raise it for hard tasks.",
     )
-    rounds: int = option(30, "With --stage auto, the most rounds of a run.")
+    rounds: int = option(
+        30,
+        "With --stage auto: maximum number of rounds of a run.",
+        when="Lower it to bound the work in place of the time.",
+    )
 
     def __post_init__(self) -> None:
         check_options(self)

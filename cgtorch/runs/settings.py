@@ -19,67 +19,110 @@ class RunSettings:
 
     domain: str = option(
         "tabletop",
-        "What the run is about: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
+        "The domain of the run: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
         "package.module:Class.",
-        "all that is there is about it",
+        "everything in the run belongs to it",
+        when="Change it to train for another task.",
     )
     seed: int = option(
-        0, "Seed of everything random.", "all that is there was drawn from it", least=0
+        0,
+        "Seed of all random numbers.",
+        "everything in the run was drawn from it",
+        least=0,
+        when="Change it to repeat an experiment with other random numbers.",
     )
     method: str = option(
         "compose",
-        "How a skill is improved: compose, or paper as published.",
-        "neither method goes on with what the other has made",
+        "How a skill is improved: compose evolves specialists and a gate, paper grows one graph as "
+        "published.",
+        "neither method can continue the other's skills",
         choices=METHODS,
+        when="Use paper to reproduce the publication.",
     )
     models: str = option(
         "auto",
-        "Where skills are evolved: learned for models Γ and C, none for the world itself, auto for "
-        "what the domain says.",
-        "all that is there was found that way",
+        "Where skills are evolved: learned (inside the models Γ and C), none (in the world "
+        "itself), or auto (the domain's choice).",
+        "the skills of the run were evolved that way",
         choices=MODELS,
+        when="Use none if the world is fast and its transitions are hard to learn.",
     )
-    population: int = option(400, "Individuals in a population.", least=2)
-    islands: int = option(1, "Populations that evolve apart and exchange their best.")
-    migration: int = option(5, "Generations between two such exchanges.")
-    generations: int = option(150, "Most generations of one evolution.")
-    attempts: int = option(24, "Most evolutions in one stage.")
+    population: int = option(
+        400,
+        "Number of individuals in a population.",
+        least=2,
+        when="Raise it if evolutions end without a solution; time grows in proportion.",
+    )
+    islands: int = option(
+        1,
+        "Number of populations that evolve separately and exchange their best individuals.",
+        when="Raise it if one machine cannot hold the population.",
+    )
+    migration: int = option(
+        5,
+        "Number of generations between two exchanges of islands.",
+        when="Raise it if islands become alike too soon.",
+    )
+    generations: int = option(
+        150,
+        "Maximum number of generations of one evolution.",
+        when="Raise it if the best fitness still grows at the end of an evolution.",
+    )
+    attempts: int = option(
+        24,
+        "Maximum number of evolutions in one stage.",
+        when="Raise it if a stage ends without an accepted skill.",
+    )
     tournament: int = option(
-        5, "Individuals in a tournament, by which --method paper and rewards select."
+        5,
+        "Number of individuals in a tournament; used with --method paper and with rewards.",
+        when="Raise it for a search that converges sooner, lower it for more variety.",
     )
     lineages: int = option(
         4,
-        "Structures whose parameters are tuned at once, where there are rewards; 0 for mutation "
-        "alone.",
+        "Number of graphs whose parameters CMA-ES tunes side by side in domains with rewards; 0 "
+        "for mutation only.",
         least=0,
+        when="Set it to 0 to compare with mutation only.",
     )
-    max_transitions: int = option(20, "Transitions after which a skill has failed.")
+    max_transitions: int = option(
+        20,
+        "Number of executed actions after which a skill has failed.",
+        when="Set it to three times the number of controls that an episode needs.",
+    )
     practice: int = option(
-        150, "Random scenarios practised in each stage beside its tests.", least=0
+        150,
+        "Number of random scenarios to practise in each stage, besides its test scenarios.",
+        least=0,
+        when="Raise it if a stage's skill fails on random scenarios.",
     )
     transitions: int = option(
         2000,
-        "Random transitions collected for the transition model.",
+        "Number of random transitions to collect for the transition model Γ.",
         "the first models were learned from them",
         least=50,
+        when="Raise it if the error of Γ is well above the least possible one.",
     )
     labels: int = option(
         2000,
-        "Tests of success collected for the success classifier.",
+        "Number of labelled tests to collect for the success classifier C.",
         "the first models were learned from them",
         least=60,
+        when="Raise it if the accuracy of C is well below the best possible one.",
     )
     scenarios: str = option(
         "auto",
-        "What the run is about, of the kinds that the domain has, auto for the usual one; of the "
-        "tabletop perimeter of the paper's table, general for any table from any side, "
-        "general-clutter with boxes in the way.",
+        "The kind of scenarios, or auto for the domain's usual kind. The tabletop has perimeter "
+        "(the paper's table), general (any table, from any side) and general-clutter (with boxes "
+        "in the way).",
         "W and M are such scenarios",
+        when="Change it to train on another kind of scenarios.",
     )
     actions: tuple[str, ...] = option(
         (),
-        "Further actions: names or package.module:Class.",
-        "the graphs that are there are made of them",
+        "Additional actions: names or package.module:Class.",
+        "the graphs of the run are made of them",
+        when="Add actions that you wrote.",
     )
 
     def __post_init__(self) -> None:

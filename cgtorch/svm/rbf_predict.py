@@ -10,7 +10,7 @@ Rows are columns in here, because a product of few outputs and many rows is fast
 A row has the same values, bit for bit, in whatever batch it comes and on however many threads:
 the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 48,
 centres to multiples of 16 and outputs to 2, with weight 0, and sums over features are products
-(docs/decisions.md).
+(docs/decisions/models.md).
 """
 
 from collections.abc import Callable

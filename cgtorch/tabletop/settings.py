@@ -17,35 +17,45 @@ class TabletopSettings(DomainSettings):
 
     robot: str = option(
         "pr2",
-        "The robot: pr2, fetch, a folder with a URDF and a robot.json, or a robot description.",
+        "The robot: pr2, fetch, a folder with a URDF and a robot.json, or a robot.json.",
         "the run has its robot already",
+        when="Change it to train another robot.",
     )
     urdf: str = option(
         "",
-        "Its URDF, if that is not the one beside the description.",
+        "The robot's URDF, if it does not lie beside its description.",
         "the run has its robot already",
+        when="Give it if a description has no URDF beside it.",
     )
     position_noise: float = option(
-        0.005, "Noise of odometry and detection, m.", "W was solved under it", least=0, most=10
-    )
-    heading_noise: float = option(
-        math.pi / 360,
-        "Noise of the heading after a motion, rad.",
+        0.005,
+        "Standard deviation of the noise of odometry and detection, m.",
         "W was solved under it",
         least=0,
         most=10,
+        when="Set it to what your robot's odometry and detector have.",
+    )
+    heading_noise: float = option(
+        math.pi / 360,
+        "Standard deviation of the noise of the heading after a motion, rad.",
+        "W was solved under it",
+        least=0,
+        most=10,
+        when="Set it to what your robot's odometry has.",
     )
     percept: str = option(
         "auto",
-        "What is seen: box as in the paper, yaw for the table's yaw too, auto for yaw with general "
-        "scenarios only.",
-        "the data and models that are there have it",
+        "The percept: box (the paper's seven numbers), yaw (the table's yaw as well), or auto "
+        "(yaw for general scenarios, else box).",
+        "the data and models of the run have it",
         choices=("auto", "box", "yaw"),
+        when="Use yaw if tables stand at any angle.",
     )
     networks: str = option(
         "auto",
-        "What networks read: percept as in the paper, edge for the scene as seen from the edge "
-        "nearest to the object, auto for edge unless the method is paper.",
-        "the graphs that are there are made of them",
+        "The input of networks: percept (as in the paper), edge (the scene relative to the table "
+        "edge nearest to the object), or auto (percept for --method paper, else edge).",
+        "the graphs of the run are made of them",
         choices=("auto", "percept", "edge"),
+        when="Use percept to reproduce the publication.",
     )

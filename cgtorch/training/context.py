@@ -122,7 +122,7 @@ def initial_progress(training: Training) -> Progress[Any]:
         return load_progress(run, start)
     settings, domain, kind = run.settings, run.domain, run.kind
     generator = Generator().manual_seed(settings.seed)
-    with working("acting at random and testing success"):
+    with working("collecting data: random transitions and labelled tests"):
         dataset = domain.explore(kind, settings.transitions, settings.labels, generator)
     own = generator_of(generator, OWN)
 
@@ -130,12 +130,12 @@ def initial_progress(training: Training) -> Progress[Any]:
         return domain.try_transition(kind, gamma, settings.labels, generator)
 
     began = time.perf_counter()
-    with working("fitting both models, trying the transition model"):
+    with working("fitting Γ and C, testing Γ on fresh transitions"):
         # Several ranks share out work in the world, which forked processes cannot.
         alone = ranks.count() > 1
         knowledge, found = fit_models(domain, dataset, settings.seed, fresh, alone)
     seconds = time.perf_counter() - began
-    with working("trying the success classifier"):
+    with working("testing C on fresh labels"):
         summary = domain.summary(kind, knowledge, found, own)
     training.watch(ModelsFitted("start", summary, seconds))
     progress = Progress(None, nothing, nothing, knowledge)

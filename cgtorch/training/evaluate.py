@@ -95,10 +95,10 @@ def evaluate_skill(
     return joined(scores)
 
 
-def promise_kept(
+def robust_successes(
     score: Score, skill: Skill, knowledge: Knowledge, domain: Domain[Any], seed: int
 ) -> Score | None:
-    """The score in the world where models promise success (`cgtorch.domains.robust_success`).
+    """The score where the models predict a robust success (`cgtorch.domains.robust_success`).
 
     None where they were learned from percepts of another length.
     """

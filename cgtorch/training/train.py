@@ -194,7 +194,7 @@ def _keep(
     run, (after, result) = training.run, made
     again = None
     if accepted is not None and run.domain.noisy_world:
-        with training.working(f"trying {name} under other noise"):
+        with training.working(f"testing {name} on W under other noise"):
             score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
         again = {"tried": score.tried, "succeeded": score.successes}
     if not ranks.first():

@@ -93,7 +93,29 @@ def test_an_unknown_option_is_bad_input(name: str) -> None:
 def test_every_option_says_what_it_is_for(name: str) -> None:
     options = [p for p in parameters_of(name) if isinstance(p, click.Option)]
     assert [option.name for option in options if not option.help] == []
-    assert {"--quiet", "--version", "--completion"} <= {o for p in options for o in p.opts}
+    usual = {"--version", "--completion"} | ({"--quiet"} if name != "cgtorch" else set())
+    assert usual <= {o for p in options for o in p.opts}
+
+
+def test_cgtorch_alone_lists_all_commands() -> None:
+    alone, asked = run("cgtorch")[0], run("cgtorch", "--help")[0]
+    assert (alone.returncode, alone.stderr) == (0, "")
+    assert alone.stdout == asked.stdout
+    listed = alone.stdout.partition("\nCommands:\n")[2].partition("\n\n")[0].splitlines()
+    names = [line.split()[0] for line in listed if line.startswith("  ") and line[2] != " "]
+    assert names == sorted(name.removeprefix("cgtorch-") for name in COMMANDS if "-" in name)
+    assert all(len(line.split()) > 1 for line in listed)
+
+
+def test_a_command_has_two_names() -> None:
+    own, short = run("cgtorch-evaluate", "--help")[0], run("cgtorch", "evaluate", "--help")[0]
+    assert short.stdout == own.stdout.replace("cgtorch-evaluate [", "cgtorch evaluate [", 1)
+    refused = run("cgtorch", "evaluate", "--no-such-option")[0]
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("cgtorch evaluate: ")
+    unknown = run("cgtorch", "fly")[0]
+    assert unknown.returncode == 2
+    assert unknown.stderr == "cgtorch: No such command 'fly'; see cgtorch --help\n"
 
 
 def test_an_option_is_of_one_kind_in_all_commands() -> None:

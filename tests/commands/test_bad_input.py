@@ -217,7 +217,7 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     before = listing(run_folder)
     message = shell.refuses(TRAIN, "--run-dir", run_folder, "--seed", 3)
     assert (
-        f"has --seed {SMALL.seed}, not 3, and cannot change it, as all that is there was drawn"
+        f"has --seed {SMALL.seed}, not 3, and cannot change it, as everything in the run was drawn"
         in message
     )
     assert "choose another --run-dir" in message
@@ -240,16 +240,16 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     [
         (
             ["seed=3"],
-            f"--seed {SMALL.seed} of run .* cannot become 3, as all that is there",
+            f"--seed {SMALL.seed} of run .* cannot become 3, as everything in the run",
         ),
         (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
         (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
-        (["percept=yaw"], "--percept auto of run .* as the data and models that are there have it"),
-        (["method=paper"], "neither method goes on with what the other has made"),
+        (["percept=yaw"], "--percept auto of run .* as the data and models of the run have it"),
+        (["method=paper"], "neither method can continue the other's skills"),
         (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),
         (["colour=red"], "--override 'colour=red' names no setting"),
-        (["actions=x:Y"], "--actions .* as the graphs that are there are made of them"),
+        (["actions=x:Y"], "--actions .* as the graphs of the run are made of them"),
         (["population=many"], "'many' is not a valid integer"),
         (["population=0"], "population is 0; give a whole number of at least 2"),
         (["tournament="], "'' is not a valid integer"),

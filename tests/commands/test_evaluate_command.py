@@ -11,7 +11,7 @@ from cgtorch.ground.interval import wilson
 from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_knowledge
-from cgtorch.training.evaluate import evaluate_skill, promise_kept
+from cgtorch.training.evaluate import evaluate_skill, robust_successes
 
 EVALUATE = "cgtorch-evaluate"
 
@@ -43,7 +43,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     assert skill.name == name
     score = evaluate_skill(skill, run.domain, "near", 12, 4)
     knowledge = load_knowledge(run.folder / name, run.domain.unfitted())
-    kept = promise_kept(score, skill, knowledge, run.domain, 4)
+    kept = robust_successes(score, skill, knowledge, run.domain, 4)
     again = read_entry(run.folder, name, run.actions, run.like()).other_noise
     assert kept is not None
     assert again is not None
@@ -70,7 +70,10 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     }
     ended = shell(EVALUATE, *words)
     assert f"{name} on near: {score.successes} / 12 succeeded" in ended.out
-    assert f"the models promised {kept.tried} of 12, of which {kept.successes} " in ended.out
+    assert (
+        f"the models predicted robust success on {kept.tried} of 12, of which {kept.successes} "
+        in ended.out
+    )
     counted = f"{again['succeeded']} / {again['tried']}"
     assert f"met by other noise when it was accepted, {counted}" in ended.out
     assert listing(trained.folder) == before

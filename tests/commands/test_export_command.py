@@ -109,7 +109,10 @@ def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> Non
 
 def test_a_module_has_the_name_that_torch_wants(shell: Shell, tmp_path: Path) -> None:
     words = (EXPORT, REFERENCE / "S0", "--format", "module", "--output", "S0.pt")
-    assert "wants a name in .pt2, not 'S0.pt'; see cgtorch-export" in shell.refuses(*words)
+    assert (
+        "--output is 'S0.pt'; give a name that ends in .pt2 for --format module"
+        in shell.refuses(*words)
+    )
     assert listing(tmp_path) == set()
 
 

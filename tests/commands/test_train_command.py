@@ -58,7 +58,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE, *own]
     ended = in_a_shell(TRAIN, *words, folder=tmp_path)
     assert ended.code == 1, ended
-    assert "S2 needs S0, S1 first, which run lacks; making all" in ended.err
+    assert "S2 needs S0, S1 first; run lacks them, so they are made as well" in ended.err
     last = ended.err.splitlines()[-1]
     assert last.startswith("cgtorch-train: stage S0 found no skill that keeps W and solves more")
     assert "raise --attempts, --generations or --population" in last
@@ -111,7 +111,9 @@ def test_the_stages_that_a_run_lacks_are_made(
     folder = copied(trained, tmp_path / "run", ())
     ended = shell(TRAIN, "--resume", folder, "--stage", "S1")
     assert ended.code == 0, ended
-    assert f"S1 needs S0 first, which {folder} lacks; making all" in ended.err.replace("\n", " ")
+    assert f"S1 needs S0 first; {folder} lacks them, so they are made as well" in ended.err.replace(
+        "\n", " "
+    )
     for stage in ("S0", "S1"):
         for name in ("skill.json", "scenarios.json"):
             made = (folder / stage / name).read_bytes()

@@ -27,6 +27,7 @@ class Page(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.foreign: list[str] = []
+        self.pictures: list[str] = []
         self.ids: set[str] = set()
         self.feed(text)
 
@@ -39,6 +40,8 @@ class Page(HTMLParser):
                 self.foreign.append(f"style {text}")
             if name == "class" and FETCHERS & set(text.split()):
                 self.foreign.append(f"class {text}")
+            if (tag, name) == ("img", "src") and not FOREIGN.search(text):
+                self.pictures.append(text)
             if name == "id":
                 self.ids.add(text)
 
@@ -72,6 +75,9 @@ def test_the_site(tmp_path: Path) -> None:
         path.relative_to(site).as_posix(): Page(path.read_text()) for path in site.rglob("*.html")
     }
     assert {name: page.foreign for name, page in pages.items() if page.foreign} == {}
+    for name, page in pages.items():
+        for picture in page.pictures:
+            assert (site / name).parent.joinpath(picture).is_file(), f"{picture} of {name}"
     for style in site.rglob("*.css"):
         assert not FOREIGN_STYLE.search(style.read_text()), style
     assert not list(site.rglob("*.py*"))

@@ -48,7 +48,7 @@ static int all_there(const int64_t *rows, int64_t count, int64_t individuals) {
 }
 
 /* Numbers new nodes whose parameters are not standard normal -1, -2, ..., first those of action 0, and so
-   on, and tells after how many those of each action begin; the last of `first` (A + 1,) is how many there
+   on, and writes the CSR offsets (A + 1,) by action to `first`; the last of them is how many there
    are. 0 for want of memory. */
 static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t total, int64_t actions,
                             const int64_t *standard, int64_t *first) {

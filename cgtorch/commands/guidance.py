@@ -1,0 +1,80 @@
+"""What `cgtorch-train` tells about a new run: what it will do, where to see it, what comes next."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cgtorch.domains.registry import TABLETOP, is_code
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.run import AUTO, Run
+from cgtorch.training.stages import stages_to_make
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is to make: its last `stage`, or rounds until the `goal` is met."""
+
+    run: Run
+    stage: str
+    goal: Goal
+
+    @property
+    def new(self) -> bool:
+        """Whether the run has made nothing yet."""
+        folder = self.run.folder
+        return not self.run.stages and not any(
+            (folder / name).exists() for name in ("start", "journal")
+        )
+
+
+def before(plan: Plan) -> Iterator[str]:
+    """The lines that are printed before a new run begins."""
+    run, settings = plan.run, plan.run.settings
+    about = f"domain {settings.domain}, seed {settings.seed}"
+    if plan.stage == AUTO:
+        aim = run.domain.target_return if run.domain.rewarded else plan.goal.target
+        yield f"New run {run.folder}: evolve skills until the target of {aim:.4g} is met ({about})."
+    else:
+        stages = ", ".join(stages_to_make(run, plan.stage))
+        yield f"New run {run.folder}: evolve one skill for each of {stages} ({about})."
+    if run.learns:
+        yield "  1. Collect data, and fit the transition model Γ and the success classifier C."
+        yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
+        yield "  3. Accept a skill if it forgets nothing and solves something new."
+    else:
+        yield "  1. Evolve skills in the world itself; no models are learned."
+        yield "  2. Accept a skill if it forgets nothing and solves something new."
+    yield f"  {_duration(plan)} Progress appears here, and in TensorBoard:"
+    yield f"    tensorboard --logdir {run.folder}"
+    resume = f"cgtorch-train --resume {run.folder}{_code(run)}"
+    yield f"  Ctrl-C stops the run, and this command continues it: {resume}"
+
+
+def after(plan: Plan) -> Iterator[str]:
+    """The lines that are printed once a run has come to its end: what to look at next."""
+    run = plan.run
+    if not run.stages:
+        return
+    code = _code(run)
+    yield "Next:"
+    yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
+    if run.settings.domain == TABLETOP:
+        yield f"  cgtorch-view {run.folder}{code}  # watch it at work in the browser"
+    yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run as one page"
+    later = [name for name in run.domain.stages if name not in run.stages]
+    if later and plan.stage != AUTO:
+        yield f"  cgtorch-train --resume {run.folder}{code} --stage {later[-1]}  # more stages"
+
+
+def _duration(plan: Plan) -> str:
+    if plan.stage == AUTO:
+        return f"No round begins after {plan.goal.minutes:g} minutes (--minutes)."
+    if plan.run.settings.domain == TABLETOP:
+        return "On two quiet cores, S0 to S3 take about a minute together."
+    return "The time depends on the domain."
+
+
+def _code(run: Run) -> str:
+    """The options that name the code of a run, as a run folder imports none."""
+    spec = run.settings.domain
+    domain = f" --domain {spec}" if is_code(spec) else ""
+    return domain + "".join(f" --actions {name}" for name in run.settings.actions if ":" in name)

@@ -1,0 +1,60 @@
+"""`cgtorch`: lists all commands, and runs one of them by its last word, as in `cgtorch train`."""
+
+from functools import partial
+from importlib import import_module
+from importlib.metadata import distribution
+
+import click
+
+from cgtorch.commands.command import run_command
+from cgtorch.commands.options import completion_option, epilog
+
+PREFIX = "cgtorch-"
+EXAMPLES = """\b
+Examples:
+  cgtorch train
+  cgtorch train --help
+  cgtorch evaluate runs/reference
+  cgtorch view runs/reference
+"""
+
+
+class AllCommands(click.Group):
+    """A group of the commands that the installed package declares, each imported when it is used.
+
+    `cgtorch NAME` and `cgtorch-NAME` are the same command.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands, without their prefix."""
+        names = distribution("cgtorch").entry_points.select(group="console_scripts").names
+        return sorted(name.removeprefix(PREFIX) for name in names if name.startswith(PREFIX))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name; None if there is none."""
+        scripts = distribution("cgtorch").entry_points.select(group="console_scripts")
+        for script in scripts.select(name=PREFIX + cmd_name):
+            command: click.Command = import_module(script.module).command
+            return command
+        return None
+
+
+@click.group("cgtorch", cls=AllCommands, invoke_without_command=True, epilog=epilog(EXAMPLES))
+@click.version_option(package_name="cgtorch")
+@completion_option
+@click.pass_context
+def command(context: click.Context) -> None:
+    """Evolve robot skills as computational graphs of actions.
+
+    `cgtorch train` without further words evolves a first skill in about a minute. Each command
+    below explains itself with --help and is also available under its own name, such as
+    cgtorch-train.
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+
+
+main = partial(run_command, command)
+
+if __name__ == "__main__":
+    main()
