@@ -4,6 +4,8 @@ They need not learn that a table that is turned, or seen from another side, is s
 what a node says of one edge holds for all.
 """
 
+from collections.abc import Mapping
+
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, named_actions
@@ -54,6 +56,7 @@ class EdgeWayNN(EdgeNN):
     """
 
     native_kind = "EDGE_WAY"
+    plain_module = "cgtorch.tabletop.plain_edge_networks"
 
     def __init__(
         self,
@@ -63,6 +66,11 @@ class EdgeWayNN(EdgeNN):
     ):
         super().__init__(percept_size, hidden)
         self.footprint = footprint
+
+    @property
+    def plain_arguments(self) -> Mapping[str, object]:
+        """See `Action.plain_arguments`."""
+        return {"footprint": self.footprint}
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
         """The first motions (n, 3) of ways to the poses that the network says."""
