@@ -10,8 +10,8 @@ Box = tuple[float, float, float, float]
 Rectangle = tuple[float, float, float, float, float]  # centre x, y (m), yaw (rad), sizes (m)
 Point = tuple[float, float]
 
-CLEARANCE, FARTHEST = 0.02, 2.5  # m that MoveBase keeps from things, and that it drives at most
-VIAS, ROOM, AWAY, WORTH_TURNING = 3, 1.05, 0.05, 0.001  # see cgtorch.tabletop.world.ways
+CLEARANCE = 0.02  # m that MoveBase keeps from things
+VIAS, LONGEST, ROOM, AWAY, WORTH_TURNING = 3, 1.9, 1.05, 0.05, 0.001  # see cgtorch.tabletop.world.ways
 TURN_STEPS = 12
 
 
@@ -143,13 +143,14 @@ def things(percept: list[float]) -> list[Rectangle]:
 
 def first_motion(seen: list[Rectangle], motion: list[float], footprint: Box) -> list[float]:
     """The first motion of the shortest way past corners, as `cgtorch.tabletop.world.ways` says."""
-    if possible(motion, seen, footprint):
-        return motion
-    best, total = motion, math.inf
-    for turn in (0.0, motion[2]):
+    best, total = motion, 0.0 if possible(motion, seen, footprint) else math.inf
+    for turn in (0.0, motion[2]) if total else ():
         length, via = shortest(seen, motion, turn, footprint)
         if length < total - WORTH_TURNING:
             best, total = [*via, turn], length
+    way = math.hypot(*best[:2])
+    if math.isfinite(total) and way > LONGEST:
+        return [best[0] * LONGEST / way, best[1] * LONGEST / way, 0.0]
     return best
 
 
@@ -202,7 +203,7 @@ def beside(seen: list[Rectangle], place: Point) -> list[Rectangle]:
 def possible(motion: list[float], seen: list[Rectangle], footprint: Box) -> bool:
     """Whether the base can drive straight and then turn without touching a thing."""
     dx, dy, turn = motion
-    if not math.hypot(dx, dy) <= FARTHEST or not math.isfinite(turn):
+    if not all(map(math.isfinite, motion)):
         return False
     x0, x1, y0, y1 = footprint
     body = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2 + CLEARANCE, (y1 - y0) / 2 + CLEARANCE

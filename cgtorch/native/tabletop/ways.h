@@ -4,6 +4,7 @@
 
 #define VIAS 3
 #define ROOM ((real)1.05)
+#define LONGEST ((real)1.9)
 #define AWAY ((real)0.05)
 #define WORTH_TURNING ((real)0.001)
 #define MOST_THINGS (1 + (MOST_PERCEPT - 7) / 4)
@@ -112,12 +113,10 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
   return best;
 }
 
-/* Puts the first motion of a way in the place of those of `rows` that are blocked. */
-APART void first_motion(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
+/* Puts the first motion of a way around what is seen in the place of those of `rows`; which have one. */
+INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
   Surroundings seen;
   vec x, y, best = vec_of(INFINITY), wanted[3] = {u[0], u[1], u[2]};
-  rows &= ~motion_possible(p, u, layout, body, rows);
-  if (!bits_of(rows)) return;
   surroundings(p, layout, body, &seen);
   for (int turns = 0; turns < 2; turns++) {
     vec by = turns ? wanted[2] : vec_of(0);
@@ -127,4 +126,17 @@ APART void first_motion(const vec *p, Layout layout, const Body *body, vwhole ro
     u[0] = select_vec(shorter, x, u[0]), u[1] = select_vec(shorter, y, u[1]);
     u[2] = select_vec(shorter, by, u[2]);
   }
+  return rows & (best < INFINITY);
+}
+
+/* The first motions of ways to where motions would lead: those themselves, or others in their place. */
+APART void first_motion(const vec *p, Layout layout, const Body *base, vwhole rows, vec *u) {
+  Body body = *base;
+  body.farthest = INFINITY;
+  vwhole found = motion_possible(p, u, layout, &body, rows), blocked = rows & ~found;
+  if (bits_of(blocked)) found |= around(p, layout, &body, blocked, u);
+  vec way = way_of(u);
+  vwhole too_long = found & (way > LONGEST);
+  for (int i = 0; i < 2; i++) u[i] = select_vec(too_long, u[i] * (LONGEST / way), u[i]);
+  u[2] = select_vec(too_long, vec_of(0), u[2]);
 }

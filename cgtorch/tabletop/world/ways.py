@@ -7,6 +7,8 @@ from cgtorch.tabletop.world.clear_way import CLEARANCE, motion_possible
 from cgtorch.tabletop.world.geometry import corners, rotate, wrap
 from cgtorch.tabletop.world.percepts import parts_of, present
 
+LONGEST = 1.9
+"""M of one motion: Γ has seen motions of up to 2 m."""
 VIAS = 3
 """Corners that a way may lead past."""
 WORTH_TURNING = 0.001
@@ -20,10 +22,11 @@ ROOM = 1.05
 def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
     """The first motion (n, 3) of the shortest way found to where motions (n, 3) would lead.
 
-    That is the motion itself where it is possible in the percept (n, D), or no way is found. Ways
+    That is the motion itself where it is clear of what percepts (n, D) show, or no way is found. Ways
     lead past corners of the table and of obstacles, far enough from each for the footprint (4,) to
     turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the heading
-    that the base has, or turned at the first corner to the one that it shall have.
+    that the base has, or turned at the first corner to the one that it shall have. Of what is
+    longer than `LONGEST` only so much is driven, without a turn.
     """
     seen = parts_of(percept).things
     corner = corners(_wider(seen, footprint)).flatten(1, 2)
@@ -37,7 +40,11 @@ def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
         via = torch.cat([at, turn[:, None]], 1)
         best = torch.where(shorter[:, None], via, best)
         total = torch.where(shorter, length, total)
-    return torch.where(straight[:, None], motion, best)
+    best = torch.where(straight[:, None], motion, best)
+    found = straight | total.isfinite()
+    way = best[:, :2].norm(dim=1)
+    part = torch.cat([best[:, :2] * (LONGEST / way)[:, None], torch.zeros_like(best[:, 2:])], 1)
+    return torch.where((found & (way > LONGEST))[:, None], part, best)
 
 
 def _shortest(
@@ -75,7 +82,7 @@ def _possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
     """(n, J) bool, whether motions (n, J, 3) are possible beside things (n, R, 5)."""
     n, j, _ = motion.shape
     each = things[:, None].expand(n, j, *things.shape[1:]).flatten(0, 1)
-    return motion_possible(motion.reshape(-1, 3), each, footprint).view(n, j)
+    return motion_possible(motion.reshape(-1, 3), each, footprint, torch.inf).view(n, j)
 
 
 def _possible_from(place: Tensor, motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
