@@ -4,8 +4,6 @@ They need not learn that a table that is turned, or seen from another side, is s
 what a node says of one edge holds for all.
 """
 
-from collections.abc import Mapping
-
 from torch import Tensor
 
 from cgtorch.actions import ActionSet, named_actions
@@ -66,11 +64,7 @@ class EdgeWayNN(EdgeNN):
     ):
         super().__init__(percept_size, hidden)
         self.footprint = footprint
-
-    @property
-    def plain_arguments(self) -> Mapping[str, object]:
-        """See `Action.plain_arguments`."""
-        return {"footprint": self.footprint}
+        self.plain_arguments = {"footprint": footprint}
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
         """The first motions (n, 3) of ways to the poses that the network says."""
