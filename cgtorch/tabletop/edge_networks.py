@@ -92,8 +92,6 @@ def edge_actions(percept_size: int = 9) -> ActionSet:
     return named_actions(EdgeNN(percept_size), EdgeBranchingNN(percept_size))
 
 
-def edge_way_actions(
-    percept_size: int, footprint: tuple[float, float, float, float]
-) -> ActionSet:
+def edge_way_actions(percept_size: int, footprint: tuple[float, float, float, float]) -> ActionSet:
     """The same where there may be obstacles: networks that drive around what is seen."""
     return named_actions(EdgeWayNN(percept_size, footprint), EdgeBranchingNN(percept_size))

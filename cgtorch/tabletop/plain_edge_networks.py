@@ -11,7 +11,13 @@ Rectangle = tuple[float, float, float, float, float]  # centre x, y (m), yaw (ra
 Point = tuple[float, float]
 
 CLEARANCE = 0.02  # m that MoveBase keeps from things
-VIAS, LONGEST, ROOM, AWAY, WORTH_TURNING = 3, 1.9, 1.05, 0.05, 0.001  # see cgtorch.tabletop.world.ways
+VIAS, LONGEST, ROOM, AWAY, WORTH_TURNING = (
+    3,
+    1.9,
+    1.05,
+    0.05,
+    0.001,
+)  # see cgtorch.tabletop.world.ways
 TURN_STEPS = 12
 
 
@@ -46,7 +52,7 @@ class EdgeNN(ContinuousNN):
 
 
 class EdgeWayNN(EdgeNN):
-    """An `EdgeNN` that sends the first motion of a way to its pose that is clear of what is seen."""
+    """An `EdgeNN` that sends the first motion of a way to its pose around what is seen."""
 
     def __init__(self, parameters: Sequence[float], footprint: Box, **sizes: int):
         super().__init__(parameters, **sizes)

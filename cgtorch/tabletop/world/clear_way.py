@@ -21,8 +21,8 @@ def motion_possible(
     """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
 
     False where the swept footprint (4,) would come within `CLEARANCE` of one of them, for ways of
-    more than `farthest` m, and for motions that are not finite. Things are a table (n, 5), or the table
-    and obstacles (n, R, 5); one of size 0 is none.
+    more than `farthest` m, and for motions that are not finite. Things are a table (n, 5), or the
+    table and obstacles (n, R, 5); one of size 0 is none.
     """
     if things.dim() == 2:
         things = things[:, None]

@@ -56,9 +56,8 @@ def test_it_leads_around_the_table_and_past_a_box(obstacle: list[float]) -> None
         drove.append(bool(moved))
     assert all(drove)
     assert motion_to(lanes.state[:, :3], goal)[:, :2].norm() < 1e-3
-    straight, moved = place.step(start_lanes(place, torch.arange(1), 3, 0),
-                                 motion_to(scene.pose, goal))  # fmt: skip
-    assert not moved.any()
+    start = start_lanes(place, torch.arange(1), 3, 0)
+    assert not place.step(start, motion_to(scene.pose, goal))[1].any()
 
 
 def test_who_is_shut_in_stays() -> None:
