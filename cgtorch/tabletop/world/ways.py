@@ -23,10 +23,10 @@ def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
     """The first motion (n, 3) of the shortest way found to where motions (n, 3) would lead.
 
     That is the motion itself where it is clear of what percepts (n, D) show, or no way is found.
-    Ways lead past corners of the table and of obstacles, far enough from each for the footprint (4,) to
-    turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the heading
-    that the base has, or turned at the first corner to the one that it shall have. Of what is
-    longer than `LONGEST` only so much is driven, without a turn.
+    Ways lead past corners of the table and of obstacles, far enough from each for the footprint
+    (4,) to turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the
+    heading that the base has, or turned at the first corner to the one that it shall have. Of what
+    is longer than `LONGEST` only so much is driven, without a turn.
     """
     seen = parts_of(percept).things
     corner = corners(_wider(seen, footprint)).flatten(1, 2)
