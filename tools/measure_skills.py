@@ -33,7 +33,7 @@ KINDS: dict[str, tuple[list[str], list[str]]] = {
     ),
     "general": (["--stage", "auto", "--scenarios", "general"], ["general"]),
     "clutter": (
-        ["--stage", "auto", "--scenarios", "general-clutter", "--target", "0.96"],
+        ["--stage", "auto", "--scenarios", "general-clutter"],
         ["general-clutter"],
     ),
 }

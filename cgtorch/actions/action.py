@@ -32,6 +32,7 @@ class Action(nn.Module, ABC):
             just this class; "" if there is none.
         plain_module: name of the module that has the same class in plain Python, for exported
             state machines; "" if there is none.
+        plain_arguments: what that class is made with besides its parameters and sizes.
         first_step: by how much a search that tunes parameters changes those of its nodes at first
             (`cgtorch.evolution.lineages`); those of new nodes have a deviation of 1.
         deterministic: whether equal lanes and parameters always give equal results; one that draws
@@ -46,6 +47,7 @@ class Action(nn.Module, ABC):
     memory_part: str = ""
     native_kind: ClassVar[str] = ""
     plain_module: ClassVar[str] = ""
+    plain_arguments: Mapping[str, object] = {}
     first_step: float = 1.0
     deterministic: bool = True
 

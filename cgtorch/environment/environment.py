@@ -101,7 +101,8 @@ def rows_where(mask: Tensor) -> Tensor:
     To count them there would make the host wait for it in the middle of a step. What is found out
     about such rows counts only where the mask is true.
     """
-    return mask.nonzero()[:, 0] if mask.is_cpu else torch.arange(len(mask), device=mask.device)
+    few = mask.is_cpu and not torch.compiler.is_compiling()  # an exported graph knows no counts
+    return mask.nonzero()[:, 0] if few else torch.arange(len(mask), device=mask.device)
 
 
 @runtime_checkable

@@ -119,6 +119,7 @@ def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str
     if _plain(action):
         sizes = f"inputs={action.inputs}, hidden={action.hidden}, outputs={action.outputs}"
         sizes += f", memory={places[id(action)]}" if action.memory_size else ""
+        sizes += "".join(f", {key}={value!r}" for key, value in action.plain_arguments.items())
         return f"{name}({values or '[]'}, {sizes})"
     return f'use["{name}"]({values})'
 

@@ -68,8 +68,11 @@ def constants(group: str, dtype: torch.dtype = torch.float32) -> Mapping[str, in
 
 
 def suits(*tensors: Tensor) -> bool:
-    """Whether C may be asked about tensors (...): on the CPU, of one type, without gradient."""
-    return tensors[0].is_cpu and alike(*tensors)
+    """Whether C may be asked about tensors (...): on the CPU, of one type, without gradient.
+
+    Where a graph is exported there is nothing in them.
+    """
+    return tensors[0].is_cpu and alike(*tensors) and not torch.compiler.is_compiling()
 
 
 def alike(*tensors: Tensor) -> bool:

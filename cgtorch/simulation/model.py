@@ -42,6 +42,9 @@ Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
 """From models to what compiled rollouts know, or None where these have no such models."""
 
 UNKNOWN = -1.0
+MOST_NOVEL = 0.75
+"""What is more novel is far from all data, whatever the domain: Γ's novelty is 0 at the data and
+tends to 1 away from them (`cgtorch.domains.transition`)."""
 
 
 def anything(percept: Tensor, control: Tensor) -> Tensor:
@@ -66,7 +69,7 @@ class ModelEnvironment:
         possible: Possible = anything,
         control_size: int = 3,
         errors: Tensor | None = None,
-        most_novel: float = 1.0,
+        most_novel: float = MOST_NOVEL,
         seeds: Tensor | None = None,
         compiled: Compile | None = None,
         chance: Tensor | None = None,
@@ -81,7 +84,8 @@ class ModelEnvironment:
             control_size: U.
             errors: (B, T, D) what to add to Γ's prediction at each motion of each scenario, so
                 that a skill is judged under what Γ may have got wrong; used in turn.
-            most_novel: where a motion is more novel, the lane is lost.
+            most_novel: where a motion is more novel, the lane is lost; with 1 Γ may promise
+                anything, however far from its data.
             seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
             compiled: gives these models to compiled rollouts, if there is code for them.
             chance: (B,) what C says of the first percepts, which is asked for if not given. From

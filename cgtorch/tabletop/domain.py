@@ -25,7 +25,7 @@ from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
-from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
@@ -143,6 +143,10 @@ class Tabletop(Domain[Scenarios]):
 
     def actions(self) -> ActionSet:
         """See `Domain.actions`."""
+        if self.networks == "edge" and self.obstacles:
+            x0, x1, y0, y1 = self.robot.description.footprint
+            kept = x0 - MARGIN, x1 + MARGIN, y0 - MARGIN, y1 + MARGIN
+            return edge_way_actions(len(self.percept), kept)
         return ACTIONS[self.networks](len(self.percept))
 
     # Models

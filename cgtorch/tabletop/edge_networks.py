@@ -17,6 +17,7 @@ from cgtorch.tabletop.world.edge_frame import (
     scene_size,
     table_scene,
 )
+from cgtorch.tabletop.world.ways import first_motion
 
 
 class EdgeNN(ContinuousNN):
@@ -44,6 +45,33 @@ class EdgeNN(ContinuousNN):
         return motion_to(frame, one_hidden_layer(seen, parameters, self.hidden, self.outputs))
 
 
+class EdgeWayNN(EdgeNN):
+    """An `EdgeNN` that looks at obstacles: it sends the first motion of a way to its pose.
+
+    Where the straight way is blocked by what is seen, that leads past a corner; asked again from
+    there, it sends the next one (`cgtorch.tabletop.world.ways`). The footprint (m) is x min, x max,
+    y min, y max of the base with the room that it keeps.
+    """
+
+    native_kind = "EDGE_WAY"
+    plain_module = "cgtorch.tabletop.plain_edge_networks"
+
+    def __init__(
+        self,
+        percept_size: int,
+        footprint: tuple[float, float, float, float],
+        hidden: int = 3,
+    ):
+        super().__init__(percept_size, hidden)
+        self.footprint = footprint
+        self.plain_arguments = {"footprint": footprint}
+
+    def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
+        """The first motions (n, 3) of ways to the poses that the network says."""
+        motion = super().network(lanes, parameters)
+        return first_motion(lanes.percept, motion, lanes.percept.new_tensor(self.footprint))
+
+
 class EdgeBranchingNN(BranchingNN):
     """From the scene in the edge's frame to one of two branches."""
 
@@ -62,3 +90,8 @@ class EdgeBranchingNN(BranchingNN):
 def edge_actions(percept_size: int = 9) -> ActionSet:
     """The actions of section VI with networks that see and act from the nearest edge."""
     return named_actions(EdgeNN(percept_size), EdgeBranchingNN(percept_size))
+
+
+def edge_way_actions(percept_size: int, footprint: tuple[float, float, float, float]) -> ActionSet:
+    """The same where there may be obstacles: networks that drive around what is seen."""
+    return named_actions(EdgeWayNN(percept_size, footprint), EdgeBranchingNN(percept_size))

@@ -1,9 +1,24 @@
 """The networks of `cgtorch.tabletop.edge_networks`, one percept at a time, in plain Python."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from cgtorch.export.plain.networks import BranchingNN, ContinuousNN
+
+Box = tuple[float, float, float, float]
+Rectangle = tuple[float, float, float, float, float]  # centre x, y (m), yaw (rad), sizes (m)
+Point = tuple[float, float]
+
+CLEARANCE = 0.02  # m that MoveBase keeps from things
+VIAS, LONGEST, ROOM, AWAY, WORTH_TURNING = (
+    3,
+    1.9,
+    1.05,
+    0.05,
+    0.001,
+)  # see cgtorch.tabletop.world.ways
+TURN_STEPS = 12
 
 
 class Frame(NamedTuple):
@@ -34,6 +49,18 @@ class EdgeNN(ContinuousNN):
         dx, dy = turned((x, y * frame.mirror), frame.yaw)
         turn = wrapped(frame.yaw + heading * frame.mirror)
         return [frame.origin[0] + dx, frame.origin[1] + dy, turn]
+
+
+class EdgeWayNN(EdgeNN):
+    """An `EdgeNN` that sends the first motion of a way to its pose around what is seen."""
+
+    def __init__(self, parameters: Sequence[float], footprint: Box, **sizes: int):
+        super().__init__(parameters, **sizes)
+        self.footprint = footprint
+
+    def motion(self, percept: list[float]) -> list[float]:
+        """The first motion dx, dy (m), dθ (rad) of a way to the pose."""
+        return first_motion(things(percept), super().motion(percept), self.footprint)
 
 
 class EdgeBranchingNN(BranchingNN):
@@ -109,3 +136,108 @@ def turned(point: tuple[float, float], angle: float) -> tuple[float, float]:
 def wrapped(angle: float) -> float:
     """The same angle within [-π, π)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def things(percept: list[float]) -> list[Rectangle]:
+    """The table, and boxes around the obstacles that are there."""
+    found = [table(percept)]
+    for i in range(9 if (len(percept) - 7) % 4 else 7, len(percept), 4):
+        x0, x1, y0, y1 = percept[i : i + 4]
+        found.append(((x0 + x1) / 2, (y0 + y1) / 2, 0.0, x1 - x0, y1 - y0))
+    return [thing for thing in found if min(thing[3:]) > 0]
+
+
+def first_motion(seen: list[Rectangle], motion: list[float], footprint: Box) -> list[float]:
+    """The first motion of the shortest way past corners, as `cgtorch.tabletop.world.ways` says."""
+    best, total = motion, 0.0 if possible(motion, seen, footprint) else math.inf
+    for turn in (0.0, motion[2]) if total else ():
+        length, via = shortest(seen, motion, turn, footprint)
+        if length < total - WORTH_TURNING:
+            best, total = [*via, turn], length
+    way = math.hypot(*best[:2])
+    if math.isfinite(total) and way > LONGEST:
+        return [best[0] * LONGEST / way, best[1] * LONGEST / way, 0.0]
+    return best
+
+
+def shortest(
+    seen: list[Rectangle], motion: list[float], turn: float, footprint: Box
+) -> tuple[float, Point]:
+    """The length of the shortest way past corners, infinite if there is none, and the first one."""
+    corner = [point for thing in seen for point in corners(thing, footprint)]
+    away = [turned(point, -turn) for point in corner]
+    after = [(*turned(thing[:2], -turn), thing[2] - turn, *thing[3:]) for thing in seen]
+    goal, left = turned((motion[0], motion[1]), -turn), wrapped(motion[2] - turn)
+    length, first = [], list(corner)
+    for point in corner:
+        far = math.hypot(*point)
+        begins = far > AWAY and possible([*point, turn], seen, footprint)
+        length.append(far if begins else math.inf)
+    for _ in range(VIAS - 1):
+        before, leads = list(length), list(first)
+        for i, one in enumerate(away):
+            for j, other in enumerate(away):
+                step = [other[0] - one[0], other[1] - one[1], 0.0]
+                further = before[i] + math.hypot(*step[:2])
+                if further < length[j] and possible(step, beside(after, one), footprint):
+                    length[j], first[j] = further, leads[i]
+    best, via = math.inf, (0.0, 0.0)
+    for j, one in enumerate(away):
+        last = [goal[0] - one[0], goal[1] - one[1], left]
+        whole = length[j] + math.hypot(*last[:2])
+        if whole < best and possible(last, beside(after, one), footprint):
+            best, via = whole, first[j]
+    return best, via
+
+
+def corners(thing: Rectangle, footprint: Box) -> list[Point]:
+    """Of a thing that is wider by what the base needs to turn there."""
+    x, y, yaw, *sizes = thing
+    reach = ROOM * math.hypot(
+        max(map(abs, footprint[:2])) + CLEARANCE, max(map(abs, footprint[2:])) + CLEARANCE
+    )
+    half = [size / 2 + reach for size in sizes]
+    offsets = [(sx * half[0], sy * half[1]) for sx, sy in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    return [(x + dx, y + dy) for dx, dy in (turned(offset, yaw) for offset in offsets)]
+
+
+def beside(seen: list[Rectangle], place: Point) -> list[Rectangle]:
+    """Things as seen from a place."""
+    return [(x - place[0], y - place[1], *rest) for x, y, *rest in seen]  # type: ignore[misc]
+
+
+def possible(motion: list[float], seen: list[Rectangle], footprint: Box) -> bool:
+    """Whether the base can drive straight and then turn without touching a thing."""
+    dx, dy, turn = motion
+    if not all(map(math.isfinite, motion)):
+        return False
+    x0, x1, y0, y1 = footprint
+    body = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2 + CLEARANCE, (y1 - y0) / 2 + CLEARANCE
+    for x, y, yaw, *size in seen:
+        there: Rectangle = (x - dx, y - dy, yaw, size[0], size[1])
+        if meets((x, y, yaw, size[0], size[1]), body, dx, dy):
+            return False
+        for i in range(1, TURN_STEPS + 1) if turn else ():
+            angle = wrapped(turn) * i / TURN_STEPS
+            place = turned(there[:2], -angle)
+            if meets((*place, yaw - angle, size[0], size[1]), body, 0.0, 0.0):
+                return False
+    return True
+
+
+def meets(thing: Rectangle, body: Box, dx: float, dy: float) -> bool:
+    """Whether the hull of a body, centre and half sides, before and after a drive meets a thing."""
+    (bx, by, hx, hy), yaw, w, h = body, thing[2], thing[3] / 2, thing[4] / 2
+    x, y, c, s = thing[0] - bx, thing[1] - by, math.cos(yaw), math.sin(yaw)
+    along, across = dx * c + dy * s, dy * c - dx * s
+    ac, as_ = abs(c), abs(s)
+    checks = (
+        (x, dx, hx + ac * w + as_ * h),
+        (y, dy, hy + as_ * w + ac * h),
+        (x * c + y * s, along, w + ac * hx + as_ * hy),
+        (y * c - x * s, across, h + as_ * hx + ac * hy),
+    )
+    if any(p - max(way, 0) > reach or p - min(way, 0) < -reach for p, way, reach in checks):
+        return False
+    reach = abs(dy) * hx + abs(dx) * hy + abs(across) * w + abs(along) * h
+    return abs(y * dx - x * dy) <= reach

@@ -30,9 +30,11 @@ from cgtorch.export.plain import networks
 from cgtorch.graphs import Skill, SubSkill
 from cgtorch.simulation import rollout
 from cgtorch.tabletop import plain_edge_networks as edge_networks
-from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
+from cgtorch.tabletop.kinematics import load_robot
 from cgtorch.tabletop.world import draw_of
 from cgtorch.tabletop.world.edge_frame import edge_frame, motion_to, scene
+from cgtorch.tabletop.world.ways import first_motion
 
 
 def test_a_hundred_runs_in_the_world(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -211,6 +213,36 @@ def test_the_edge_s_frame_in_plain_numbers(seed: int, scenes: str, percept: str)
         assert motion[:2] == pytest.approx(motions[row, :2].tolist(), abs=1e-6)
         turn = (motion[2] - motions[row, 2].item() + 1) % (2 * torch.pi) - 1
         assert turn == pytest.approx(0, abs=1e-6)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**31 - 1), st.sampled_from(["box", "yaw"]))
+def test_ways_in_plain_numbers(seed: int, percept: str) -> None:
+    from cgtorch.tabletop.world import TabletopWorld
+
+    drawn = draw_of("general-clutter")(6, torch.Generator().manual_seed(seed))
+    footprint = (-0.36, 0.36, -0.35, 0.37)
+    place = TabletopWorld(drawn, lambda at, table: at[:, 0] > 0, footprint, percept=percept)
+    seen = place.start(torch.arange(6))[1].double()
+    motion = 1.5 * torch.randn(6, 3, generator=torch.Generator().manual_seed(seed)).double()
+    wanted = first_motion(seen, motion, torch.tensor(footprint).double())
+    for row, p in enumerate(seen.tolist()):
+        found = edge_networks.first_motion(
+            edge_networks.things(p), motion[row].tolist(), tuple(torch.tensor(footprint).tolist())
+        )
+        assert found == pytest.approx(wanted[row].tolist(), abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", ["pr2", "fetch"])
+def test_a_network_that_drives_around_is_in_the_file(tmp_path: Path, robot: str) -> None:
+    """With the footprint, which differs from robot to robot; it says what the library's says."""
+    footprint = load_robot(description=robot).description.footprint
+    actions = edge_way_actions(13, footprint)
+    skill = random_skill(4, "S", actions)
+    machine = imported(to_state_machine(skill), tmp_path).build()
+    kinds = {type(s).__name__: s for s in machine.states.values() if hasattr(s, "inputs")}
+    assert kinds["EdgeWayNN"].footprint == footprint
+    assert kinds["EdgeWayNN"].inputs == 9
 
 
 def test_edge_actions_are_the_networks_in_the_file(tmp_path: Path) -> None:

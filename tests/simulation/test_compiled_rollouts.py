@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_models import models_as, random_models
 from support import (
+    FOOTPRINT,
     as_double,
     as_double_actions,
     custom_actions,
@@ -28,7 +29,7 @@ from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
-from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -40,8 +41,8 @@ def sets_for(size: int) -> list[ActionSet]:
     both = ActionSet(
         (*paper.names, "EdgeNN", "EdgeBranchingNN"), (*paper.actions, *edge.actions[3:])
     )
-    inner = nested_actions(3, both)
-    return [as_double_actions(s) for s in (paper, edge, both, inner)]
+    inner, way = nested_actions(3, both), edge_way_actions(size, FOOTPRINT)
+    return [as_double_actions(s) for s in (paper, edge, both, inner, way)]
 
 
 def graphs_of(seed: int, actions: ActionSet, count: int = 12) -> Graphs:
@@ -88,7 +89,7 @@ def equal(first: Rollouts, second: Rollouts) -> bool:
 @given(
     seed=st.integers(0, 2**31),
     scene=st.sampled_from(SCENES),
-    which=st.integers(0, 3),
+    which=st.integers(0, 4),
     limit=st.integers(1, 20),
     steps=st.integers(1, 60),
     errors=st.booleans(),
@@ -161,7 +162,7 @@ def test_what_cannot_be_counted_runs_in_torch() -> None:
 
 @given(
     seed=st.integers(0, 2**31),
-    which=st.integers(0, 3),
+    which=st.integers(0, 4),
     nodes=st.integers(0, 3),
     outcomes=st.integers(0, 2),
     count=st.integers(0, 12),
@@ -230,7 +231,7 @@ def test_no_number_of_threads_changes_anything() -> None:
 @given(
     seed=st.integers(0, 2**31),
     scene=st.sampled_from(SCENES),
-    which=st.integers(0, 3),
+    which=st.integers(0, 4),
     single=st.booleans(),
     count=st.integers(1, 37),
 )

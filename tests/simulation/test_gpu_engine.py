@@ -9,6 +9,7 @@ from emulated_gpu import EmulatedGpu, launchers
 from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from random_models import models_as, random_models
 from support import (
+    FOOTPRINT,
     as_double,
     as_double_actions,
     custom_actions,
@@ -25,7 +26,7 @@ from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
-from cgtorch.tabletop.edge_networks import edge_actions
+from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.world import ClearWay
 
 pytestmark = pytest.mark.skipif(
@@ -33,7 +34,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 SCENES = [("box", 0), ("box", 1), ("yaw", 0), ("yaw", 3)]
-SETS = ["paper", "edge", "both", "nested"]
+SETS = ["paper", "edge", "both", "nested", "way"]
 
 
 def actions_of(which: str, size: int) -> ActionSet:
@@ -41,8 +42,8 @@ def actions_of(which: str, size: int) -> ActionSet:
     both = ActionSet(
         (*paper.names, "EdgeNN", "EdgeBranchingNN"), (*paper.actions, *edge.actions[3:])
     )
-    sets = {"paper": paper, "edge": edge, "both": both, "nested": nested_actions(3, both)}
-    return sets[which]
+    way, nested = edge_way_actions(size, FOOTPRINT), nested_actions(3, both)
+    return {"paper": paper, "edge": edge, "both": both, "nested": nested, "way": way}[which]
 
 
 def moved(environment: ModelEnvironment, device: torch.device) -> ModelEnvironment:

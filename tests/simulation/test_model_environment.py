@@ -69,3 +69,20 @@ def test_a_lane_is_lost_or_not_whatever_runs_beside_it() -> None:
         assert torch.equal(alone.succeeded[0, 0], whole.succeeded[7, i])
     lanes = start_lanes(place, torch.arange(5), 0, 0)
     assert not place.lost(replace(lanes, state=lanes.state + torch.tensor([3.0, 0.0, 0.0]))).any()
+
+
+def test_what_is_far_from_all_data_is_lost_unless_one_says_otherwise() -> None:
+    """By default, whatever the domain: Γ's novelty tends to 1 away from its data."""
+    percepts = torch.zeros(4, 2)
+
+    def gamma(percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        return percept + control, control[:, 0]
+
+    def lost(**settings: float) -> list[bool]:
+        place = ModelEnvironment(percepts, gamma, lambda p: p[:, 0], control_size=2, **settings)
+        control = torch.tensor([[0.0, 0], [0.7, 0], [0.8, 0], [0.999, 0]])
+        lanes, _ = place.step(start_lanes(place, torch.arange(4), 2, 0), control)
+        return [bool(x) for x in place.lost(lanes)]
+
+    assert lost() == [False, False, True, True]
+    assert lost(most_novel=1.0) == [False] * 4

@@ -1,12 +1,20 @@
 import pytest
 import torch
-from support import seeded
+from support import FOOTPRINT, seeded
 
 from cgtorch.actions import BranchingNN, ContinuousNN
 from cgtorch.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.edge_networks import EdgeBranchingNN, EdgeNN, edge_actions
+from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.edge_networks import (
+    EdgeBranchingNN,
+    EdgeNN,
+    EdgeWayNN,
+    edge_actions,
+    edge_way_actions,
+)
 from cgtorch.tabletop.world.edge_frame import SCENE, edge_frame, motion_to, scene
+from cgtorch.tabletop.world.ways import first_motion
 
 
 def environment(size: int) -> ModelEnvironment:
@@ -42,3 +50,25 @@ def test_the_set_differs_in_its_networks_only() -> None:
     actions = edge_actions(13)
     assert actions.names == ("MoveBase", "Detect", "Grasp", "EdgeNN", "EdgeBranchingNN")
     assert [getattr(a, "percept_size", None) for a in actions.actions] == [None] * 3 + [13] * 2
+
+
+@pytest.mark.parametrize("size", [9, 13])
+def test_one_that_drives_around_sends_the_first_motion_of_a_way(size: int) -> None:
+    here = environment(size)
+    lanes = start_lanes(here, torch.arange(6), 3, 0)
+    straight, around = EdgeNN(size), EdgeWayNN(size, FOOTPRINT)
+    parameters = straight.initial_parameters(6, seeded(2))
+    asked = straight(lanes, parameters, here)[0].message
+    sent = around(lanes, parameters, here)[0].message
+    assert torch.equal(sent, first_motion(here.percepts, asked, torch.tensor(FOOTPRINT)))
+    assert around.num_parameters == straight.num_parameters
+
+
+def test_where_there_are_obstacles_networks_drive_around() -> None:
+    """With the room that the models keep, whatever the robot."""
+    wide = Tabletop(obstacles=1, tabletop="yaw")
+    assert wide.actions().names == edge_way_actions(13, FOOTPRINT).names
+    x0, x1, y0, y1 = wide.actions().actions[3].footprint  # type: ignore[union-attr]
+    kept = wide._clear_way("cpu").footprint
+    assert (x0, x1, y0, y1) == pytest.approx(kept.tolist())
+    assert Tabletop().actions().names == edge_actions().names

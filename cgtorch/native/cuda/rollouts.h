@@ -92,7 +92,8 @@ INLINE Done one_action(const Task *task, Layout layout, const Run *run, Lanes *l
     kind = (int)action->kind;
     if (kind >= CONTINUOUS) {
       vec out[MOST_MESSAGE];
-      answer(action, parameters_of_node(program, run->graph, lanes->node[0]), layout, lanes->percept, out);
+      answer(action, parameters_of_node(program, run->graph, lanes->node[0]), m->models, layout,
+             lanes->percept, every(-1), out);
       done = spoken(action, out, lanes, every(-1));
     }
   }

@@ -85,17 +85,19 @@ INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {
   return MAKE(Done){every(0), here & other};
 }
 
-/* What networks say of percepts, with weights of all lanes or, in columns, of each. */
-INLINE void answer_with(const Action *a, const real *weights, const vec *columns, Layout layout,
-                        const vec *percept, vec *out) {
+/* What networks say of percepts of lanes that are `here`, with weights of all or, in columns, of
+   each. */
+INLINE void answer_with(const Action *a, const real *weights, const vec *columns, const void *models,
+                        Layout layout, const vec *percept, vwhole here, vec *out) {
   vec seen[MOST_SEEN];
   View view;
   const vec *x = looked_at(a->kind, layout, percept, seen, &view);
   network(x, weights, columns, INPUTS_OF(a), HIDDEN_OF(a), (int)a->outputs, out);
-  said(a->kind, &view, out);
+  said(models, a->kind, layout, percept, &view, here, out);
 }
-APART void answer(const Action *a, const real *weights, Layout layout, const vec *percept, vec *out) {
-  answer_with(a, weights, NULL, layout, percept, out);
+APART void answer(const Action *a, const real *weights, const void *models, Layout layout,
+                  const vec *percept, vwhole here, vec *out) {
+  answer_with(a, weights, NULL, models, layout, percept, here, out);
 }
 INLINE Done spoken(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
   if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};

@@ -10,7 +10,7 @@
      next_percept(models, layout, percept, control, bits, after, novelty)   Γ
      chance_of(models, layout, percept, bits)   C
      looked_at(kind, layout, percept, seen, view)   the columns that a network of a kind reads
-     said(kind, view, out)   turns what the network says into a message, in place
+     said(models, kind, layout, percept, view, rows, out)   turns what the network says into a message
 
    All of them take a vector of lanes at once. `bits` or `rows` are those that count; what comes out of
    others is never looked at. */

@@ -24,7 +24,7 @@ INLINE const real *weights_of(const Waiting *w, int64_t node) {
   return node < own ? p->parameters + node * p->each : p->learned + (node - own) * p->width;
 }
 
-INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_BRANCHING; }
+INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_WAY || kind == EDGE_BRANCHING; }
 
 /* `count` weights: of the node that all lanes are at or, in columns, of each its own, and then NULL. */
 INLINE const real *weights_for(const Waiting *w, Together *t, int count, vec *columns) {
@@ -57,8 +57,9 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
   rows_of(t, w->percept, w->percept_size);
   into_columns_of(t->rows, (int)(reads_all(a->kind) ? w->percept_size : a->inputs), percept);
   const real *weights = weights_for(w, t, count, columns);
-  if (weights) answer(a, weights, layout, percept, out);
-  else answer_with(a, NULL, columns, layout, percept, out);
+  const void *models = w->environment ? w->environment->models : NULL;
+  if (weights) answer(a, weights, models, layout, percept, t->here, out);
+  else answer_with(a, NULL, columns, models, layout, percept, t->here, out);
   if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
   vwhole changed = every(0);
   for (int i = 0; i < t->count; i++) changed[i] = -tell(w, t->lane[i], out, i, a->outputs);

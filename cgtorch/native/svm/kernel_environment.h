@@ -108,4 +108,7 @@ INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec
   *view = layout;
   return percept;
 }
-INLINE void said(int64_t kind, const View *view, vec *out) { (void)kind, (void)view, (void)out; }
+INLINE void said(const void *models, int64_t kind, Layout layout, const vec *percept, const View *view,
+                 vwhole rows, vec *out) {
+  (void)models, (void)kind, (void)layout, (void)percept, (void)view, (void)rows, (void)out;
+}

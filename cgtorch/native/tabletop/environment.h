@@ -4,6 +4,7 @@
 #include "engine/kinds.h"
 #include "engine/models.h"
 #include "models.h"
+#include "ways.h"
 
 typedef struct {
   Gamma gamma;
@@ -28,14 +29,16 @@ INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint
 
 /* Percepts as they are, or from the edge nearest to the object. */
 INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *edge) {
-  if (kind != EDGE && kind != EDGE_BRANCHING) return percept;
+  if (kind != EDGE && kind != EDGE_WAY && kind != EDGE_BRANCHING) return percept;
   *edge = edge_frame(percept, layout);
   table_scene(edge, percept, seen);
   if (kind == EDGE_BRANCHING) obstacle_scene(edge, percept, layout, seen + SCENE);
   return seen;
 }
-INLINE void said(int64_t kind, const View *edge, vec *out) {
-  if (kind != EDGE) return;
+INLINE void said(const void *models, int64_t kind, Layout layout, const vec *percept, const View *edge,
+                 vwhole rows, vec *out) {
+  if (kind != EDGE && kind != EDGE_WAY) return;
   vec pose[3] = {out[0], out[1], out[2]};
   motion_to(edge, pose, out);
+  if (kind == EDGE_WAY) first_motion(percept, layout, &((const Models *)models)->body, rows, out);
 }

@@ -21,4 +21,6 @@ def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
     models = structure("TabletopModels", percepts.dtype)(
         gamma=first, classifier=second, body=body_structure(footprint)
     )
-    return CompiledModels("tabletop", percepts.dtype, models, ("EDGE", "EDGE_BRANCHING"))
+    return CompiledModels(
+        "tabletop", percepts.dtype, models, ("EDGE", "EDGE_WAY", "EDGE_BRANCHING")
+    )

@@ -1,4 +1,4 @@
-"""Whether scenarios can be solved at all: a free pose of the base from which a grasp succeeds."""
+"""Poses of the base that solve scenarios: free ones from which a grasp succeeds."""
 
 import math
 from collections.abc import Callable
@@ -38,24 +38,33 @@ def pose_that_grasps(
     Returns:
         (B,) bool, whether a pose was found, and such poses (B, 3); elsewhere the start.
     """
-    footprint = world_of(scenarios[:0]).footprint
     found = torch.zeros(len(scenarios), dtype=torch.bool)
     pose = scenarios.pose.clone()
     for _ in range(rounds):
         still = (~found).nonzero()[:, 0]
         if not len(still):
             break
-        row = still.repeat_interleave(TRIES)
-        tried = _poses(scenarios[row], generator)
-        there = replace(scenarios[row], pose=tried)
-        good = standing_free(there, footprint)
-        good[good.clone()] = _grasps(world_of(there[good]))
-        good = good.view(-1, TRIES)
-        which = good.long().argmax(1) + TRIES * torch.arange(len(still))
+        good, tried = poses_that_grasp(world_of, scenarios[still], generator)
+        which = good.long().argmax(1)
         solved = good.any(1)
         found[still[solved]] = True
-        pose[still[solved]] = tried[which[solved]]
+        pose[still[solved]] = tried[torch.arange(len(still)), which][solved]
     return found, pose
+
+
+def poses_that_grasp(
+    world_of: Callable[[Scenarios], TabletopWorld],
+    scenarios: Scenarios,
+    generator: Generator,
+) -> tuple[Tensor, Tensor]:
+    """One round of `pose_that_grasps`: (B, 16) bool, and the poses (B, 16, 3) that were drawn."""
+    footprint = world_of(scenarios[:0]).footprint
+    row = torch.arange(len(scenarios)).repeat_interleave(TRIES)
+    tried = _poses(scenarios[row], generator)
+    there = replace(scenarios[row], pose=tried)
+    good = standing_free(there, footprint)
+    good[good.clone()] = _grasps(world_of(there[good]))
+    return good.view(-1, TRIES), tried.view(-1, TRIES, 3)
 
 
 def standing_free(scenarios: Scenarios, footprint: Tensor) -> Tensor:

@@ -1,13 +1,21 @@
 """Scenarios that can be solved, by the robots' own arms."""
 
+import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 from shapely import Polygon
-from solvable import pose_that_grasps, standing_free
 from support import FOOTPRINT, seeded
 from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+import solvable_scenes
+from click.testing import CliRunner
+from solvability.poses import pose_that_grasps, standing_free
+from solvability.ways import fewest_moves
 
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, random_scenarios
@@ -56,3 +64,41 @@ def test_what_nobody_can_grasp_is_not_solvable() -> None:
 @pytest.mark.parametrize("kind", ["perimeter", "general", "general-clutter"])
 def test_robots_start_free(kind: str) -> None:
     assert standing_free(draw_of(kind)(500, seeded(2)), torch.tensor(FOOTPRINT)).all()
+
+
+def scene(obstacles: list[list[float]]) -> Scenarios:
+    """One table, the robot 1.4 m before its middle, an object on the far side."""
+    return Scenarios(
+        torch.tensor([[-1.4, 0, 0]]),
+        torch.tensor([[0, 0, 0, 0.8, 1.2, 0.74]]),
+        torch.tensor([[0.3, 0.0]]),
+        torch.tensor([0]),
+        torch.tensor([obstacles]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("goal", "least"), [([-0.8, 0.0, 0.0], 1), ([0.9, 0.0, 3.1416], 2), ([0.0, 0.0, 0.0], 0)]
+)
+def test_ways_are_counted_in_moves(goal: list[float], least: int) -> None:
+    """Straight ahead, round the table, and into the table, which nobody can."""
+    moves = fewest_moves(
+        scene([[0, 0, 0, 0, 0]]), torch.tensor(FOOTPRINT), torch.tensor([goal]), 300, 8, seeded(0)
+    )
+    assert moves >= least
+    assert (moves == least) or least == 2
+
+
+def test_walls_shut_the_robot_in() -> None:
+    walls = [[-1.4, y, 0, 2, 0.1] for y in (-0.6, 0.6)]
+    walls += [[x, 0, 0, 0.1, 1.1] for x in (-2.1, -0.7)]
+    goal, footprint = torch.tensor([[0.9, 0.0, 3.1416]]), torch.tensor(FOOTPRINT)
+    assert fewest_moves(scene(walls), footprint, goal, 300, 8, seeded(0)) == 0
+    assert fewest_moves(scene(walls[:2]), footprint, goal, 300, 8, seeded(0)) > 0
+
+
+def test_the_command_prints_the_share() -> None:
+    ended = CliRunner().invoke(solvable_scenes.command, ["--count", "6", "--samples", "60"])
+    assert ended.exit_code == 0, ended.output
+    assert "6 of 6 scenes have a pose that grasps" in ended.output
+    assert "can be solved" in ended.output

@@ -1,0 +1,110 @@
+"""A way around what is seen: the first of several straight motions that lead to a pose."""
+
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.world.clear_way import CLEARANCE, motion_possible
+from cgtorch.tabletop.world.geometry import corners, rotate, wrap
+from cgtorch.tabletop.world.percepts import parts_of, present
+
+LONGEST = 1.9
+"""M of one motion: Γ has seen motions of up to 2 m."""
+VIAS = 3
+"""Corners that a way may lead past."""
+WORTH_TURNING = 0.001
+"""By how much (m) a way that turns at its first corner has to be shorter, else it turns last."""
+AWAY = 0.05
+"""M from the base within which a corner has been passed."""
+ROOM = 1.05
+"""How far from a thing its corners are passed, in parts of what the base needs to turn there."""
+
+
+def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
+    """The first motion (n, 3) of the shortest way found to where motions (n, 3) would lead.
+
+    That is the motion itself where it is clear of what percepts (n, D) show, or no way is found.
+    Ways lead past corners of the table and of obstacles, far enough from each for the footprint
+    (4,) to turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the
+    heading that the base has, or turned at the first corner to the one that it shall have. Of what
+    is longer than `LONGEST` only so much is driven, without a turn.
+    """
+    seen = parts_of(percept).things
+    corner = corners(_wider(seen, footprint)).flatten(1, 2)
+    there = present(seen).repeat_interleave(4, 1)
+    straight = _possible(motion[:, None], seen, footprint)[:, 0]
+    best, total = motion, torch.full_like(motion[:, 0], torch.inf)
+    for turn in (torch.zeros_like(motion[:, 2]), motion[:, 2]):
+        length, first = _shortest(seen, corner, there, motion, turn, footprint)
+        at = corner[torch.arange(len(corner), device=corner.device), first]
+        shorter = length < total - WORTH_TURNING
+        via = torch.cat([at, turn[:, None]], 1)
+        best = torch.where(shorter[:, None], via, best)
+        total = torch.where(shorter, length, total)
+    best = torch.where(straight[:, None], motion, best)
+    found = straight | total.isfinite()
+    way = best[:, :2].norm(dim=1)
+    part = torch.cat([best[:, :2] * (LONGEST / way)[:, None], torch.zeros_like(best[:, 2:])], 1)
+    return torch.where((found & (way > LONGEST))[:, None], part, best)
+
+
+def _shortest(
+    seen: Tensor, corner: Tensor, there: Tensor, motion: Tensor, turn: Tensor, footprint: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Lengths (n,) of ways past corners (n, J, 2), inf for none, and their first corners (n,).
+
+    The base turns by `turn` (n,) at the first one, and by what is left at the end.
+    """
+    n, j, _ = corner.shape
+    to_first = torch.cat([corner, turn[:, None, None].expand(n, j, 1)], 2)
+    far = corner.norm(dim=2)
+    length = _or_inf(far, there & (far > AWAY) & _possible(to_first, seen, footprint))
+    first = torch.arange(j, device=corner.device).expand(n, j)
+    # What is seen after the turn, as if from the start.
+    turned, things = rotate(corner, -turn[:, None]), _turned(seen, turn)
+    goal = rotate(motion[:, :2], -turn)
+    ways = turned[:, None] - turned[:, :, None]
+    onward = torch.cat([ways, torch.zeros_like(ways[..., :1])], 3)
+    free = there[:, None] & _possible_from(turned, onward, things, footprint)
+    step = _or_inf(ways.norm(dim=3), free)
+    for _ in range(VIAS - 1):
+        further = (length[:, :, None] + step).min(1)
+        first = torch.where(further.values < length, first.gather(1, further.indices), first)
+        length = torch.minimum(length, further.values)
+    left = goal[:, None] - turned
+    turns = wrap(motion[:, 2] - turn)[:, None, None].expand(n, j, 1)
+    last = torch.cat([left, turns], 2)[:, :, None]
+    ends = _possible_from(turned, last, things, footprint)[:, :, 0]
+    whole = (length + _or_inf(left.norm(dim=2), ends)).min(1)
+    return whole.values, first.gather(1, whole.indices[:, None])[:, 0]
+
+
+def _possible(motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
+    """(n, J) bool, whether motions (n, J, 3) are possible beside things (n, R, 5)."""
+    n, j, _ = motion.shape
+    each = things[:, None].expand(n, j, *things.shape[1:]).flatten(0, 1)
+    return motion_possible(motion.reshape(-1, 3), each, footprint, torch.inf).view(n, j)
+
+
+def _possible_from(place: Tensor, motion: Tensor, things: Tensor, footprint: Tensor) -> Tensor:
+    """(n, J, M) bool, whether motions (n, J, M, 3) from places (n, J, 2) are possible."""
+    n, j, m, _ = motion.shape
+    around = things[:, None].expand(n, j, *things.shape[1:])
+    around = torch.cat([around[..., :2] - place[:, :, None], around[..., 2:]], 3)
+    return _possible(motion.flatten(0, 1), around.flatten(0, 1), footprint).view(n, j, m)
+
+
+def _turned(things: Tensor, turn: Tensor) -> Tensor:
+    """Things (n, R, 5) as seen by a base that has turned by `turn` (n,)."""
+    turn = turn[:, None]
+    centre, yaw = rotate(things[..., :2], -turn), wrap(things[..., 2] - turn)
+    return torch.cat([centre, yaw[..., None], things[..., 3:]], -1)
+
+
+def _wider(things: Tensor, footprint: Tensor) -> Tensor:
+    """Things (n, R, 5), wider on each side by what the base needs to turn there."""
+    reach = ROOM * (footprint.view(2, 2).abs().amax(1) + CLEARANCE).norm()
+    return torch.cat([things[..., :3], things[..., 3:] + 2 * reach], -1)
+
+
+def _or_inf(length: Tensor, there: Tensor) -> Tensor:
+    return torch.where(there, length, torch.inf)

@@ -1,0 +1,1 @@
+"""Which scenes of the table can be solved at all, whoever drives."""
