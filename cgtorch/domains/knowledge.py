@@ -18,7 +18,7 @@ from cgtorch.environment import Dataset
 from cgtorch.evolution.islands import generator_of
 from cgtorch.ground.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.simulation.model import Compile, Possible
+from cgtorch.simulation.model import LEAST_NOVEL, Compile, Possible
 from cgtorch.svm import Acceptance, accept_model
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
-LEAST_NOVEL = 0.75  # allowed in any case: where few data are all centres, their novelty is 0
 CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by

@@ -15,7 +15,14 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
-from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
+from cgtorch.environment.fields import (
+    Field,
+    as_features,
+    bounds_of,
+    columns_of,
+    within_bounds,
+    wrapped,
+)
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR, compact, inputs
 
@@ -214,6 +221,7 @@ class KernelTransitionModel(TransitionModel):
             self.register_buffer(name, torch.zeros(len(percept), dtype=torch.float64))
         self._angles = columns_of(percept, "angle")
         self._whole = columns_of(percept, "discrete")
+        self._numbers = columns_of(percept, "number")
 
     def fields(self, size: int) -> Sequence[Field]:
         """See `TransitionModel.fields`."""
@@ -254,7 +262,10 @@ class KernelTransitionModel(TransitionModel):
         """See `TransitionModel.next_percept`."""
         learnt, shift, spread = (x.to(percept) for x in (self.learnt, self.shift, self.spread))
         after = percept + shift + spread * learnt * value
-        columns = list(within_bounds(after, self.percept_fields).unbind(-1))
+        after = within_bounds(after, self.percept_fields)
+        if not self._whole:
+            return after
+        columns = list(after.unbind(-1))
         for i in self._whole:
             columns[i] = columns[i].round()
         return torch.stack(columns, -1)
@@ -278,10 +289,12 @@ class KernelTransitionModel(TransitionModel):
     def targets(
         self, percept: Tensor, control: Tensor, next_percept: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """See `TransitionModel.targets`; every transition tells all."""
+        """See `TransitionModel.targets`; what has come to a bound, not by how much it would go on."""
         change = self.difference(percept, next_percept)
         target = (change - self.shift.to(change)) / self.spread.to(change)
-        return target, torch.ones(len(percept), dtype=torch.bool, device=percept.device)
+        low, high = (bound.to(next_percept) for bound in bounds_of(self.percept_fields))
+        inside = (next_percept > low) & (next_percept < high)
+        return target, inside[:, self._numbers].all(1)
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
         """See `LearnedModel.shapes`."""

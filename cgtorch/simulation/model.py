@@ -42,6 +42,8 @@ Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
 """From models to what compiled rollouts know, or None where these have no such models."""
 
 UNKNOWN = -1.0
+LEAST_NOVEL = 0.75
+"""How novel to Γ a motion may be in any case: half as far again beyond the data as their rim."""
 
 
 def anything(percept: Tensor, control: Tensor) -> Tensor:
@@ -66,7 +68,7 @@ class ModelEnvironment:
         possible: Possible = anything,
         control_size: int = 3,
         errors: Tensor | None = None,
-        most_novel: float = 1.0,
+        most_novel: float = LEAST_NOVEL,
         seeds: Tensor | None = None,
         compiled: Compile | None = None,
         chance: Tensor | None = None,
