@@ -18,13 +18,13 @@ from cgtorch.environment import Lanes, ScenarioBatch
 MOST_VARIANCE = 0.05
 """Of what Γ says, in units of the prior variance, beyond which nothing is believed."""
 ABOUT = 3
-"""Columns of a state behind those of the percept: steps so far, the return, and 1 once it is over."""
+"""Columns of a state behind those of the percept: steps, the return, and 1 once it is over."""
 
 Reward: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """Percepts (n, D), controls (n, U) and next percepts (n, D) to rewards (n,) and (n,) bool ends."""
 
 Effect: TypeAlias = Callable[[Tensor], Tensor]
-"""Controls (n, U) to what counts of them (n, U), such as which of several numbers is the largest."""
+"""Controls (n, U) to what counts of them (n, U), such as which number is the largest."""
 
 
 def as_given(control: Tensor) -> Tensor:

@@ -15,14 +15,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
-from cgtorch.environment.fields import (
-    Field,
-    as_features,
-    bounds_of,
-    columns_of,
-    within_bounds,
-    wrapped,
-)
+from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVR, compact, inputs
 
@@ -221,7 +214,6 @@ class KernelTransitionModel(TransitionModel):
             self.register_buffer(name, torch.zeros(len(percept), dtype=torch.float64))
         self._angles = columns_of(percept, "angle")
         self._whole = columns_of(percept, "discrete")
-        self._numbers = columns_of(percept, "number")
 
     def fields(self, size: int) -> Sequence[Field]:
         """See `TransitionModel.fields`."""
@@ -289,12 +281,10 @@ class KernelTransitionModel(TransitionModel):
     def targets(
         self, percept: Tensor, control: Tensor, next_percept: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """See `TransitionModel.targets`; what has come to a bound, not by how much it would go on."""
+        """See `TransitionModel.targets`; every transition tells all."""
         change = self.difference(percept, next_percept)
         target = (change - self.shift.to(change)) / self.spread.to(change)
-        low, high = (bound.to(next_percept) for bound in bounds_of(self.percept_fields))
-        inside = (next_percept > low) & (next_percept < high)
-        return target, inside[:, self._numbers].all(1)
+        return target, torch.ones(len(percept), dtype=torch.bool, device=percept.device)
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
         """See `LearnedModel.shapes`."""

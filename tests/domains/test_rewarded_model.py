@@ -68,13 +68,6 @@ def test_it_is_sure_of_its_data_and_of_nothing_far_off(posterior: Posterior) -> 
     assert one > 1
 
 
-def test_what_came_to_a_bound_does_not_tell_how_far_it_would_go(posterior: Posterior) -> None:
-    place, push = torch.tensor([[0.0, 0.9], [0.0, 0.6]]), torch.tensor([[1.0], [1.0]])
-    _, tells = posterior.gamma.targets(place, push, moved(place, push))
-    assert tells.tolist() == [False, True]
-    torch.testing.assert_close(posterior.gamma(place, push), moved(place, push), atol=0.05, rtol=0.0)
-
-
 def test_an_imagined_episode_is_like_one_in_the_world(posterior: Posterior) -> None:
     world = model(posterior)
     assert isinstance(world, Rewarded)

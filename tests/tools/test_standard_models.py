@@ -11,13 +11,23 @@ from support import seeded
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from standard.measure import Budget, Trial
-from standard.models import EPISODES, HORIZON, SHORT, BrokenOff, begun, search, wanted
+from standard.models import (
+    EPISODES,
+    HORIZON,
+    SHORT,
+    BoundedModel,
+    BrokenOff,
+    begun,
+    search,
+    wanted,
+)
 from standard.peers import UnsuitableError
 from standard.rewards import GIVEN
 from standard.task import Starts
 from standard.tasks import TASKS
 
 from cgtorch.environment import start_lanes
+from cgtorch.environment.fields import Field
 
 
 @pytest.mark.parametrize("name", GIVEN)
@@ -41,7 +51,8 @@ def test_rewards_that_are_given_are_those_of_the_world(name: str) -> None:
 
 
 def test_the_flag_and_the_height_end_an_episode() -> None:
-    flag, _ = GIVEN["mountain_car_continuous"].reward(*torch.tensor([[[0.0, 0]], [[0, 0]], [[0.9, 0]]]))
+    rest, there = torch.zeros(1, 2), torch.tensor([[0.9, 0.0]])
+    flag, _ = GIVEN["mountain_car_continuous"].reward(rest, rest, there)
     assert flag.tolist() == [100]
     up = torch.tensor([[-1.0, 0, 1, 0, 0, 0]])
     reward, ended = GIVEN["acrobot"].reward(up, up, up)
@@ -67,6 +78,13 @@ def test_what_is_known_grows_by_episodes() -> None:
     assert len(more.first) == EPISODES + 1
     world = known.model(3, HORIZON, seeded(1))
     assert (world.most_steps, world.num_scenarios, world.unknown) == (500, 3, 0.0)
+
+
+def test_what_came_to_a_bound_does_not_tell_how_far_it_would_go() -> None:
+    model = BoundedModel([Field("height", "m", 0, 1), Field("place", "m")], [Field("push", "m")])
+    before = torch.tensor([[0.9, 5.0], [0.5, 5.0]])
+    after = torch.tensor([[1.0, 6.0], [0.6, 6.0]])
+    assert model.targets(before, torch.zeros(2, 1), after)[1].tolist() == [False, True]
 
 
 def test_an_episode_is_broken_off() -> None:

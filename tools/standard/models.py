@@ -19,7 +19,7 @@ from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
 from cgtorch.domains.transition import Grid, KernelTransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Lanes, start_lanes
-from cgtorch.environment.fields import Field
+from cgtorch.environment.fields import Field, bounds_of
 from cgtorch.evolution import REWARDS, evolve
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import rollout
@@ -60,10 +60,11 @@ def search(trial: Trial) -> None:
     generator = Generator().manual_seed(trial.seed)
     actions, known = actions_of(task), begun(trial, generator)
     waited, patience = 0, PATIENCE
-    for generation in evolve(
-        lambda number: known.model(trial.starts(STARTS), HORIZON, generator),
-        actions, REWARDS, generator, max_transitions=MOST,
-    ):  # fmt: skip
+
+    def model(number: int) -> RewardedModel:
+        return known.model(trial.starts(STARTS), HORIZON, generator)
+
+    for generation in evolve(model, actions, REWARDS, generator, max_transitions=MOST):
         if not trial.open:
             return
         graphs, waited = generation.champion.graphs, waited + 1
@@ -141,11 +142,26 @@ class Known:
         return replace(self, first=first, rows=kept, posterior=Posterior(gamma, *kept[:2]))
 
 
+class BoundedModel(KernelTransitionModel):
+    """Γ of numbers that are seldom at their bounds, from where they do not tell all.
+
+    Of a number that has come to its bound it is not known by how much it would have gone on.
+    """
+
+    def targets(
+        self, percept: Tensor, control: Tensor, next_percept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `TransitionModel.targets`."""
+        target, tells = super().targets(percept, control, next_percept)
+        low, high = (bound.to(next_percept) for bound in bounds_of(self.percept_fields))
+        return target, tells & ((next_percept > low) & (next_percept < high)).all(1)
+
+
 def fitted(task: Task, first: Tensor, rows: tuple[Tensor, ...]) -> Known:
     """What transitions tell whose controls are what counts of them."""
     percept = [Field(f"p{i}", "", *GIVEN[task.name].bounds) for i in range(task.inputs)]
     control = [Field(f"u{i}", "", -1, 1) for i in range(task.outputs)]
-    model = KernelTransitionModel(percept, control)
+    model = BoundedModel(percept, control)
     gamma, _ = fit_transition_model(model, *rows, grid=GRID)
     return Known(task, first, rows, Posterior(gamma, *rows[:2]), len(rows[0]))
 
