@@ -3,8 +3,8 @@
 Short episodes of random controls are played first, and Γ is fitted to their transitions. Then
 graphs are evolved in Γ as `standard.ours` evolves them in the world. A champion that Γ says is good
 enough is played once in the world, and Γ learns from that. Where there is none for some
-generations, the best one is played if Γ would learn from it, and another one that is evolved to
-come to where Γ is unsure. Rewards, and when an episode is over, are given (`standard.rewards`).
+generations, the best one is played if Γ would learn from it, and so is another one that is evolved
+to come to where Γ is unsure. Rewards, and when an episode is over, are given (`standard.rewards`).
 """
 
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ HORIZON, LONG = 1000, 5000
 CURIOUS = 100
 """Steps of an episode at most that is to explore."""
 PATIENCE, EXPLORING = 5, 10
-"""By how many generations each wait for a good champion is longer than the one before, and
-generations of a search that explores."""
+"""Generations that a good champion is waited for at first, and by how many more once there is
+nothing left to explore, and generations of a search that explores."""
 SURE = 24
 """Imagined episodes by which a champion is judged before it is played in the world."""
 TELLING = 0.1
@@ -79,10 +79,13 @@ def search(trial: Trial) -> None:
             if reached >= wanted(task, HORIZON):
                 trial.offer(player_of(graphs, actions), task.solved)
                 continue
-        if not promising:
+        if promising:
+            continue
+        graphs = exploring(known, actions, generator)
+        if telling(graphs, actions, known, generator):
+            _, known = played(trial, graphs, actions, known, CURIOUS)
+        else:
             patience += PATIENCE
-            explorer = exploring(known, actions, generator)
-            _, known = played(trial, explorer, actions, known, CURIOUS)
 
 
 def wanted(task: Task, most_steps: int) -> float:
