@@ -254,7 +254,10 @@ class KernelTransitionModel(TransitionModel):
         """See `TransitionModel.next_percept`."""
         learnt, shift, spread = (x.to(percept) for x in (self.learnt, self.shift, self.spread))
         after = percept + shift + spread * learnt * value
-        columns = list(within_bounds(after, self.percept_fields).unbind(-1))
+        after = within_bounds(after, self.percept_fields)
+        if not self._whole:
+            return after
+        columns = list(after.unbind(-1))
         for i in self._whole:
             columns[i] = columns[i].round()
         return torch.stack(columns, -1)

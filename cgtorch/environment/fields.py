@@ -67,8 +67,11 @@ def wrapped(angle: Tensor) -> Tensor:
 def within_bounds(values: Tensor, fields: Sequence[Field]) -> Tensor:
     """Values (..., D) within the bounds of their fields, angles by whole turns where possible."""
     low, high = (bound.to(values) for bound in bounds_of(fields))
+    angles = columns_of(fields, "angle")
+    if not angles:
+        return values.clamp(low, high)
     columns = list(values.unbind(-1))
-    for i in columns_of(fields, "angle"):
+    for i in angles:
         middle = ((low[i] + high[i]) / 2).nan_to_num(0, 0, 0)
         columns[i] = wrapped(columns[i] - middle) + middle
     return torch.stack(columns, -1).clamp(low, high)

@@ -31,6 +31,7 @@ class Library:
 
 LIBRARIES: dict[str, Library] = {
     "cgtorch": Library("cgtorch", "cgtorch", "standard.ours", ("torch",)),
+    "cgtorch-models": Library("cgtorch", "cgtorch", "standard.models", ("torch",)),
     "evosax": Library("evosax", "evosax", "standard.peers.evosax_cma", ("jax",)),
     "neat-python": Library("neat", "neat-python", "standard.peers.neat_python"),
     "EvoTorch": Library("evotorch", "evotorch", "standard.peers.evotorch_pgpe", ("torch",)),

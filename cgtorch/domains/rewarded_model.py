@@ -1,0 +1,158 @@
+"""Γ as a world with rewards: episodes are imagined, where rewards and their ends are known.
+
+What a step is worth and when an episode is over are functions of percepts that are given, as in
+PILCO (Deisenroth and Rasmussen, ICML 2011); what happens is what Γ has learned.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self, TypeAlias
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.domains.posterior import Posterior
+from cgtorch.domains.world import World
+from cgtorch.environment import Lanes, ScenarioBatch
+
+MOST_VARIANCE = 0.05
+"""Of what Γ says, in units of the prior variance, beyond which nothing is believed."""
+ABOUT = 3
+"""Columns of a state behind those of the percept: steps, the return, and 1 once it is over."""
+
+Reward: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""Percepts (n, D), controls (n, U) and next percepts (n, D) to rewards (n,) and (n,) bool ends."""
+
+Effect: TypeAlias = Callable[[Tensor], Tensor]
+"""Controls (n, U) to what counts of them (n, U), such as which number is the largest."""
+
+
+def as_given(control: Tensor) -> Tensor:
+    """`Effect` where all of a control counts."""
+    return control
+
+
+@dataclass(frozen=True)
+class Imagined(ScenarioBatch):
+    """B starts of imagined episodes.
+
+    Attributes:
+        percept: (B, D) the first percepts.
+        error: (B, D) by how many standard deviations Γ errs in all of an episode.
+    """
+
+    percept: Tensor
+    error: Tensor
+
+    @classmethod
+    def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
+        """So many starts of the percepts (b, D), each taken as often as any other, or once less."""
+        often = range(0, count, len(percept))
+        rows = torch.cat([torch.randperm(len(percept), generator=generator) for _ in often])
+        error = torch.randn(count, percept.shape[1], generator=generator)
+        return cls(percept[rows[:count]], error)
+
+
+class RewardedModel(World):
+    """Γ as a world of which no more than its data is believed.
+
+    An episode that comes to where Γ knows nothing is over, and each step that it would have had
+    left gives `unknown`, which is the least that a step gives, and 0 at most.
+    """
+
+    scenarios: Imagined
+
+    def __init__(
+        self,
+        scenarios: Imagined,
+        posterior: Posterior,
+        reward: Reward,
+        most_steps: int,
+        unknown: float,
+        effect: Effect = as_given,
+        valid: Effect = as_given,
+    ) -> None:
+        """The world of these starts.
+
+        Args:
+            scenarios: the starts.
+            posterior: Γ, and how sure it is.
+            reward: what steps give, and which of them end an episode.
+            most_steps: of an episode.
+            unknown: the least that a step gives, as far as is known.
+            effect: what counts of controls.
+            valid: percepts (n, D) to the nearest ones that can be, where the numbers of a percept
+                depend on each other, such as a sine and a cosine.
+        """
+        super().__init__(scenarios)
+        self.gamma, self.posterior = posterior.gamma, posterior
+        self.reward, self.most_steps = reward, most_steps
+        self.unknown, self.effect, self.valid = min(unknown, 0.0), effect, valid
+
+    @property
+    def control_size(self) -> int:
+        """See `World.control_size`."""
+        return len(self.gamma.control_fields)
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        """See `World.first_state`."""
+        return torch.nn.functional.pad(self.scenarios.percept[scenario], (0, ABOUT))
+
+    @torch.no_grad()
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.next_state`."""
+        before, (steps, total, over) = state[:, :-ABOUT], state[:, -ABOUT:].unbind(1)
+        control = self.effect(control)
+        after, variance = self.posterior.predict(before, control)
+        off = self.posterior.deviation(variance)[:, None] * self.gamma.spread
+        after = self.valid(after + self.scenarios.error[scenario] * off)
+        gain, ended = self.gained(before, control, after, variance)
+        lost, steps = (variance > MOST_VARIANCE) | ~after.isfinite().all(1), steps + 1
+        left = self.most_steps - steps
+        gain = torch.where(lost, self.unknown * (left + 1), gain)
+        done = ended | lost | (left <= 0)
+        about = torch.stack([steps, total + gain, done.to(steps)], 1)
+        moved = torch.cat([torch.where(lost[:, None], before, after), about], 1)
+        return torch.where(over[:, None] > 0, state, moved)
+
+    def gained(
+        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What steps give (n,), and (n,) bool what ends by them."""
+        return self.reward(before, control, after)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return state[:, :-ABOUT]
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        """See `World.succeeded`; a return alone does not tell."""
+        return torch.zeros(len(state), dtype=torch.bool)
+
+    def over(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.over`."""
+        return lanes.state[:, -1] > 0
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.returns`."""
+        return lanes.state[:, -2]
+
+
+class CuriousModel(RewardedModel):
+    """Γ as a world in which nothing counts but coming to where Γ knows little, soon.
+
+    Each step gives its novelty, and one that is left where Γ knows nothing 1 (an exploration bonus
+    by disagreement with the data, as R-max gives: Brafman and Tennenholtz, JMLR 3, 2002).
+    """
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        """See `RewardedModel`; what `unknown` is given as does not count."""
+        super().__init__(*given, **named)
+        self.unknown = 1.0
+
+    def gained(
+        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `RewardedModel.gained`."""
+        ended = super().gained(before, control, after, variance)[1]
+        return (variance / MOST_VARIANCE).sqrt().clamp_max(1), ended
