@@ -20,13 +20,18 @@ def option(
     choices: tuple[str, ...] = (),
     least: float = 1,
     most: float = MOST,
+    later: bool = False,
 ) -> Any:
     """A field with its default, whose type is the option's, and its help on the command line.
 
     What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
-    `choices`, if there are any; a number is from `least` to `most`.
+    `choices`, if there are any; a number is from `least` to `most`. A setting that came `later`
+    may be missing in a run, which has the default then.
     """
-    about = {"help": text, "fixed": fixed, "choices": choices, "least": least, "most": most}
+    about = {
+        "help": text, "fixed": fixed, "choices": choices, "least": least, "most": most,
+        "later": later,
+    }  # fmt: skip
     return field(default=default, metadata=about)
 
 
@@ -71,6 +76,10 @@ class DomainSettings:
         """Check every value."""
         check_options(self)
 
+    def usual(self) -> Mapping[str, Any]:
+        """`run_defaults` given these settings."""
+        return self.run_defaults
+
 
 def to_plain(settings: Any) -> dict[str, Any]:
     """Settings as plain data for a file, where numbers that are not finite are texts."""
@@ -86,6 +95,9 @@ def _plain(value: Any) -> Any:
 def from_plain(kind: type[T], data: Any) -> T:
     """Settings from what `to_plain` gave; SettingsError if one is unknown, missing or wrong."""
     names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    if isinstance(data, dict):
+        later = {name: f.default for name, f in names.items() if f.metadata.get("later")}
+        data = {**later, **data}
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")

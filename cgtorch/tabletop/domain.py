@@ -31,6 +31,8 @@ from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
+from cgtorch.tabletop.physics import MujocoWorld, Physics
+from cgtorch.tabletop.physics.engine import mujoco
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements
@@ -97,10 +99,14 @@ class Tabletop(Domain[Scenarios]):
         tabletop: str = "box",
         obstacles: int = 0,
         networks: str = "edge",
+        physics: Physics | None = None,
     ) -> None:
         """A tabletop; without a robot that of the settings is loaded, or RobotError raised."""
         super().__init__(settings)
         self.robot = robot or load_robot(*self._files())
+        if self.settings.world == "mujoco":
+            mujoco()  # which is said before anything long begins if it is missing
+        self.physics = physics or Physics(self.robot)
         self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks
         self.specialists = SPECIALISTS[networks]
         self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
@@ -124,7 +130,8 @@ class Tabletop(Domain[Scenarios]):
         return (self._with(percept, boxes, networks) for networks, boxes, percept in every)
 
     def _with(self, tabletop: str, obstacles: int, networks: str) -> "Tabletop":
-        return Tabletop(self.settings, self.robot, tabletop, obstacles, networks)
+        given = tabletop, obstacles, networks, self.physics
+        return Tabletop(self.settings, self.robot, *given)
 
     def draw(self, kind: str, count: int, generator: Generator) -> Scenarios:
         """See `Domain.draw`."""
@@ -138,6 +145,9 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.world`."""
         footprint = self.robot.description.footprint
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
+        if self.settings.world == "mujoco":
+            how = {"percept": self.tabletop, "touch": self.settings.touch}
+            return MujocoWorld(scenarios, self.physics, noise, **how)
         grasps = partial(_graspable, self.robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
 

@@ -8,6 +8,11 @@ from typing import Any, ClassVar
 from cgtorch.domains.settings import DomainSettings, option
 
 
+WORLDS = "kinematic", "mujoco"
+PHYSICS_DEFAULTS = {"labels": 2000, "transitions": 1200, "practice": 60}
+"""What pays where each label costs a simulation of some seconds."""
+
+
 @dataclass(frozen=True)
 class TabletopSettings(DomainSettings):
     """The robot, its world's noise and its percepts; SettingsError for a value that cannot work."""
@@ -42,6 +47,22 @@ class TabletopSettings(DomainSettings):
         "the data and models that are there have it",
         choices=("auto", "box", "yaw"),
     )
+    world: str = option(
+        "kinematic",
+        "What stands for the real robot: kinematic, where a grasp succeeds if an arm has a way to "
+        "it, or mujoco, where it is carried out in physics (pip install 'cgtorch[physics]').",
+        "data, models, W and M are of it",
+        choices=WORLDS,
+        later=True,
+    )
+    touch: str = option(
+        "fails",
+        "In physics, whether a grasp has failed when the arm touched table or robot: fails, or "
+        "allowed.",
+        "the data and models that are there have it",
+        choices=("fails", "allowed"),
+        later=True,
+    )
     networks: str = option(
         "auto",
         "What networks read: percept as in the paper, edge for the scene as seen from the edge "
@@ -49,3 +70,7 @@ class TabletopSettings(DomainSettings):
         "the graphs that are there are made of them",
         choices=("auto", "percept", "edge"),
     )
+
+    def usual(self) -> Mapping[str, Any]:
+        """See `DomainSettings.usual`."""
+        return PHYSICS_DEFAULTS if self.world == "mujoco" else self.run_defaults

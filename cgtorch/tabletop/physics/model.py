@@ -230,6 +230,10 @@ def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[
             if joints <= NEIGHBOURS:
                 pairs.add((above, name))
             above, joints = parent[above], joints + 1
+    body_of = {shape.link: body.name for body in bodies for shape in body.shapes}
+    for links in robot.description.excludes:
+        first, *others = (body_of.get(robot.urdf.link(link).name, base) for link in links)
+        pairs |= {(first, other) for other in others if other != first}
     fingers = [name for name, joints in depth.items() if joints > len(moved)]
     pairs |= {(a, b) for a in fingers for b in fingers if a < b}
     for first, second in sorted(pairs):
