@@ -1,6 +1,7 @@
 """An arm takes the object: along its way, fingers closed, lifted, held."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy
 from numpy.typing import NDArray
@@ -81,25 +82,33 @@ def grasp(model: Model, scene: Scene, way: Way, watch: Watch | None = None) -> A
     """
     put(model, scene)
     hand = _Hand(model, scene.pose, watch)
-    there, lift, speeds = parts_of(model, way)
-    hand.follow(timed(way.joints[: way.grasp + 1], speeds[: way.grasp], TICK))
+    there, lift = way.joints[way.grasp], way.joints[way.lifted]
+    for leg in legs(model, way)[:-1]:
+        hand.follow(leg)
     hand.wait(there, 0.1)
     hand.close(True)
     hand.wait(there, CLOSING)
-    hand.follow(timed(way.joints[way.grasp :], speeds[way.grasp :], TICK))
+    hand.follow(legs(model, way)[-1])
     hand.wait(lift, HOLDING)
     touched = hand.touched
     if thing_of(model)[2] - scene.thing[2] >= LIFTED:
         return numpy.array([1.0, float(touched), *scene.thing])
     hand.close(False)
     hand.wait(lift, RESTING)
-    hand.follow(timed(way.joints[::-1], speeds[::-1], TICK))
+    for leg in reversed(legs(model, way)):
+        hand.follow(leg[::-1])
     hand.wait(way.joints[0], RESTING)
     return numpy.array([0.0, float(touched), *thing_of(model)])
 
 
-def parts_of(model: Model, way: Way) -> tuple[Array, Array, Array]:
-    """Postures (n,) at the grasp and lifted, and speeds (W - 1, n) on the parts of the way."""
+def legs(model: Model, way: Way) -> list[Array]:
+    """Postures (T, n) at every tick of each part of the way, from rest to rest.
+
+    The arm stops wherever the way in the open turns, at the grasp, and where it has lifted.
+    """
     most = numpy.array([model.gains.speed[joint.name] for joint in model.arm])
-    share = numpy.where(numpy.arange(len(way.joints) - 1) < way.pre_grasp, SWIFT, SLOW)
-    return way.joints[way.grasp], way.joints[way.lifted], share[:, None] * most
+    stops = [*range(way.pre_grasp + 1), way.grasp, way.lifted]
+    return [
+        timed(way.joints[start : end + 1], (SWIFT if end <= way.pre_grasp else SLOW) * most, TICK)
+        for start, end in pairwise(stops)
+    ]

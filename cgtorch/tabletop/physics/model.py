@@ -23,7 +23,7 @@ from cgtorch.tabletop.physics.thing import Thing
 TIMESTEP = 0.005  # s
 IMPRATIO = 10.0
 FLOOR = 2  # the collision bit of what the floor stops, which the robot stands on anyway
-NEIGHBOURS = 3
+NEIGHBOURS = 2
 """Bodies of an arm with as many joints between them, or fewer, are built to pass one another."""
 SHOULDER = 3
 """Bodies of an arm that hang from as many joints or fewer are built beside the robot's body."""

@@ -10,9 +10,9 @@ SMOOTH = 0.1  # s over which corners of the way are rounded
 
 
 def timed(way: Array, speed: Array, tick: float) -> Array:
-    """Postures (T, n) at every tick (s) of a way (W, n) at a speed (W - 1, n), from rest to rest.
+    """Postures (T, n) at every tick (s) of a way (W, n), from rest to rest.
 
-    No joint is faster than its speed (rad/s or m/s) on each part of the way.
+    No joint is faster than its `speed` (n,), rad/s or m/s, on any part of the way.
     """
     steps = numpy.abs(numpy.diff(way, axis=0))
     spent = numpy.concatenate([[0.0], numpy.cumsum((steps / speed).max(1, initial=0.0))])
