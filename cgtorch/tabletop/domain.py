@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -19,7 +20,7 @@ from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
-from cgtorch.ground.errors import RobotError
+from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
@@ -34,7 +35,7 @@ from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics
 from cgtorch.tabletop.physics.engine import mujoco
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
-from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.settings import WORLDS, TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements
 from cgtorch.tabletop.world import (
     DRAWS,
@@ -119,6 +120,20 @@ class Tabletop(Domain[Scenarios]):
         networks = networks if s.networks == "auto" else s.networks
         return self._with(tabletop, draw_of(kind)(0, Generator()).obstacles.shape[1], networks)
 
+    def in_world(self, name: str) -> "Tabletop":
+        """See `Domain.in_world`."""
+        if name not in WORLDS:
+            raise SettingsError(f"world is {name!r:.40}; use one of {', '.join(WORLDS)}")
+        return self._under(world=name)
+
+    def other_measures(self) -> Mapping[str, "Tabletop"]:
+        """See `Domain.other_measures`: in physics with touches allowed, or failing."""
+        if self.settings.world != "mujoco":
+            return {}
+        if self.settings.touch == "fails":
+            return {"lifted, whatever the arm touched": self._under(touch="allowed")}
+        return {"lifted without a touch of table or robot": self._under(touch="fails")}
+
     def variants(self, kind: str) -> Iterable["Tabletop"]:
         """See `Domain.variants`.
 
@@ -132,6 +147,10 @@ class Tabletop(Domain[Scenarios]):
     def _with(self, tabletop: str, obstacles: int, networks: str) -> "Tabletop":
         given = tabletop, obstacles, networks, self.physics
         return Tabletop(self.settings, self.robot, *given)
+
+    def _under(self, **settings: str) -> "Tabletop":
+        given = self.tabletop, self.obstacles, self.networks, self.physics
+        return Tabletop(replace(self.settings, **settings), self.robot, *given)
 
     def draw(self, kind: str, count: int, generator: Generator) -> Scenarios:
         """See `Domain.draw`."""

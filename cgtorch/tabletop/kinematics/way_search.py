@@ -135,7 +135,8 @@ def _search(robot: Robot, position: Tensor, table: Tensor, key: Tensor, ways: Fo
             left = (state == BLOCKED).nonzero()[:, 0]
             blocked.append(_Blocked(at[left], rank[left], line[left], held[left]))
         open_rows = open_rows[ways.rank[open_rows] == none]
-    _plan(robot, places, key, blocked, ways)
+    if blocked:
+        _plan(robot, places, key, blocked, ways)
 
 
 def _lines(
