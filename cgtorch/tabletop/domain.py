@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
+THRIFT = {"kinematic": 1, "mujoco": 4}  # see `Scenes`
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI by what their networks read."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
@@ -148,7 +149,7 @@ class Tabletop(Domain[Scenarios]):
         given = tabletop, obstacles, networks, self.physics
         return Tabletop(self.settings, self.robot, *given)
 
-    def _under(self, **settings: str) -> "Tabletop":
+    def _under(self, **settings: Any) -> "Tabletop":
         given = self.tabletop, self.obstacles, self.networks, self.physics
         return Tabletop(replace(self.settings, **settings), self.robot, *given)
 
@@ -165,8 +166,9 @@ class Tabletop(Domain[Scenarios]):
         footprint = self.robot.description.footprint
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
         if self.settings.world == "mujoco":
-            how = {"percept": self.tabletop, "touch": self.settings.touch}
-            return MujocoWorld(scenarios, self.physics, noise, **how)
+            return MujocoWorld(
+                scenarios, self.physics, noise, percept=self.tabletop, touch=self.settings.touch
+            )
         grasps = partial(_graspable, self.robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
 
@@ -178,7 +180,10 @@ class Tabletop(Domain[Scenarios]):
 
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
         """See `Domain.explore`: the robot drives around and tries grasps (section V)."""
-        return collect(Scenes(self.world, kind), transitions, tests, generator)
+        return collect(self._scenes(kind), transitions, tests, generator)
+
+    def _scenes(self, kind: str) -> Scenes:
+        return Scenes(self.world, kind, THRIFT[self.settings.world])
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `Domain.possible`."""
@@ -208,13 +213,13 @@ class Tabletop(Domain[Scenarios]):
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
     ) -> Fresh:
         """See `Domain.try_transition`."""
-        return fresh_experience(Scenes(self.world, kind), gamma, tests, generator)
+        return fresh_experience(self._scenes(kind), gamma, tests, generator)
 
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
         """See `Domain.summary`: each figure beside the best that a percept allows."""
-        return tabletop_summary(Scenes(self.world, kind), knowledge, fresh, generator)
+        return tabletop_summary(self._scenes(kind), knowledge, fresh, generator)
 
     def imagine(
         self,

@@ -7,9 +7,8 @@ from typing import Any, ClassVar
 
 from cgtorch.domains.settings import DomainSettings, option
 
-
 WORLDS = "kinematic", "mujoco"
-PHYSICS_DEFAULTS = {"labels": 2000, "transitions": 1200, "practice": 60}
+PHYSICS_DEFAULTS = {"labels": 1600, "transitions": 800, "practice": 60}
 """What pays where each label costs a simulation of some seconds."""
 
 

@@ -91,8 +91,8 @@ def _placed(
     urdf: Urdf, base: str, moving: Collection[str], held: Mapping[str, float]
 ) -> dict[str, tuple[str, Array]]:
     """The body of every link, and the link's pose (4, 4) in that body, parents first."""
-    root = numpy.linalg.inv(_to_root(urdf, base, held))
-    place = {urdf.model.base_link: (base, root)}
+    root: Array = numpy.asarray(numpy.linalg.inv(_to_root(urdf, base, held)), dtype=numpy.float64)
+    place: dict[str, tuple[str, Array]] = {urdf.model.base_link: (base, root)}
     waiting = list(urdf.model.robot.joints)
     while waiting:
         ready = [joint for joint in waiting if joint.parent in place]

@@ -58,9 +58,7 @@ def gains_of(robot: Robot, arm: int | None, bodies: list[RigidBody]) -> Gains:
         stiffness[name] = given.get(name, usual)
     mass, turning = sum(body.mass for body in bodies), max(1.0, _about_vertical(bodies))
     base = BASE_DAMPING * mass, BASE_DAMPING * mass, TURN_DAMPING * turning
-    return Gains(
-        stiffness, force, speed, armature, base, BASE_FORCE * mass, TURN_FORCE * turning
-    )
+    return Gains(stiffness, force, speed, armature, base, BASE_FORCE * mass, TURN_FORCE * turning)
 
 
 def _between(ends: tuple[float, float], share: float) -> float:

@@ -118,5 +118,3 @@ def _grasps(physics: Physics, rows: Tensor) -> Tensor:
 
 def _as_tensor(rows: list[numpy.ndarray], width: int) -> Tensor:
     return torch.tensor(numpy.array(rows).reshape(-1, width), dtype=torch.float32)
-
-

@@ -44,7 +44,10 @@ def put(model: Model, scene: Scene) -> Any:
     mj, m, d = mujoco(), model.model, model.data
     mj.mj_resetData(m, d)
     x, y, yaw, length, width, top = scene.table
-    boxes = [(x, y, yaw, length, width, top - TABLE_THICKNESS, top), (x, y, yaw, length, width, 0, BLOCK)]
+    boxes = [
+        (x, y, yaw, length, width, top - TABLE_THICKNESS, top),
+        (x, y, yaw, length, width, 0, BLOCK),
+    ]
     boxes += [(*box, 0.0, BLOCK) for box in scene.obstacles]
     for place, box in zip(model.boxes, boxes, strict=True):
         _resize(m, d, place, box)

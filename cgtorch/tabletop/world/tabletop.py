@@ -62,9 +62,9 @@ class TabletopWorld:
 
     A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A
     lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has
-    perceived, and K obstacles; worlds made of this one may keep more after these. The noise of a lane depends on its scenario's seed and on that count
-    alone, so it depends neither on what else runs beside it nor on how the skill is nested in
-    another one.
+    perceived, and K obstacles; worlds made of this one may keep more after these. The noise of a
+    lane depends on its scenario's seed and on that count alone, so it depends neither on what else
+    runs beside it nor on how the skill is nested in another one.
     """
 
     control_size = 3
@@ -160,7 +160,7 @@ class TabletopWorld:
 
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """The states after one more look, and what is seen (n, D)."""
-        pose, table, placed, look, obstacles = self._parts(state)
+        pose, table, _, look, obstacles = self._parts(state)
         exact = self.exact(state)
         if self.tabletop > TABLETOP:
             exact = torch.cat([exact, side_seen(pose, table)], 1)

@@ -62,9 +62,10 @@ def test_an_object_that_is_elsewhere_is_not_lifted(robot: Robot, physics: Physic
 
 def test_a_way_through_the_table_is_a_touch(robot: Robot, physics: Physics) -> None:
     scene, way, arm = scene_and_way(robot, SCENE)
-    low = Scene(scene.pose, scene.table + numpy.array([0, 0, 0, 0, 0, 0.04]), scene.thing, scene.obstacles)
-    thing = low.thing + numpy.array([0, 0, 0.04, 0, 0, 0, 0])
-    higher = Scene(low.pose, low.table + numpy.array([0, 0, 0, 0, 0, 0.03]), thing + numpy.array([0, 0, 0.03, 0, 0, 0, 0]), low.obstacles)
+    table, thing = scene.table.copy(), scene.thing.copy()
+    table[5] += 0.07
+    thing[2] += 0.07
+    higher = Scene(scene.pose, table, thing, scene.obstacles)
     assert grasp(physics.model(arm, 0), higher, way)[1] == 1
 
 
