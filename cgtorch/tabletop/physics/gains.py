@@ -46,8 +46,8 @@ def gains_of(robot: Robot, arm: int | None, bodies: list[RigidBody]) -> Gains:
         if (joint := body.joint) is None:
             continue
         name, slides = joint.name, joint.type == "prismatic"
-        effort = _limit(joint, "effort", EFFORT)
-        speed[name] = _limit(joint, "velocity", SPEED)
+        effort = limit_of(joint, "effort", EFFORT)
+        speed[name] = limit_of(joint, "velocity", SPEED)
         if name in order:
             share = order.index(name) / max(1, len(order) - 1)
             usual = _between(STIFFNESS, share) * (SLIDING if slides else 1.0)
@@ -66,7 +66,8 @@ def _between(ends: tuple[float, float], share: float) -> float:
     return ends[0] * (ends[1] / ends[0]) ** share
 
 
-def _limit(joint: Any, what: str, usual: float) -> float:
+def limit_of(joint: Any, what: str, usual: float) -> float:
+    """The effort or velocity of a `yourdfpy` joint, what is usual where the URDF has none."""
     value = None if joint.limit is None else getattr(joint.limit, what)
     return float(value) if value is not None and 0 < value < 1e6 else usual
 

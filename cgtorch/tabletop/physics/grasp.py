@@ -41,7 +41,7 @@ class Way:
 
 
 @dataclass
-class _Hand:
+class Hand:
     """What carries out commands, and has seen whether the arm touched anything."""
 
     model: Model
@@ -81,32 +81,33 @@ def grasp(model: Model, scene: Scene, way: Way, watch: Watch | None = None) -> A
     arm goes home again, and the object stays wherever it then lies.
     """
     put(model, scene)
-    hand = _Hand(model, scene.pose, watch)
+    every = legs(way, numpy.array([model.gains.speed[joint.name] for joint in model.arm]))
+    hand = Hand(model, scene.pose, watch)
     there, lift = way.joints[way.grasp], way.joints[way.lifted]
-    for leg in legs(model, way)[:-1]:
+    for leg in every[:-1]:
         hand.follow(leg)
     hand.wait(there, 0.1)
     hand.close(True)
     hand.wait(there, CLOSING)
-    hand.follow(legs(model, way)[-1])
+    hand.follow(every[-1])
     hand.wait(lift, HOLDING)
     touched = hand.touched
     if thing_of(model)[2] - scene.thing[2] >= LIFTED:
         return numpy.array([1.0, float(touched), *scene.thing])
     hand.close(False)
     hand.wait(lift, RESTING)
-    for leg in reversed(legs(model, way)):
+    for leg in reversed(every):
         hand.follow(leg[::-1])
     hand.wait(way.joints[0], RESTING)
     return numpy.array([0.0, float(touched), *thing_of(model)])
 
 
-def legs(model: Model, way: Way) -> list[Array]:
+def legs(way: Way, most: Array) -> list[Array]:
     """Postures (T, n) at every tick of each part of the way, from rest to rest.
 
-    The arm stops wherever the way in the open turns, at the grasp, and where it has lifted.
+    The arm stops wherever the way in the open turns, at the grasp, and where it has lifted. No
+    joint is faster than a share of `most` (n,), rad/s or m/s.
     """
-    most = numpy.array([model.gains.speed[joint.name] for joint in model.arm])
     stops = [*range(way.pre_grasp + 1), way.grasp, way.lifted]
     return [
         timed(way.joints[start : end + 1], (SWIFT if end <= way.pre_grasp else SLOW) * most, TICK)

@@ -6,7 +6,7 @@ gripper and the base move; in the one to drive with only the base does.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,9 @@ import numpy
 from numpy.typing import NDArray
 
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.kinematics.urdf import MOVING
 from cgtorch.tabletop.physics.bodies import RigidBody, follows, mimic_of, rigid_bodies
 from cgtorch.tabletop.physics.engine import mujoco
+from cgtorch.tabletop.physics.fingers import closed_at, gripper_joints
 from cgtorch.tabletop.physics.gains import Gains, gains_of
 from cgtorch.tabletop.physics.thing import Thing
 
@@ -75,19 +75,6 @@ class Model:
     gains: Gains
 
 
-def gripper_joints(robot: Robot, arm: int) -> list[Any]:
-    """The moving joints, `yourdfpy`'s, that hang from an arm's last joint."""
-    last = robot.arms[arm].joint_names[-1]
-    every = {joint.name: joint for joint in robot.urdf.model.robot.joints}
-    tip = every[last].child
-    return [
-        joint
-        for joint in every.values()
-        if joint.type in MOVING and joint.name != last
-        and any(above.child == tip for above in robot.urdf.joints_above(joint.child, ""))
-    ]  # fmt: skip
-
-
 def build(robot: Robot, arm: int | None, boxes: int, thing: Thing) -> Model:
     """The model in which an arm moves, or with None only the base, with so many obstacles.
 
@@ -115,7 +102,10 @@ def build(robot: Robot, arm: int | None, boxes: int, thing: Thing) -> Model:
     return Model(
         model, mj.MjData(model),
         arm=tuple(_joint(model, name, held.get(name, 0.0), 0.0) for name in moved),
-        fingers=tuple(_finger(model, joint, robot.description.held) for joint in fingers),
+        fingers=tuple(
+            _joint(model, joint.name, held.get(joint.name, 0.0), closed_at(joint, robot))
+            for joint in fingers
+        ),
         begins=tuple(
             (int(model.joint(joint.name).qposadr[0]), follows(joint, held)) for joint in followers
         ),
@@ -260,14 +250,6 @@ def _joint(model: Any, name: str, begin: float, closed: float) -> Joint:
     stiffness, damping = model.actuator_biasprm[servo, 1:3]
     lag = float(damping / stiffness)
     return Joint(name, int(model.joint(name).qposadr[0]), servo, lag, begin, closed)
-
-
-def _finger(model: Any, joint: Any, held: Mapping[str, float]) -> Joint:
-    """A finger closes from where the description holds it to its further limit."""
-    begin = held.get(joint.name, 0.0)
-    ends = (begin,) if joint.type == "continuous" else (joint.limit.lower, joint.limit.upper)
-    closed = max(ends, key=lambda end: abs(end - begin)) if joint.name in held else begin
-    return _joint(model, joint.name, begin, float(closed))
 
 
 def _box(model: Any, name: str) -> tuple[int, int, int]:

@@ -73,7 +73,7 @@ def test_legs_go_all_the_way_and_no_joint_is_too_fast(robot: Robot, physics: Phy
     _, way, arm = scene_and_way(robot, SCENE)
     model = physics.model(arm, 0)
     most = numpy.array([model.gains.speed[joint.name] for joint in model.arm])
-    every = legs(model, way)
+    every = legs(way, most)
     assert len(every) == way.pre_grasp + 2
     assert numpy.allclose(every[-1][-1], way.joints[way.lifted])
     assert numpy.allclose(every[-2][-1], way.joints[way.grasp])
