@@ -149,6 +149,11 @@ class Tabletop(Domain[Scenarios]):
         given = tabletop, obstacles, networks, self.physics
         return Tabletop(self.settings, self.robot, *given)
 
+    def watched(self, physics: Physics) -> "Tabletop":
+        """The same with other physics, such as one that is watched."""
+        given = self.tabletop, self.obstacles, self.networks, physics
+        return Tabletop(self.settings, self.robot, *given)
+
     def _under(self, **settings: Any) -> "Tabletop":
         given = self.tabletop, self.obstacles, self.networks, self.physics
         return Tabletop(replace(self.settings, **settings), self.robot, *given)

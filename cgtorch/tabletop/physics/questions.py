@@ -17,7 +17,7 @@ from cgtorch import native
 from cgtorch.ground import distributed
 from cgtorch.ground.processes import in_processes
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.physics.drive import drive
+from cgtorch.tabletop.physics.drive import Watch, drive
 from cgtorch.tabletop.physics.grasp import grasp
 from cgtorch.tabletop.physics.model import Model, build
 from cgtorch.tabletop.physics.plan import SEEN, planned, way_of
@@ -40,12 +40,19 @@ class Physics:
         thing: the object.
         memo: answers by question.
         models: compiled models, by the arm that moves and the number of obstacles.
+        watch: is told of a model after every command to its servos; then nothing is remembered.
     """
 
     robot: Robot
     thing: Thing = field(default_factory=Thing)
     memo: dict[bytes, Tensor] = field(default_factory=dict)
     models: dict[tuple[int | None, int], Model] = field(default_factory=dict)
+    watch: Callable[[Model], None] | None = None
+
+    def told(self, model: Model) -> Watch | None:
+        """What a simulation of a model is watched by."""
+        watch = self.watch
+        return None if watch is None else lambda _: watch(model)
 
     def model(self, arm: int | None, boxes: int) -> Model:
         """The model in which an arm moves, or with None the base, made once."""
@@ -69,6 +76,8 @@ def grasps(physics: Physics, rows: Tensor) -> Tensor:
 
 def _asked(physics: Physics, what: bytes, answer: Answer, rows: Tensor) -> Tensor:
     """Answers (n, A), from the memo or found out now."""
+    if physics.watch is not None:
+        return answer(physics, rows)
     keys = [what + row.tobytes() for row in rows.numpy()]
     new = {key: row for row, key in reversed([*enumerate(keys)]) if key not in physics.memo}
     order = sorted(new.values())
@@ -99,7 +108,8 @@ def _found(physics: Physics, answer: Answer, rows: Tensor) -> Tensor:
 
 def _drives(physics: Physics, rows: Tensor) -> Tensor:
     model = physics.model(None, (rows.shape[1] - 16 - SEEN) // 5)
-    out = [drive(model, Scene.of(row[:-SEEN]), row[-SEEN:]) for row in rows.double().numpy()]
+    watch = physics.told(model)
+    out = [drive(model, Scene.of(row[:-SEEN]), row[-SEEN:], watch) for row in rows.double().numpy()]
     return _as_tensor(out, 11)
 
 
@@ -112,7 +122,8 @@ def _grasps(physics: Physics, rows: Tensor) -> Tensor:
             out.append(numpy.array([0.0, 0.0, *scene.thing]))
             continue
         model = physics.model(int(ways.arm[i]), boxes)
-        out.append(grasp(model, scene, way_of(physics.robot, ways, i)))
+        way = way_of(physics.robot, ways, i)
+        out.append(grasp(model, scene, way, physics.told(model)))
     return _as_tensor(out, 9)
 
 

@@ -87,11 +87,15 @@ class MujocoWorld(TabletopWorld):
         good = lifted & ~touched if self.touch == "fails" else lifted
         return replace(lanes, state=after), good.to(lanes.percept.dtype)
 
-    def exact(self, state: Tensor) -> Tensor:
-        """See `TabletopWorld.exact`; the object's z is that of what it stands on."""
-        seen = super().exact(state)
+    def placed(self, state: Tensor) -> Tensor:
+        """See `TabletopWorld.placed`; of an object that lies it is as far below its centre."""
         foot = state[:, -EXTRA, None] - self.physics.thing.half_height
-        return torch.cat([seen[:, : TABLETOP - 1], foot], 1)
+        return torch.cat([super().placed(state)[:, :2], foot], 1)
+
+    def exact(self, state: Tensor) -> Tensor:
+        """See `TabletopWorld.exact`; the object's z is that of `placed`."""
+        seen = super().exact(state)[:, : TABLETOP - 1]
+        return torch.cat([seen, self.placed(state)[:, 2:]], 1)
 
     def scene(self, state: Tensor) -> Tensor:
         """(n, 16 + 5 K): what `cgtorch.tabletop.physics.scene.Scene.of` reads, of states."""

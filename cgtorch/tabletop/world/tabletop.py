@@ -153,6 +153,11 @@ class TabletopWorld:
         look = count[:, 0].long() % self.looks
         return pose, table, placed, look, obstacles.unflatten(1, (self.num_obstacles, 5))
 
+    def placed(self, state: Tensor) -> Tensor:
+        """(n, 3) where the object stands, m."""
+        _, table, placed, _, _ = self._parts(state)
+        return torch.cat([placed, table[:, 5:6]], 1)
+
     def exact(self, state: Tensor) -> Tensor:
         """The percepts (n, 7) without noise, of table and object alone."""
         pose, table, placed, _, _ = self._parts(state)
