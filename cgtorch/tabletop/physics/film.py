@@ -18,7 +18,7 @@ WIDTH, HEIGHT = 480, 360  # px
 EVERY = 0.16  # s of the simulation between two pictures
 LASTS = 80  # ms that each is shown
 END = 1200  # ms that the last one is
-DISTANCE, BEHIND, DOWN = 3.6, 35.0, -28.0  # m, and degrees, of the camera
+DISTANCE, BEHIND, DOWN = 4.2, 30.0, -32.0  # m, and degrees, of the camera
 
 
 class Camera:

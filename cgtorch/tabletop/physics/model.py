@@ -180,6 +180,7 @@ def _add_follower(mj: Any, spec: Any, joint: Any) -> None:
 def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
     """The floor, the table, obstacles and the object; sizes of boxes are written in later."""
     box = mj.mjtGeom.mjGEOM_BOX
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], castshadow=False)
     spec.worldbody.add_geom(
         name="floor", type=mj.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=FLOOR, conaffinity=0,
