@@ -20,17 +20,17 @@ def option(
     choices: tuple[str, ...] = (),
     least: float = 1,
     most: float = MOST,
-    later: bool = False,
+    before: Any = None,
 ) -> Any:
     """A field with its default, whose type is the option's, and its help on the command line.
 
     What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
-    `choices`, if there are any; a number is from `least` to `most`. A setting that came `later`
-    may be missing in a run, which has the default then.
+    `choices`, if there are any; a number is from `least` to `most`. A run that was begun
+    before there was this setting lacks it, and has what it was `before`, if that is given.
     """
     about = {
         "help": text, "fixed": fixed, "choices": choices, "least": least, "most": most,
-        "later": later,
+        "before": before,
     }  # fmt: skip
     return field(default=default, metadata=about)
 
@@ -96,8 +96,8 @@ def from_plain(kind: type[T], data: Any) -> T:
     """Settings from what `to_plain` gave; SettingsError if one is unknown, missing or wrong."""
     names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     if isinstance(data, dict):
-        later = {name: f.default for name, f in names.items() if f.metadata.get("later")}
-        data = {**later, **data}
+        before = {name: f.metadata.get("before") for name, f in names.items()}
+        data = {**{name: value for name, value in before.items() if value is not None}, **data}
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")

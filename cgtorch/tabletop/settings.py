@@ -52,7 +52,7 @@ class TabletopSettings(DomainSettings):
         "it, or mujoco, where it is carried out in physics (pip install 'cgtorch[physics]').",
         "data, models, W and M are of it",
         choices=WORLDS,
-        later=True,
+        before="kinematic",
     )
     touch: str = option(
         "fails",
@@ -60,7 +60,15 @@ class TabletopSettings(DomainSettings):
         "allowed.",
         "the data and models that are there have it",
         choices=("fails", "allowed"),
-        later=True,
+        before="fails",
+    )
+    grasp: str = option(
+        "way",
+        "What a grasp needs: way for a way of the arm from home to the object that touches "
+        "nothing, posture for a posture at the object alone.",
+        "it says what success means, for labels and W",
+        choices=("way", "posture"),
+        before="posture",
     )
     networks: str = option(
         "auto",
