@@ -9,7 +9,7 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import Action, ActionSet, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, LinearNN, RecurrentNN, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
@@ -107,9 +107,10 @@ class Visits(Counter):
 
 
 def recurrent_actions(size: int = 7) -> ActionSet:
-    """The paper's actions, two that have memory of their own, and a network that remembers."""
+    """The paper's actions, two with a memory of their own, a linear network, and one with memory."""
     paper = paper_actions(size).extended(["Counter"], [Counter()])
-    return paper.extended(["RecurrentNN", "Visits"], [RecurrentNN(size, 4), Visits()])
+    own = [RecurrentNN(size, 4), Visits(), LinearNN(size)]
+    return paper.extended(["RecurrentNN", "Visits", "LinearNN"], own)
 
 
 def endless_actions() -> ActionSet:

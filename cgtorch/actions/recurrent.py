@@ -1,4 +1,4 @@
-"""A network that remembers: its hidden state lies in the memory of a lane."""
+"""A network that remembers, its hidden state in the memory of a lane, and one without a state."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ WEIGHT, BIAS = 0.5, 0.01
 
 
 def recurrent_parameters(inputs: int, hidden: int, outputs: int) -> int:
-    """Number of weights and biases of an Elman network: W with R, b, V, c."""
-    return hidden * (inputs + hidden + 1) + outputs * (hidden + 1)
+    """Number of weights and biases of an Elman network: W with R, b, V, c; without state V, c."""
+    return hidden * (inputs + hidden + 1) + outputs * ((hidden or inputs) + 1)
 
 
 def recurrent_step(
@@ -25,14 +25,15 @@ def recurrent_step(
 
     Parameters are (n, recurrent_parameters(inputs, hidden, outputs)), each row W with R as one
     matrix (hidden, inputs + hidden), b, V (outputs, hidden), c, flattened in this order. Returned
-    are the next state h' = tanh(W x + R h + b) (n, hidden), and V h' + c (n, outputs).
+    are the next state h' = tanh(W x + R h + b) (n, hidden), and V h' + c (n, outputs). Without
+    a state (hidden is 0), the parameters are V (outputs, inputs) and c, and V x + c is returned.
     """
-    hidden = state.shape[-1]
+    hidden, last = state.shape[-1], state.shape[-1] or x.shape[-1]
     seen = torch.cat([x, state], -1)
-    sizes = [hidden * seen.shape[-1], hidden, outputs * hidden, outputs]
+    sizes = [hidden * seen.shape[-1], hidden, outputs * last, outputs]
     w, b, v, c = parameters[..., : sum(sizes)].split(sizes, dim=-1)
     after = 2 * sigmoid(2 * _layer(seen, w, b)) - 1
-    return after, _layer(after, v, c)
+    return after, _layer(after if hidden else x, v, c)
 
 
 def _layer(x: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
@@ -78,3 +79,18 @@ class RecurrentNN(Action):
         has = torch.ones_like(lanes.has_message)
         lanes = replace(lanes, message=message, has_message=has, memory=memory)
         return lanes, lanes.step.new_zeros(len(lanes))
+
+
+class LinearNN(RecurrentNN):
+    """From the percept to a motion: V x + c, the recurrent network without a hidden layer.
+
+    The fewest parameters that a reaction to every number of a percept can have, and so what is
+    tuned in the fewest episodes where it is enough.
+    """
+
+    first_step = 2.0
+    native_kind = "RECURRENT"
+    plain_module = "cgtorch.export.plain.networks"
+
+    def __init__(self, inputs: int = 7, outputs: int = 3):
+        super().__init__(inputs, 0, outputs)

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
-from cgtorch.actions.recurrent import RecurrentNN
+from cgtorch.actions.recurrent import LinearNN, RecurrentNN
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.environment.dry_run import (
     ROWS,
@@ -27,6 +27,7 @@ ENTRY_POINTS = "cgtorch.actions"
 TABLETOP = 7, 3
 """Numbers of a percept and of a control in the paper."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
+    "LinearNN": LinearNN,
     "RecurrentNN": lambda percept, control: RecurrentNN(percept, outputs=control),
 }
 """Actions that belong to no domain, by name, from the numbers of its percepts and controls."""

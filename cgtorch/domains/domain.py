@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Grasp, MoveBase, RecurrentNN
+from cgtorch.actions import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    Grasp,
+    LinearNN,
+    MoveBase,
+    RecurrentNN,
+)
 from cgtorch.domains import knowledge as learned
 from cgtorch.domains.exploration import explore
 from cgtorch.domains.knowledge import Knowledge
@@ -133,13 +141,14 @@ class Domain(ABC, Generic[S]):
 
         A network sends a control, a step carries it out, a network branches. Where the world gives
         no rewards, and so does not end by itself, a test of success ends the skill. Where it gives
-        some there is a network with memory, too, and that without is larger.
+        some there are a linear one and one with memory, too, and that with a hidden layer is
+        larger.
         """
         d, u = len(self.percept), len(self.control)
         common = MoveBase(u), BranchingNN(d)
         if self.rewarded:
-            networks = ContinuousNN(d, WIDE, u), RecurrentNN(d, outputs=u)
-            return ActionSet(("Aim", "Recur", "Step", "Branch"), (*networks, *common))
+            networks = LinearNN(d, u), ContinuousNN(d, WIDE, u), RecurrentNN(d, outputs=u)
+            return ActionSet(("Linear", "Aim", "Recur", "Step", "Branch"), (*networks, *common))
         aim = ContinuousNN(d, outputs=u)
         return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, *common, Grasp()))
 

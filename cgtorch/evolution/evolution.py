@@ -24,6 +24,7 @@ from cgtorch.evolution.population import (
     slim,
 )
 from cgtorch.evolution.selection import Selection, lexicase, ranking, tournament
+from cgtorch.evolution.varied_graphs import varied_graphs
 from cgtorch.graphs import compacted, resized
 from cgtorch.ground.errors import DataError, SettingsError
 
@@ -165,7 +166,8 @@ def initial_state(
     """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
-        graphs = random_graphs(settings.population, actions, *sizes)
+        draw = varied_graphs if settings.lineages else random_graphs
+        graphs = draw(settings.population, actions, *sizes)
         population = Population(graphs, initial_strategy(len(graphs)))
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)
@@ -275,7 +277,7 @@ def _next_structures(
     if not state.fresh:
         return replace(bred, fresh=True)
     size = settings.capacity, settings.initial_nodes, generator
-    graphs = random_graphs(settings.population, actions, *size)
+    graphs = varied_graphs(settings.population, actions, *size)
     fresh = slim(Population(graphs, initial_strategy(len(graphs))))
     kept = parents.rows(order[: settings.elite])
     return replace(bred, population=fresh, parents=kept, distinct_parents=0, fresh=False)

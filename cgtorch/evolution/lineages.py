@@ -33,7 +33,7 @@ RUNGS = (5, 40)
 """After how many generations the worse half of the lineages is given up."""
 STALL = 40
 """Generations without progress after which a lineage is given up."""
-MOST_UPDATES = 200
+MOST_UPDATES = 120
 """Generations of a lineage at most: one that gets better for ever still can be on a wrong way."""
 LEAST_STEP = 1e-4
 RECENT = 8

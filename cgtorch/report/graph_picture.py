@@ -24,6 +24,7 @@ COLOURS = {
     "Grasp": "#fbdca6",
     "ContinuousNN": "#dcd0f2",
     "EdgeNN": "#dcd0f2",
+    "LinearNN": "#dcd0f2",
     "RecurrentNN": "#dcd0f2",
     "BranchingNN": "#f6cadd",
     "EdgeBranchingNN": "#f6cadd",

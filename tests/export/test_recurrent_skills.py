@@ -15,7 +15,7 @@ from test_onnx_model import runtime
 from torch import Tensor
 from walking import chain
 
-from cgtorch.actions import Action, ActionSet, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, LinearNN, RecurrentNN, paper_actions
 from cgtorch.export import (
     SkillStep,
     to_dot,
@@ -39,7 +39,7 @@ def remembering() -> Skill:
     An action with a memory comes before it, and one with two numbers between it and another one.
     """
     own = ["Visits", "RecurrentNN", "Smaller"], [Visits(), RecurrentNN(), RecurrentNN(7, 2)]
-    actions = paper_actions().extended(*own)
+    actions = paper_actions().extended(*own).extended(["LinearNN"], [LinearNN()])
 
     def skill(name: str, seed: int, *nodes: str) -> Skill:
         graph = chain(actions, *nodes)
@@ -50,7 +50,9 @@ def remembering() -> Skill:
 
     inner = skill("S0", 1, "RecurrentNN", "MoveBase", "Visits", "Smaller", "MoveBase")
     actions = actions.extended(["S0"], [SubSkill(inner)])
-    return skill("S1", 2, "Visits", "RecurrentNN", "MoveBase", "S0", "Smaller", "MoveBase")
+    return skill(
+        "S1", 2, "Visits", "RecurrentNN", "MoveBase", "S0", "LinearNN", "Smaller", "MoveBase"
+    )
 
 
 SKILL = remembering()

@@ -19,6 +19,7 @@ from cgtorch.actions import (
     ContinuousNN,
     Detect,
     Grasp,
+    LinearNN,
     MoveBase,
     RecurrentNN,
 )
@@ -152,6 +153,10 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
                 return "tired"
             side = robot.message[1]
             return "left" if side > 0.1 else "right" if side < -0.1 else "ahead"
+        case LinearNN():
+            robot.message[:3] = small_layer(percept[: action.inputs], parameters, 3)
+            robot.has_message = True
+            return "success"
         case RecurrentNN():
             robot.remembered, robot.message[:3] = remembering(percept, robot.remembered, parameters)
             robot.has_message = True
@@ -218,6 +223,17 @@ def remembering(
     return after, [
         bias + sum(w * h for w, h in zip(row, after, strict=True))
         for row, bias in zip(v, c, strict=True)
+    ]
+
+
+def small_layer(inputs: list[float], parameters: list[float], outputs: int) -> list[float]:
+    """V x + c, of parameters that count a half in V and a hundredth in c."""
+    size = len(inputs)
+    rows = [parameters[i * size : (i + 1) * size] for i in range(outputs)]
+    biases = parameters[outputs * size : outputs * (size + 1)]
+    return [
+        bias / 100 + sum(w / 2 * x for w, x in zip(row, inputs, strict=True))
+        for row, bias in zip(rows, biases, strict=True)
     ]
 
 

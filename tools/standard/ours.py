@@ -3,7 +3,14 @@
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, MoveBase, RecurrentNN
+from cgtorch.actions import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    LinearNN,
+    MoveBase,
+    RecurrentNN,
+)
 from cgtorch.evolution import REWARDS, evolve
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import rollout
@@ -21,10 +28,11 @@ lineages is tried."""
 
 
 def actions_of(task: Task) -> ActionSet:
-    """What nodes can be: networks with and without memory, doing what they say, and branches."""
+    """What nodes can be: networks, doing what they say, and branches."""
     d, u = task.inputs, task.outputs
-    networks = ContinuousNN(d, HIDDEN, outputs=u), RecurrentNN(d, outputs=u), BranchingNN(d)
-    return ActionSet(("Aim", "Recur", "Branch", "Step"), (*networks, MoveBase(u)))
+    networks = LinearNN(d, u), ContinuousNN(d, HIDDEN, u), RecurrentNN(d, outputs=u)
+    names = "Linear", "Aim", "Recur", "Branch", "Step"
+    return ActionSet(names, (*networks, BranchingNN(d), MoveBase(u)))
 
 
 def search(trial: Trial) -> None:

@@ -60,7 +60,12 @@ class RecurrentNN(State):
     outcomes = (SUCCESS,)
 
     def __init__(
-        self, parameters: Sequence[float], inputs: int, hidden: int, outputs: int, memory: range
+        self,
+        parameters: Sequence[float],
+        inputs: int,
+        hidden: int,
+        outputs: int,
+        memory: range = range(0),
     ):
         super().__init__(parameters)
         self.inputs, self.outputs, self.memory = inputs, outputs, memory[:hidden]
@@ -77,10 +82,21 @@ class RecurrentNN(State):
         return SUCCESS
 
     def small_layer(self, parameters: Sequence[float], inputs: list[float]) -> list[float]:
-        """What a layer gives; weights are half of their parameters, biases a twentieth."""
+        """What a layer gives; weights are half of their parameters, biases a hundredth."""
         weights = len(parameters) // (len(inputs) + 1) * len(inputs)
         small = [x * (0.5 if i < weights else 0.01) for i, x in enumerate(parameters)]
         return layer(small, inputs)
+
+
+class LinearNN(RecurrentNN):
+    """From the percept to a motion, sent as message; the parameters are V row by row, then c."""
+
+    def execute(self, userdata: Userdata) -> str:
+        """Send it."""
+        seen = userdata.percept[: self.inputs]
+        userdata.message[: self.outputs] = self.small_layer(self.parameters, seen)
+        userdata.has_message = True
+        return SUCCESS
 
 
 def sigmoid(x: float) -> float:

@@ -73,7 +73,7 @@ INLINE Done recurrent_of(const Waiting *w, const Action *a, Together *t) {
   into_columns_of(t->rows, inputs, x);
   rows_of(t, memory, w->memory_size);
   into_columns_of(t->rows, hidden, x + inputs);
-  int count = hidden * (inputs + hidden + 1) + outputs * (hidden + 1);
+  int count = recurrent_weights(inputs, hidden, outputs);
   const real *weights = weights_for(w, t, count, columns);
   if (weights) recurrent(x, weights, NULL, inputs, hidden, outputs, state, out);
   else recurrent(x, NULL, columns, inputs, hidden, outputs, state, out);

@@ -1,0 +1,55 @@
+"""Random graphs of as many kinds as there are, for populations that are as small as can be.
+
+Where every evaluation is an episode of the world, few graphs can be tried. Most random ones are not
+worth it: a policy that acts for a whole episode is a loop, and a node that the loop does not come
+back to is idle. So many graphs are drawn, of which those are kept whose nodes all lead to each
+other, one of each kind before a second one of any. The kind is which actions a graph's nodes have.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.actions import ActionSet
+from cgtorch.evolution.population import random_graphs
+from cgtorch.graphs import Graphs, reachable
+
+DRAWN = 32
+"""Graphs drawn for each one that is kept."""
+
+
+def varied_graphs(
+    size: int,
+    actions: ActionSet,
+    capacity: int,
+    initial_nodes: tuple[int, int],
+    generator: Generator,
+) -> Graphs:
+    """As many graphs as `size`, with a number of nodes within `initial_nodes` before pruning."""
+    drawn = random_graphs(DRAWN * size, actions, capacity, initial_nodes, generator)
+    _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)
+    group = torch.where(looping(drawn), kind, kind + len(kind))
+    rank = occurrence(group) + len(kind) * (group >= len(kind))
+    return drawn[rank.argsort(stable=True)[:size]]
+
+
+def looping(graphs: Graphs) -> Tensor:
+    """(P,) bool, whether all nodes of a graph lead to each other."""
+    every = torch.ones(len(graphs), dtype=torch.bool)
+    for node in range(graphs.capacity):
+        start = torch.full_like(graphs.start, node)
+        there = graphs.used[:, node]
+        all_reached = (reachable(replace(graphs, start=start)) >= graphs.used).all(1)
+        every &= ~there | all_reached
+    return every
+
+
+def occurrence(group: Tensor) -> Tensor:
+    """(P,) how often the same number has come before in groups (P,)."""
+    order = group.argsort(stable=True)
+    ordered, place = group[order], torch.arange(len(group))
+    begins = torch.ones_like(ordered, dtype=torch.bool)
+    begins[1:] = ordered[1:] != ordered[:-1]
+    first = torch.where(begins, place, 0).cummax(0).values
+    return torch.empty_like(group).scatter_(0, order, place - first)
