@@ -43,10 +43,8 @@ def arm_command(robot: Robot, percept: Tensor) -> dict[str, Any] | None:
     pick = [*range(EVERY - 1, len(rows), EVERY)]
     pick = sorted({*pick, len(there) - 1, len(there) + len(held) - 1, len(rows) - 1})
     fingers = [joint for joint in gripper_joints(robot, which) if joint.mimic is None]
-    open_, closed = (
-        [float(at(joint)) for joint in fingers]
-        for at in (lambda j: robot.description.held.get(j.name, 0.0), lambda j: closed_at(j, robot))
-    )
+    open_ = [float(robot.description.held.get(joint.name, 0.0)) for joint in fingers]
+    closed = [closed_at(joint, robot) for joint in fingers]
     return {
         "arm": arm.name,
         "joints": list(arm.joint_names),
