@@ -284,7 +284,9 @@ class Tabletop(Domain[Scenarios]):
 
     def about(self) -> list[tuple[str, str]]:
         """See `Domain.about`."""
-        return [("Robot", self.robot.description.name)]
+        s = self.settings
+        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
+        return [("Robot", self.robot.description.name), ("World", world)]
 
     def draw_scenarios(
         self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
