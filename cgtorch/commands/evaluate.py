@@ -24,6 +24,7 @@ Examples:
   cgtorch-evaluate runs/reference --scenarios general --picture scenes.png
   cgtorch-evaluate runs/auto --skill auto-1
   cgtorch-evaluate skill.json --count 1000 --json
+  cgtorch-evaluate runs/reference --world mujoco --count 200
 """
 
 
@@ -43,6 +44,7 @@ Examples:
 )
 @options.skill_option
 @options.domain_option
+@options.world_option
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--picture",
@@ -63,6 +65,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     with importing():
         import torch
 
+        from cgtorch import native
+        from cgtorch.ground.distributed import cores
         from cgtorch.runs.ledger import read_index
         from cgtorch.runs.skills import chosen_skill
         from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
@@ -72,8 +76,16 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
     chosen, quiet = chosen_skill(path, *about), rest["quiet"]
     skill, domain, kind, stage = chosen.skill, chosen.domain, chosen.kind, chosen.stage
+    if rest["world"] is not None:
+        domain = domain.in_world(rest["world"])
+    native.use_threads(cores())  # for worlds that take long, which share out work to processes
     with options.waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
         score = evaluate_skill(skill, domain, kind, count, seed, done)
+    measures = dict[str, dict[str, Any]]()
+    for name, other in domain.other_measures().items():
+        with options.waiting(f"trying {skill.name} again: {name}", quiet, count) as done:
+            again = evaluate_skill(skill, other, kind, count, seed, done)
+        measures[name] = _share(again.successes, again.tried)
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
     own, promised, noise = _share(score.successes, score.tried), None, None
@@ -85,8 +97,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
                 kept = robust_successes(score, skill, knowledge, domain, seed)
             promised = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}
-        again = index.get(skill.name, {}).get("w_other_noise")
-        noise = again and _share(again["succeeded"], again["tried"])
+        met = index.get(skill.name, {}).get("w_other_noise")
+        noise = met and _share(met["succeeded"], met["tried"])
     if as_json:
         result = {
             "skill": skill.name,
@@ -96,10 +108,13 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
             "mean_return": score.mean_return,
             "promised": promised,
             "w_other_noise": noise,
+            **({"other_measures": measures} if measures else {}),
         }
         click.echo(json.dumps(result))
         return
     click.echo(f"{skill.name} on {kind}: {_as_text(own)}")
+    for name, share in measures.items():
+        click.echo(f"{name}: {_as_text(share)}")
     if score.returns is not None:
         click.echo(_returns_as_text(score, domain.target_return))
     if promised is not None:

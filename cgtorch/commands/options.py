@@ -86,6 +86,12 @@ domain_option = click.option(
     "file: the domain of the skill.  [tabletop]",
 )
 
+world_option = click.option(
+    "--world",
+    help="Try it in another world of its domain: of the tabletop kinematic, or mujoco for physics."
+    "  [that of the run]",
+)
+
 force_option = click.option("--force", is_flag=True, help="Replace the file if it exists.")
 
 

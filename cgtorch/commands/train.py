@@ -27,6 +27,7 @@ Examples:
   cgtorch-train --stage auto --target 0.99 --minutes 5 --run-dir runs/auto
   cgtorch-train --stage auto --scenarios general --run-dir runs/general
   cgtorch-train --stage auto --robot fetch --run-dir runs/fetch
+  cgtorch-train --stage S3 --world mujoco --run-dir runs/physics
   cgtorch-train --domain gymnasium:CartPole-v1 --run-dir runs/cartpole
   cgtorch-train --domain my_package.cart:Cart --run-dir runs/cart
   cgtorch-train --domain my_package.cart:Cart --help
@@ -154,11 +155,12 @@ def command(context: click.Context, /, **options: Any) -> None:
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
-    values = {name: options[name] for name in settings & set(NAMES)}
+    domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
+    usual = {k: v for k, v in domain_settings.usual().items() if k not in given}
+    values = {**{name: options[name] for name in settings & set(NAMES)}, **usual}
     run_settings = RunSettings(
         **values, actions=tuple(options["actions"]), domain=options["domain"]
     )
-    domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
         begin(folder, run_settings, domain_settings, wish)

@@ -1,5 +1,6 @@
 """`cgtorch-view`: watch a skill at work in the browser."""
 
+import os
 from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
@@ -23,6 +24,8 @@ Examples:
   cgtorch-view runs/reference --scenarios far --seed 3
   cgtorch-view runs/reference/S1 --against runs/reference
   cgtorch-view runs/auto --skill auto-1 --scenarios general
+  cgtorch-view runs/reference --world mujoco
+  cgtorch-view runs/reference --film skill.webp
 """
 
 
@@ -48,6 +51,13 @@ Examples:
     most=10_000,
 )
 @options.skill_option
+@options.world_option
+@click.option(
+    "--film",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write an animated picture (.gif or .webp) of the skill in physics on the first scenario "
+    "instead, and exit.",
+)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @options.number_option(
     "--port",
@@ -64,6 +74,9 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     the graph, the percept and the message. On the page you can choose another scenario, drag the
     object, and take any other skill of the run.
     """
+    if rest["film"] is not None:
+        _film(rest["film"], path, scenarios, count, seed, rest)
+        return
     if find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")
     with importing():
@@ -75,11 +88,11 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
     torch.set_num_threads(1)
     with options.waiting(f"loading {path}", rest["quiet"]):
-        chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios)
+        chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, rest["world"])
     draw_of(chosen.kind)  # there must be such scenarios
     against, other = None, rest["against"]
     if other is not None:
-        another, more = _offer(other, None, rest["actions"], scenarios)
+        another, more = _offer(other, None, rest["actions"], scenarios, rest["world"])
         taken = candidates if _folder(other, another) != _folder(path, chosen) else ()
         names = {n: f"{n} of {other}" if n in taken else n for n in more}
         against = names[another.skill.name]
@@ -91,12 +104,41 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
         play_for_ever(page)
 
 
+def _film(
+    film: Path, path: Path, scenarios: str | None, count: int, seed: int, rest: dict[str, Any]
+) -> None:
+    """Write what the renderer of MuJoCo sees of a skill."""
+    if film.suffix not in (".gif", ".webp"):
+        raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
+    if "DISPLAY" not in os.environ:
+        os.environ.setdefault("MUJOCO_GL", "egl")  # which MuJoCo reads when it is imported
+    with importing():
+        import torch
+
+        from cgtorch.ground.files import write_bytes
+        from cgtorch.tabletop.physics.film import film_of
+        from cgtorch.tabletop.viewer.choice import scenario_of
+
+    torch.set_num_threads(1)
+    chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, "mujoco")
+    scenario = scenario_of(chosen.kind, count, seed, 0)
+    with options.waiting(f"filming {chosen.skill.name}", rest["quiet"]):
+        candidate = candidates[chosen.skill.name]
+        end, data = film_of(candidate.skill, candidate.domain, scenario, film.suffix[1:])
+    write_bytes(film, data)
+    click.echo(f"{chosen.skill.name} ends in {end}: {film}, {len(data)} bytes")
+
+
 def _folder(path: Path, chosen: "Chosen") -> Path:
     return (path if chosen.run is None else chosen.run.folder).resolve()
 
 
 def _offer(
-    path: Path, name: str | None, actions: tuple[str, ...], scenarios: str | None
+    path: Path,
+    name: str | None,
+    actions: tuple[str, ...],
+    scenarios: str | None,
+    world: str | None,
 ) -> tuple["Chosen", dict[str, "Candidate"]]:
     """The skill that a path stands for, and all skills of its run."""
     from cgtorch.domains.registry import TABLETOP
@@ -112,6 +154,8 @@ def _offer(
         )
     chosen = chosen_skill(path, name, actions, scenarios)
     domain, run = chosen.domain, chosen.run
+    if world is not None:
+        domain = domain.in_world(world)
     assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
     skills = {chosen.skill.name: chosen.skill}
     if run is not None:

@@ -35,6 +35,7 @@ from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset, Environment, Rewarded, ScenarioBatch
 from cgtorch.environment.fields import Field
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping
@@ -271,6 +272,14 @@ class Domain(ABC, Generic[S]):
     def for_run(self, kind: str, method: str) -> Self:
         """The domain for a run about a kind of scenarios and with a method; itself by default."""
         return self
+
+    def in_world(self, name: str) -> Self:
+        """The domain with another world of that name; SettingsError if it has none."""
+        raise SettingsError(f"{type(self).__name__} has one world only; leave --world out")
+
+    def other_measures(self) -> Mapping[str, "Domain[S]"]:
+        """The same world where success is measured otherwise, by what that success is called."""
+        return {}
 
     def variants(self, kind: str) -> Iterable["Domain[S]"]:
         """Domains, the usual one first, whose skills a file that tells no domain may hold."""

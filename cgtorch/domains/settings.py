@@ -21,15 +21,20 @@ def option(
     least: float = 1,
     most: float = MOST,
     when: str = "",
+    before: Any = None,
 ) -> Any:
     """A field with its default, whose type is the option's, and its help on the command line.
 
     What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
     `choices`, if there are any; a number is from `least` to `most`. `when` says in which case one
-    changes it.
+    changes it. A run that was begun before there was this setting lacks it, and has what it was
+    `before`, if that is given.
     """
-    about = {"help": text, "fixed": fixed, "choices": choices, "least": least, "most": most}
-    return field(default=default, metadata=about | {"when": when})
+    about = {
+        "help": text, "fixed": fixed, "choices": choices, "least": least, "most": most,
+        "when": when, "before": before,
+    }  # fmt: skip
+    return field(default=default, metadata=about)
 
 
 def check_options(settings: Any) -> None:
@@ -73,6 +78,10 @@ class DomainSettings:
         """Check every value."""
         check_options(self)
 
+    def usual(self) -> Mapping[str, Any]:
+        """`run_defaults` given these settings."""
+        return self.run_defaults
+
 
 def to_plain(settings: Any) -> dict[str, Any]:
     """Settings as plain data for a file, where numbers that are not finite are texts."""
@@ -88,6 +97,9 @@ def _plain(value: Any) -> Any:
 def from_plain(kind: type[T], data: Any) -> T:
     """Settings from what `to_plain` gave; SettingsError if one is unknown, missing or wrong."""
     names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    if isinstance(data, dict):
+        before = {name: f.metadata.get("before") for name, f in names.items()}
+        data = {**{name: value for name, value in before.items() if value is not None}, **data}
     if not isinstance(data, dict) or set(data) != set(names):
         odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")

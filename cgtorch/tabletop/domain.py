@@ -2,9 +2,10 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import torch
 from torch import Generator, Tensor, nn
@@ -19,20 +20,28 @@ from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
-from cgtorch.ground.errors import RobotError
+from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
-from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files
+from cgtorch.tabletop.kinematics import (
+    Robot,
+    graspable,
+    has_posture,
+    load_robot,
+    robot_files,
+)
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
+from cgtorch.tabletop.physics import MujocoWorld, Physics
+from cgtorch.tabletop.physics.engine import mujoco
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
-from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.settings import WORLDS, TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements
 from cgtorch.tabletop.world import (
     DRAWS,
@@ -53,6 +62,10 @@ if TYPE_CHECKING:
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
+THRIFT = {"kinematic": 1, "mujoco": 4}  # see `Scenes`
+_Asked: TypeAlias = Callable[[Robot, Tensor, Tensor], Tensor]
+GRASPS: Mapping[str, _Asked] = {"way": graspable, "posture": has_posture}
+"""What has to be there for a grasp to succeed, by the setting `grasp`."""
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI by what their networks read."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
@@ -97,10 +110,14 @@ class Tabletop(Domain[Scenarios]):
         tabletop: str = "box",
         obstacles: int = 0,
         networks: str = "edge",
+        physics: Physics | None = None,
     ) -> None:
         """A tabletop; without a robot that of the settings is loaded, or RobotError raised."""
         super().__init__(settings)
         self.robot = robot or load_robot(*self._files())
+        if self.settings.world == "mujoco":
+            mujoco()  # which is said before anything long begins if it is missing
+        self.physics = physics or Physics(self.robot)
         self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks
         self.specialists = SPECIALISTS[networks]
         self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
@@ -113,6 +130,20 @@ class Tabletop(Domain[Scenarios]):
         networks = networks if s.networks == "auto" else s.networks
         return self._with(tabletop, draw_of(kind)(0, Generator()).obstacles.shape[1], networks)
 
+    def in_world(self, name: str) -> "Tabletop":
+        """See `Domain.in_world`."""
+        if name not in WORLDS:
+            raise SettingsError(f"world is {name!r:.40}; use one of {', '.join(WORLDS)}")
+        return self._under(world=name)
+
+    def other_measures(self) -> Mapping[str, "Tabletop"]:
+        """See `Domain.other_measures`: in physics with touches allowed, or failing."""
+        if self.settings.world != "mujoco":
+            return {}
+        if self.settings.touch == "fails":
+            return {"lifted, whatever the arm touched": self._under(touch="allowed")}
+        return {"lifted without a touch of table or robot": self._under(touch="fails")}
+
     def variants(self, kind: str) -> Iterable["Tabletop"]:
         """See `Domain.variants`.
 
@@ -124,7 +155,17 @@ class Tabletop(Domain[Scenarios]):
         return (self._with(percept, boxes, networks) for networks, boxes, percept in every)
 
     def _with(self, tabletop: str, obstacles: int, networks: str) -> "Tabletop":
-        return Tabletop(self.settings, self.robot, tabletop, obstacles, networks)
+        given = tabletop, obstacles, networks, self.physics
+        return Tabletop(self.settings, self.robot, *given)
+
+    def watched(self, physics: Physics) -> "Tabletop":
+        """The same with other physics, such as one that is watched."""
+        given = self.tabletop, self.obstacles, self.networks, physics
+        return Tabletop(self.settings, self.robot, *given)
+
+    def _under(self, **settings: Any) -> "Tabletop":
+        given = self.tabletop, self.obstacles, self.networks, self.physics
+        return Tabletop(replace(self.settings, **settings), self.robot, *given)
 
     def draw(self, kind: str, count: int, generator: Generator) -> Scenarios:
         """See `Domain.draw`."""
@@ -138,7 +179,11 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.world`."""
         footprint = self.robot.description.footprint
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
-        grasps = partial(_graspable, self.robot)
+        if self.settings.world == "mujoco":
+            return MujocoWorld(
+                scenarios, self.physics, noise, percept=self.tabletop, touch=self.settings.touch
+            )
+        grasps = partial(_shared, GRASPS[self.settings.grasp], self.robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
 
     def actions(self) -> ActionSet:
@@ -153,7 +198,10 @@ class Tabletop(Domain[Scenarios]):
 
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
         """See `Domain.explore`: the robot drives around and tries grasps (section V)."""
-        return collect(Scenes(self.world, kind), transitions, tests, generator)
+        return collect(self._scenes(kind), transitions, tests, generator)
+
+    def _scenes(self, kind: str) -> Scenes:
+        return Scenes(self.world, kind, THRIFT[self.settings.world])
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `Domain.possible`."""
@@ -183,13 +231,13 @@ class Tabletop(Domain[Scenarios]):
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
     ) -> Fresh:
         """See `Domain.try_transition`."""
-        return fresh_experience(Scenes(self.world, kind), gamma, tests, generator)
+        return fresh_experience(self._scenes(kind), gamma, tests, generator)
 
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
         """See `Domain.summary`: each figure beside the best that a percept allows."""
-        return tabletop_summary(Scenes(self.world, kind), knowledge, fresh, generator)
+        return tabletop_summary(self._scenes(kind), knowledge, fresh, generator)
 
     def imagine(
         self,
@@ -240,7 +288,9 @@ class Tabletop(Domain[Scenarios]):
 
     def about(self) -> list[tuple[str, str]]:
         """See `Domain.about`."""
-        return [("Robot", self.robot.description.name)]
+        s = self.settings
+        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
+        return [("Robot", self.robot.description.name), ("World", world)]
 
     def draw_scenarios(
         self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
@@ -264,9 +314,9 @@ def usual_percept(kind: str) -> str:
     return "yaw" if kind.startswith("general") else "box"
 
 
-def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """`graspable`, many rows shared out among all ranks; with few, one rank can try a domain."""
+def _shared(asked: _Asked, robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """What is asked of many rows, shared out among all ranks; with few, one can try a domain."""
     if len(position) < WORTH_SHARING:
-        return graspable(robot, position, table)
+        return asked(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)
-    return distributed.all_gather(graspable(robot, position[mine], table[mine]), rows)
+    return distributed.all_gather(asked(robot, position[mine], table[mine]), rows)

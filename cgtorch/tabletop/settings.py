@@ -7,6 +7,10 @@ from typing import Any, ClassVar
 
 from cgtorch.domains.settings import DomainSettings, option
 
+WORLDS = "kinematic", "mujoco"
+PHYSICS_DEFAULTS = {"labels": 1600, "transitions": 800, "practice": 60}
+"""What pays where each label costs a simulation of some seconds."""
+
 
 @dataclass(frozen=True)
 class TabletopSettings(DomainSettings):
@@ -51,6 +55,30 @@ class TabletopSettings(DomainSettings):
         choices=("auto", "box", "yaw"),
         when="Use yaw if tables stand at any angle.",
     )
+    world: str = option(
+        "kinematic",
+        "What stands for the real robot: kinematic, where a grasp succeeds if an arm has a way to "
+        "it, or mujoco, where it is carried out in physics (pip install 'cgtorch[physics]').",
+        "data, models, W and M are of it",
+        choices=WORLDS,
+        before="kinematic",
+    )
+    touch: str = option(
+        "fails",
+        "In physics, whether a grasp has failed when the arm touched table or robot: fails, or "
+        "allowed.",
+        "the data and models that are there have it",
+        choices=("fails", "allowed"),
+        before="fails",
+    )
+    grasp: str = option(
+        "way",
+        "What a grasp needs: way for a way of the arm from home to the object that touches "
+        "nothing, posture for a posture at the object alone.",
+        "it says what success means, for labels and W",
+        choices=("way", "posture"),
+        before="posture",
+    )
     networks: str = option(
         "auto",
         "The input of networks: percept (as in the paper), edge (the scene relative to the table "
@@ -59,3 +87,7 @@ class TabletopSettings(DomainSettings):
         choices=("auto", "percept", "edge"),
         when="Use percept to reproduce the publication.",
     )
+
+    def usual(self) -> Mapping[str, Any]:
+        """See `DomainSettings.usual`."""
+        return PHYSICS_DEFAULTS if self.world == "mujoco" else self.run_defaults

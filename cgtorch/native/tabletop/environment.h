@@ -4,7 +4,7 @@
 #include "engine/kinds.h"
 #include "engine/models.h"
 #include "models.h"
-#include "ways.h"
+#include "routes.h"
 
 typedef struct {
   Gamma gamma;

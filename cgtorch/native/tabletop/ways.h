@@ -1,142 +1,145 @@
-/* The first motion of a way around what is seen: cgtorch.tabletop.world.ways. */
+/* Whether an arm is clear of everything on all of its way, between waypoints too.
+
+   A way is halved until each half is known to be clear: two solids that are so far apart in its middle
+   that the joints cannot bring them together before its ends need no further look (Schwarzer, Saha &
+   Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
+   environments", 2005). */
 #pragma once
-#include "tabletop.h"
+#include "library.h"
+#include "tabletop/solids.h"
 
-#define VIAS 3
-#define ROOM ((real)1.05)
-#define LONGEST ((real)1.9)
-#define AWAY ((real)0.05)
-#define WORTH_TURNING ((real)0.001)
-#define MOST_THINGS (1 + (MOST_PERCEPT - 7) / 4)
-#define MOST_CORNERS (4 * MOST_THINGS)
+#define MOST_JOINTS 16
+#define MOST_SOLIDS 128
+#define MOST_PAIRS 4096
+#define MOST_WAYPOINTS 128
+#define MOST_HALVINGS 24
 
-/* What is seen, and the corners to drive past, each `there` or not. */
+enum { TABLE, OBJECT, HELD, OWN }; /* the first solids; from OWN on those of the arm and of others */
+
 typedef struct {
-  int count;
-  Rectangle things[MOST_THINGS];
-  vec x[MOST_CORNERS], y[MOST_CORNERS];
-  vwhole there[MOST_CORNERS];
-} Surroundings;
+  Chain chain;
+  const real *pose, *size, *radius; /* (S, 3, 4), (S, 5), (S,) of a ball about the middle of each */
+  const int64_t *frame;             /* (S,) of the chain that a solid moves with, -1 if it is still */
+  const int64_t *pairs;             /* (P, 3) two solids, the first moves; bits of kinds of ways */
+  const real *reach;                /* (P, joints) how much nearer a unit of a joint brings them, m */
+  int64_t solids, count;            /* S, P */
+  double margin, resolution;        /* m to keep; m that solids may come nearer unseen */
+  double coarse;                    /* m: what may come nearer is measured in the halves only */
+} Scene;
 
-INLINE void surroundings(const vec *p, Layout layout, const Body *body, Surroundings *seen) {
-  real rx = FN(fabs)(body->bx) + body->hx, ry = FN(fabs)(body->by) + body->hy;
-  real reach = ROOM * FN(sqrt)(rx * rx + ry * ry);
-  const int sx[4] = {1, 1, -1, -1}, sy[4] = {1, -1, -1, 1};
-  seen->count = 1 + layout.boxes;
-  for (int k = 0; k < seen->count; k++) {
-    Rectangle *r = seen->things + k;
-    *r = k ? box_rectangle(box_seen(p, layout, k - 1)) : table_seen(p, layout);
-    for (int i = 0; i < 4; i++) {
-      vec x, y;
-      turn((real)sx[i] * (r->sx / 2 + reach), (real)sy[i] * (r->sy / 2 + reach), r->c, r->s, &x, &y);
-      seen->x[4 * k + i] = r->x + x, seen->y[4 * k + i] = r->y + y;
-      seen->there[4 * k + i] = (r->sx > 0) & (r->sy > 0);
+typedef struct {
+  Scene scene;
+  const real *table, *size, *object, *held; /* (K, 3, 4), (K, 5), (K, 3, 4), (K, 3, 4) of each way */
+  const int64_t *kind, *first;              /* (K,) bit of each way; (K + 1,) its first waypoint */
+  const real *q;                            /* (first[K], joints) */
+  unsigned char *clear;                     /* (K,) */
+  int64_t ways;
+} Ways;
+
+/* A way in its scene: waypoints and how far each joint has gone until there. */
+typedef struct {
+  const Scene *scene;
+  const real *q;
+  Solid solids[MOST_SOLIDS];
+  real gone[MOST_WAYPOINTS][MOST_JOINTS];
+  int64_t waypoints;
+  int32_t todo[MOST_PAIRS * (MOST_HALVINGS + 2)]; /* pairs to look at, those of halves at the end */
+} Way;
+
+static void placed_in_scene(const Ways *ways, int64_t row, Way *way) {
+  const Scene *scene = way->scene = &ways->scene;
+  for (int64_t i = 0; i < scene->solids; i++) {
+    const real *pose = scene->pose + i * 12;
+    way->solids[i].size = i == TABLE ? ways->size + row * 5 : scene->size + i * 5;
+    if (i == TABLE) pose = ways->table + row * 12;
+    if (i == OBJECT) pose = ways->object + row * 12;
+    memcpy(way->solids[i].pose, pose, sizeof way->solids[i].pose);
+  }
+}
+
+/* Where the joints are at a place of the way, or how far they have gone. */
+static inline void between(const real *rows, int64_t width, int64_t joints, int64_t waypoints, real at,
+                           real *out) {
+  int64_t first = (int64_t)at;
+  if (first > waypoints - 2) first = waypoints - 2;
+  if (first < 0) first = 0;
+  const real *a = rows + first * width, *b = waypoints > 1 ? a + width : a;
+  for (int64_t j = 0; j < joints; j++) out[j] = a[j] + (at - (real)first) * (b[j] - a[j]);
+}
+
+/* Whether the ball around a solid is at least so far from the box around another. */
+static inline int ball_apart(const Solid *ball, real radius, const Solid *box, real gap) {
+  const real *p = box->pose, *size = box->size;
+  real away[3], square = 0;
+  gap += radius + size[4];
+  for (int i = 0; i < 3; i++) away[i] = ball->pose[i * 4 + 3] - p[i * 4 + 3];
+  for (int i = 0; i < 3; i++) {
+    real x = FN(fabs)(p[i] * away[0] + p[4 + i] * away[1] + p[8 + i] * away[2]) - size[i] -
+             (i < 2 ? size[3] : 0);
+    x = x > 0 ? x : 0, square += x * x;
+  }
+  return square >= gap * gap;
+}
+
+static void arm_placed(Way *way, const real *held, real at) {
+  const Scene *scene = way->scene;
+  real q[MOST_JOINTS], poses[MOST_FRAMES][12];
+  between(way->q, scene->chain.joints, scene->chain.joints, way->waypoints, at, q);
+  poses_of(&scene->chain, q, poses);
+  for (int64_t i = HELD; i < scene->solids; i++)
+    if (scene->frame[i] >= 0)
+      product(poses[scene->frame[i]], i == HELD ? held : scene->pose + i * 12, way->solids[i].pose);
+}
+
+/* Whether pairs stay apart from a place of the way to another. */
+static int clear_between(Way *way, const real *held, real begin, real end, const int32_t *pairs,
+                         int64_t count, int32_t *kept, int halvings) {
+  const Scene *scene = way->scene;
+  int64_t joints = scene->chain.joints, left = 0;
+  int moves = 0;
+  real at = (begin + end) / 2, from[MOST_JOINTS], here[MOST_JOINTS], to[MOST_JOINTS];
+  arm_placed(way, held, at);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, begin, from);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, at, here);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, end, to);
+  for (int64_t j = 0; j < joints; j++) {
+    real before = here[j] - from[j], after = to[j] - here[j];
+    here[j] = before > after ? before : after;
+    moves |= here[j] > 0;
+  }
+  for (int64_t k = 0; k < count; k++) {
+    const int64_t *pair = scene->pairs + pairs[k] * 3;
+    const Solid *a = way->solids + pair[0], *b = way->solids + pair[1];
+    const real *reach = scene->reach + pairs[k] * joints;
+    real nearer = 0, margin = (real)scene->margin;
+    for (int64_t j = 0; moves && j < joints; j++) nearer += reach[j] * here[j];
+    if (ball_apart(a, scene->radius[pair[0]], b, margin + nearer) ||
+        (pair[1] != TABLE && ball_apart(b, scene->radius[pair[1]], a, margin + nearer)))
+      continue;
+    if (nearer > (real)scene->coarse) {
+      kept[left++] = pairs[k];
+      continue;
     }
+    real distance = distance_of(a, b, margin, margin + nearer);
+    if (distance < margin) return 0;
+    if (distance < margin + nearer && nearer > (real)scene->resolution) kept[left++] = pairs[k];
   }
-}
-/* The same after a turn, as if from the start. */
-INLINE void turned_by(const Surroundings *seen, vec c, vec s, Surroundings *turned) {
-  *turned = *seen;
-  for (int k = 0; k < seen->count; k++) {
-    const Rectangle *r = seen->things + k;
-    Rectangle *t = turned->things + k;
-    turn(r->x, r->y, c, -s, &t->x, &t->y);
-    turn(r->c, r->s, c, -s, &t->c, &t->s);
-  }
-  for (int j = 0; j < 4 * seen->count; j++)
-    turn(seen->x[j], seen->y[j], c, -s, turned->x + j, turned->y + j);
-}
-INLINE vwhole possible_from(const Surroundings *seen, vec x, vec y, const vec *u, const Body *body,
-                            vwhole rows) {
-  rows &= is_within(u, body);
-  for (int k = 0; k < seen->count && bits_of(rows); k++) {
-    Rectangle r = seen->things[k];
-    r.x -= x, r.y -= y;
-    rows = clear_of(u, &r, body, rows);
-  }
-  return rows;
-}
-INLINE vec way_of(const vec *u) { return vec_sqrt(u[0] * u[0] + u[1] * u[1]); }
-
-/* The length of the shortest way past corners, for those of `rows` that have one, else infinite, and
-   the first corner. The base turns by `by` there. */
-INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *body, vwhole rows,
-                    vec *x, vec *y) {
-  int corners = 4 * seen->count;
-  vec length[MOST_CORNERS], next[MOST_CORNERS], ends[MOST_CORNERS], c, s, gx, gy;
-  vwhole first[MOST_CORNERS], after[MOST_CORNERS], some = every(0);
-  Surroundings turned;
-  sine_cosine(by, &s, &c);
-  turned_by(seen, c, s, &turned);
-  turn(u[0], u[1], c, -s, &gx, &gy);
-  for (int j = 0; j < corners; j++) {
-    vec last[3] = {gx - turned.x[j], gy - turned.y[j], wrap(u[2] - by)};
-    vwhole ended = possible_from(&turned, turned.x[j], turned.y[j], last, body, rows & seen->there[j]);
-    ends[j] = select_vec(ended, way_of(last), vec_of(INFINITY));
-    some |= ended;
-  }
-  vec best = vec_of(INFINITY);
-  *x = *y = vec_of(0);
-  rows &= some;
-  if (!bits_of(rows)) return best;
-  for (int j = 0; j < corners; j++) {
-    vec to[3] = {seen->x[j], seen->y[j], by};
-    vwhole begun = possible_from(seen, vec_of(0), vec_of(0), to, body, rows & seen->there[j] & (way_of(to) > AWAY));
-    length[j] = select_vec(begun, way_of(to), vec_of(INFINITY));
-    first[j] = every(j);
-  }
-  for (int round = 1; round < VIAS; round++) {
-    for (int j = 0; j < corners; j++) {
-      next[j] = length[j], after[j] = first[j];
-      for (int i = 0; i < corners; i++) {
-        vec on[3] = {turned.x[j] - turned.x[i], turned.y[j] - turned.y[i], vec_of(0)};
-        vec total = length[i] + way_of(on);
-        vwhole better = rows & seen->there[j] & (total < next[j]);
-        if (!bits_of(better)) continue;
-        better = possible_from(&turned, turned.x[i], turned.y[i], on, body, better);
-        next[j] = select_vec(better, total, next[j]);
-        after[j] = select_whole(better, first[i], after[j]);
-      }
-    }
-    for (int j = 0; j < corners; j++) length[j] = next[j], first[j] = after[j];
-  }
-  vwhole corner = every(0);
-  for (int j = 0; j < corners; j++) {
-    vwhole better = length[j] + ends[j] < best;
-    best = select_vec(better, length[j] + ends[j], best);
-    corner = select_whole(better, first[j], corner);
-  }
-  for (int j = 0; j < corners; j++) {
-    *x = select_vec(corner == j, seen->x[j], *x);
-    *y = select_vec(corner == j, seen->y[j], *y);
-  }
-  return best;
+  if (!left || halvings == MOST_HALVINGS) return 1;
+  return clear_between(way, held, begin, at, kept, left, kept + left, halvings + 1) &&
+         clear_between(way, held, at, end, kept, left, kept + left, halvings + 1);
 }
 
-/* Puts the first motion of a way around what is seen in the place of those of `rows`; which have one. */
-INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
-  Surroundings seen;
-  vec x, y, best = vec_of(INFINITY), wanted[3] = {u[0], u[1], u[2]};
-  surroundings(p, layout, body, &seen);
-  for (int turns = 0; turns < 2; turns++) {
-    vec by = turns ? wanted[2] : vec_of(0);
-    vec length = shortest(&seen, wanted, by, body, rows, &x, &y);
-    vwhole shorter = rows & (length < best - WORTH_TURNING);
-    best = select_vec(shorter, length, best);
-    u[0] = select_vec(shorter, x, u[0]), u[1] = select_vec(shorter, y, u[1]);
-    u[2] = select_vec(shorter, by, u[2]);
-  }
-  return rows & (best < INFINITY);
-}
-
-/* The first motions of ways to where motions would lead: those themselves, or others in their place. */
-APART void first_motion(const vec *p, Layout layout, const Body *base, vwhole rows, vec *u) {
-  Body body = *base;
-  body.farthest = INFINITY;
-  vwhole found = motion_possible(p, u, layout, &body, rows), blocked = rows & ~found;
-  if (bits_of(blocked)) found |= around(p, layout, &body, blocked, u);
-  vec way = way_of(u);
-  vwhole too_long = found & (way > LONGEST);
-  for (int i = 0; i < 2; i++) u[i] = select_vec(too_long, u[i] * (LONGEST / way), u[i]);
-  u[2] = select_vec(too_long, vec_of(0), u[2]);
+/* Whether the way through waypoints (W, joints) is clear; `placed_in_scene` comes first. */
+static int is_clear(const Ways *ways, int64_t row, Way *way, const real *q, int64_t waypoints) {
+  const Scene *scene = way->scene;
+  int64_t joints = scene->chain.joints, count = 0;
+  way->q = q, way->waypoints = waypoints;
+  for (int64_t j = 0; j < joints; j++) way->gone[0][j] = 0;
+  for (int64_t w = 1; w < waypoints; w++)
+    for (int64_t j = 0; j < joints; j++)
+      way->gone[w][j] = way->gone[w - 1][j] + FN(fabs)(q[w * joints + j] - q[(w - 1) * joints + j]);
+  for (int64_t k = 0; k < scene->count; k++)
+    if (scene->pairs[k * 3 + 2] & ways->kind[row]) way->todo[count++] = (int32_t)k;
+  return clear_between(way, ways->held + row * 12, 0, (real)(waypoints - 1), way->todo, count,
+                       way->todo + count, 0);
 }

@@ -30,7 +30,7 @@ def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Ten
     rows: list[tuple[Tensor, Tensor, Tensor]] = []
     have = 0
     while have < count:
-        robots = 2 + (count - have) // 2
+        robots = 2 + (count - have) // (2 * scenes.thrift)
         world = scenes.world(poses_around(scenes, robots, generator))
         lanes = start_lanes(world, torch.arange(robots), 0, 0)
         for _ in range(MOVES):

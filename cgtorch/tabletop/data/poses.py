@@ -23,10 +23,13 @@ class Scenes:
     Attributes:
         world: Makes the world of given scenarios.
         kind: Of scenarios, as in `DRAWS`; objects along all edges for those of one.
+        thrift: How few answers of the world are asked for beyond those that are needed; from 1 on,
+            more where each costs a simulation.
     """
 
     world: Callable[[Scenarios], TabletopWorld]
     kind: str = "perimeter"
+    thrift: int = 1
 
     @property
     def paper_table(self) -> bool:

@@ -32,9 +32,13 @@ class Fresh:
 def fresh_experience(
     scenes: Scenes, gamma: TransitionModel, tests: int, generator: Generator
 ) -> Fresh:
-    """Γ on fresh transitions, and fresh labels for C, at most as many as `tests`."""
-    quality = transition_quality(scenes, gamma, FRESH_TRANSITIONS, generator)
-    return Fresh(quality, fresh_labels(scenes, min(FRESH_LABELS, tests), generator))
+    """Γ on fresh transitions, and fresh labels for C, at most as many as `tests`.
+
+    Where the world is costly there are fewer of both.
+    """
+    quality = transition_quality(scenes, gamma, FRESH_TRANSITIONS // scenes.thrift, generator)
+    labels = min(FRESH_LABELS // scenes.thrift, tests)
+    return Fresh(quality, fresh_labels(scenes, labels, generator))
 
 
 def tabletop_summary(

@@ -116,7 +116,8 @@ def fresh_transitions(scenes: Scenes, count: int, generator: Generator) -> Fresh
     parts: list[tuple[Tensor, ...]] = []
     have = 0
     while have < count:
-        placed = poses_around(scenes, 2 * (count - have) + 8, generator)
+        spare = (count - have) // scenes.thrift + 8
+        placed = poses_around(scenes, count - have + spare, generator)
         motion = random_motions(len(placed), generator)
         world = scenes.world(placed)
         before = start_lanes(world, torch.arange(len(placed)), 0, 0)

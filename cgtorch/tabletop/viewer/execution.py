@@ -36,6 +36,7 @@ class Execution:
     Attributes:
         end: success, failure or timeout.
         pose: (T + 1, 3) base x, y (m), θ (rad) before the first step and after each.
+        object: (T + 1, 3) where the object stood or lay, its foot, m.
         percept: (T + 1, D) what the robot had perceived by then.
         message: (T + 1, M) the message travelling along the edges, NaN where there is none.
     """
@@ -45,6 +46,7 @@ class Execution:
     steps: tuple[Step, ...]
     end: str
     pose: Tensor
+    object: Tensor
     percept: Tensor
     message: Tensor
 
@@ -70,6 +72,7 @@ def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
     return Execution(
         skill, world.scenarios[which], tuple(steps), end,
         pose=torch.cat([x.state[:, :3] for x in seen]),
+        object=torch.cat([world.placed(x.state) for x in seen]),
         percept=torch.cat([x.percept for x in seen]),
         message=torch.cat([x.message.where(x.has_message[:, None], torch.nan) for x in seen]),
     )  # fmt: skip

@@ -67,6 +67,7 @@ def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) ->
     pieces: list[list[Tensor]] = []
     for k, step in enumerate(execution.steps):
         before, after = execution.pose[k].double(), execution.pose[k + 1].double()
+        there = execution.object[k + 1 : k + 2].double()
         pose = _drive(before, after)
         if isinstance(step.action, Grasp) and step.outcome == "success":
             joints, thing = _grasp(execution, k, robot, joints[-1], thing[-1])
@@ -78,7 +79,8 @@ def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) ->
         seen[-1] = k + 1
         moving = [_held(rows, count) for rows in (pose, joints, thing)]
         pieces.append([*moving, torch.full((count,), k), seen])
-        joints, thing = joints[-1:], thing[-1:]
+        grasped = isinstance(step.action, Grasp) and step.outcome == "success"
+        joints, thing = joints[-1:], thing[-1:] if grasped else there
     last, count = len(execution.steps), _count(REST)
     still = [_held(rows, count) for rows in (execution.pose[-1:].double(), joints, thing)]
     pieces.append([*still, torch.full((count,), max(0, last - 1)), torch.full((count,), last)])

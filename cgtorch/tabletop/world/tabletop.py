@@ -62,9 +62,9 @@ class TabletopWorld:
 
     A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A
     lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has
-    perceived, and K obstacles. The noise of a lane depends on its scenario's seed and on that count
-    alone, so it depends neither on what else runs beside it nor on how the skill is nested in
-    another one.
+    perceived, and K obstacles; worlds made of this one may keep more after these. The noise of a
+    lane depends on its scenario's seed and on that count alone, so it depends neither on what else
+    runs beside it nor on how the skill is nested in another one.
     """
 
     control_size = 3
@@ -148,14 +148,25 @@ class TabletopWorld:
 
     def _parts(self, state: Tensor) -> tuple[Tensor, ...]:
         """Pose (n, 3), table (n, 6), object (n, 2), whose noise (n,), obstacles (n, K, 5)."""
-        pose, table, placed, count, obstacles = state.split([3, 6, 2, 1, state.shape[1] - 12], 1)
+        boxes = 5 * self.num_obstacles
+        pose, table, placed, count, obstacles = state[:, : 12 + boxes].split([3, 6, 2, 1, boxes], 1)
         look = count[:, 0].long() % self.looks
         return pose, table, placed, look, obstacles.unflatten(1, (self.num_obstacles, 5))
 
+    def placed(self, state: Tensor) -> Tensor:
+        """(n, 3) where the object stands, m."""
+        _, table, placed, _, _ = self._parts(state)
+        return torch.cat([placed, table[:, 5:6]], 1)
+
+    def exact(self, state: Tensor) -> Tensor:
+        """The percepts (n, 7) without noise, of table and object alone."""
+        pose, table, placed, _, _ = self._parts(state)
+        return percept_of(pose, table, placed)
+
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """The states after one more look, and what is seen (n, D)."""
-        pose, table, placed, look, obstacles = self._parts(state)
-        exact = percept_of(pose, table, placed)
+        pose, table, _, look, obstacles = self._parts(state)
+        exact = self.exact(state)
         if self.tabletop > TABLETOP:
             exact = torch.cat([exact, side_seen(pose, table)], 1)
         blur = self.blur[scenario, look]

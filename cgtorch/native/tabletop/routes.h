@@ -1,0 +1,142 @@
+/* The first motion of a way around what is seen: cgtorch.tabletop.world.ways. */
+#pragma once
+#include "tabletop.h"
+
+#define VIAS 3
+#define ROOM ((real)1.05)
+#define LONGEST ((real)1.9)
+#define AWAY ((real)0.05)
+#define WORTH_TURNING ((real)0.001)
+#define MOST_THINGS (1 + (MOST_PERCEPT - 7) / 4)
+#define MOST_CORNERS (4 * MOST_THINGS)
+
+/* What is seen, and the corners to drive past, each `there` or not. */
+typedef struct {
+  int count;
+  Rectangle things[MOST_THINGS];
+  vec x[MOST_CORNERS], y[MOST_CORNERS];
+  vwhole there[MOST_CORNERS];
+} Surroundings;
+
+INLINE void surroundings(const vec *p, Layout layout, const Body *body, Surroundings *seen) {
+  real rx = FN(fabs)(body->bx) + body->hx, ry = FN(fabs)(body->by) + body->hy;
+  real reach = ROOM * FN(sqrt)(rx * rx + ry * ry);
+  const int sx[4] = {1, 1, -1, -1}, sy[4] = {1, -1, -1, 1};
+  seen->count = 1 + layout.boxes;
+  for (int k = 0; k < seen->count; k++) {
+    Rectangle *r = seen->things + k;
+    *r = k ? box_rectangle(box_seen(p, layout, k - 1)) : table_seen(p, layout);
+    for (int i = 0; i < 4; i++) {
+      vec x, y;
+      turn((real)sx[i] * (r->sx / 2 + reach), (real)sy[i] * (r->sy / 2 + reach), r->c, r->s, &x, &y);
+      seen->x[4 * k + i] = r->x + x, seen->y[4 * k + i] = r->y + y;
+      seen->there[4 * k + i] = (r->sx > 0) & (r->sy > 0);
+    }
+  }
+}
+/* The same after a turn, as if from the start. */
+INLINE void turned_by(const Surroundings *seen, vec c, vec s, Surroundings *turned) {
+  *turned = *seen;
+  for (int k = 0; k < seen->count; k++) {
+    const Rectangle *r = seen->things + k;
+    Rectangle *t = turned->things + k;
+    turn(r->x, r->y, c, -s, &t->x, &t->y);
+    turn(r->c, r->s, c, -s, &t->c, &t->s);
+  }
+  for (int j = 0; j < 4 * seen->count; j++)
+    turn(seen->x[j], seen->y[j], c, -s, turned->x + j, turned->y + j);
+}
+INLINE vwhole possible_from(const Surroundings *seen, vec x, vec y, const vec *u, const Body *body,
+                            vwhole rows) {
+  rows &= is_within(u, body);
+  for (int k = 0; k < seen->count && bits_of(rows); k++) {
+    Rectangle r = seen->things[k];
+    r.x -= x, r.y -= y;
+    rows = clear_of(u, &r, body, rows);
+  }
+  return rows;
+}
+INLINE vec way_of(const vec *u) { return vec_sqrt(u[0] * u[0] + u[1] * u[1]); }
+
+/* The length of the shortest way past corners, for those of `rows` that have one, else infinite, and
+   the first corner. The base turns by `by` there. */
+INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *body, vwhole rows,
+                    vec *x, vec *y) {
+  int corners = 4 * seen->count;
+  vec length[MOST_CORNERS], next[MOST_CORNERS], ends[MOST_CORNERS], c, s, gx, gy;
+  vwhole first[MOST_CORNERS], after[MOST_CORNERS], some = every(0);
+  Surroundings turned;
+  sine_cosine(by, &s, &c);
+  turned_by(seen, c, s, &turned);
+  turn(u[0], u[1], c, -s, &gx, &gy);
+  for (int j = 0; j < corners; j++) {
+    vec last[3] = {gx - turned.x[j], gy - turned.y[j], wrap(u[2] - by)};
+    vwhole ended = possible_from(&turned, turned.x[j], turned.y[j], last, body, rows & seen->there[j]);
+    ends[j] = select_vec(ended, way_of(last), vec_of(INFINITY));
+    some |= ended;
+  }
+  vec best = vec_of(INFINITY);
+  *x = *y = vec_of(0);
+  rows &= some;
+  if (!bits_of(rows)) return best;
+  for (int j = 0; j < corners; j++) {
+    vec to[3] = {seen->x[j], seen->y[j], by};
+    vwhole begun = possible_from(seen, vec_of(0), vec_of(0), to, body, rows & seen->there[j] & (way_of(to) > AWAY));
+    length[j] = select_vec(begun, way_of(to), vec_of(INFINITY));
+    first[j] = every(j);
+  }
+  for (int round = 1; round < VIAS; round++) {
+    for (int j = 0; j < corners; j++) {
+      next[j] = length[j], after[j] = first[j];
+      for (int i = 0; i < corners; i++) {
+        vec on[3] = {turned.x[j] - turned.x[i], turned.y[j] - turned.y[i], vec_of(0)};
+        vec total = length[i] + way_of(on);
+        vwhole better = rows & seen->there[j] & (total < next[j]);
+        if (!bits_of(better)) continue;
+        better = possible_from(&turned, turned.x[i], turned.y[i], on, body, better);
+        next[j] = select_vec(better, total, next[j]);
+        after[j] = select_whole(better, first[i], after[j]);
+      }
+    }
+    for (int j = 0; j < corners; j++) length[j] = next[j], first[j] = after[j];
+  }
+  vwhole corner = every(0);
+  for (int j = 0; j < corners; j++) {
+    vwhole better = length[j] + ends[j] < best;
+    best = select_vec(better, length[j] + ends[j], best);
+    corner = select_whole(better, first[j], corner);
+  }
+  for (int j = 0; j < corners; j++) {
+    *x = select_vec(corner == j, seen->x[j], *x);
+    *y = select_vec(corner == j, seen->y[j], *y);
+  }
+  return best;
+}
+
+/* Puts the first motion of a way around what is seen in the place of those of `rows`; which have one. */
+INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
+  Surroundings seen;
+  vec x, y, best = vec_of(INFINITY), wanted[3] = {u[0], u[1], u[2]};
+  surroundings(p, layout, body, &seen);
+  for (int turns = 0; turns < 2; turns++) {
+    vec by = turns ? wanted[2] : vec_of(0);
+    vec length = shortest(&seen, wanted, by, body, rows, &x, &y);
+    vwhole shorter = rows & (length < best - WORTH_TURNING);
+    best = select_vec(shorter, length, best);
+    u[0] = select_vec(shorter, x, u[0]), u[1] = select_vec(shorter, y, u[1]);
+    u[2] = select_vec(shorter, by, u[2]);
+  }
+  return rows & (best < INFINITY);
+}
+
+/* The first motions of ways to where motions would lead: those themselves, or others in their place. */
+APART void first_motion(const vec *p, Layout layout, const Body *base, vwhole rows, vec *u) {
+  Body body = *base;
+  body.farthest = INFINITY;
+  vwhole found = motion_possible(p, u, layout, &body, rows), blocked = rows & ~found;
+  if (bits_of(blocked)) found |= around(p, layout, &body, blocked, u);
+  vec way = way_of(u);
+  vwhole too_long = found & (way > LONGEST);
+  for (int i = 0; i < 2; i++) u[i] = select_vec(too_long, u[i] * (LONGEST / way), u[i]);
+  u[2] = select_vec(too_long, vec_of(0), u[2]);
+}

@@ -1,0 +1,60 @@
+"""A kinematic run's skill is tried in physics; what cannot be is said."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import Shell, in_a_shell
+
+from cgtorch.tabletop.kinematics import robots_folder
+
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference run with the PR2 as it is built in today, whatever it was begun with."""
+    folder = tmp_path_factory.mktemp("physics") / "run"
+    shutil.copytree(REFERENCE, folder)
+    shutil.copy(robots_folder() / "pr2" / "robot.json", folder / "robot" / "robot.json")
+    return folder
+
+
+def test_a_kinematic_skill_in_physics(shell: Shell, run: Path) -> None:
+    words = (run, "--world", "mujoco", "--count", 3, "--seed", 5, "--scenarios", "near")
+    ended = shell("cgtorch-evaluate", *words, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    found = json.loads(ended.out)
+    ((name, lifted),) = found["other_measures"].items()
+    assert "lifted" in name
+    assert lifted["tried"] == found["tried"] == 3
+    assert lifted["succeeded"] >= found["succeeded"] >= 1
+    text = shell("cgtorch-evaluate", *words).out
+    assert f"{name}: {lifted['succeeded']} / 3 succeeded" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["cgtorch-evaluate", REFERENCE, "--world", "moon"], "world is 'moon'; use one of kin"),
+        (["cgtorch-view", REFERENCE, "--world", "moon"], "world is 'moon'; use one of kin"),
+        (["cgtorch-view", REFERENCE, "--film", "skill.mp4"], "give a name that ends in .gif or"),
+        (["cgtorch-train", "--world", "moon"], "world is 'moon'; use one of kinematic, mujoco"),
+    ],
+)
+def test_what_cannot_be_is_said(shell: Shell, words: list[object], message: str) -> None:
+    ended = shell(*words)
+    assert ended.code == 2
+    assert message in ended.err
+
+
+def test_an_animated_picture_of_a_skill(run: Path, tmp_path: Path) -> None:
+    film = tmp_path / "skill.gif"
+    ended = in_a_shell("cgtorch-view", str(run), "--scenarios", "near", "--film", str(film))
+    if "MuJoCo cannot draw here" in ended.err:  # without a graphics library
+        assert ended.code == 2
+        return
+    assert ended.code == 0, ended.err
+    assert "ends in success" in ended.out
+    assert film.read_bytes()[:3] == b"GIF"

@@ -1,0 +1,138 @@
+"""The world in physics: rows are independent, nothing is asked twice, and things go wrong."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from cgtorch import native
+from cgtorch.environment import Lanes, start_lanes
+from cgtorch.environment.dry_run import check_environment
+from cgtorch.ground.errors import SettingsError
+from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.physics import MujocoWorld, Physics, questions
+from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, stage_scenarios
+
+CONTROL = torch.tensor([[0.4, 0.05, 0.1], [0.2, -0.1, -0.3], [9.0, 0, 0], [0.45, 0.1, 0.0]])
+
+
+def begun(physics: Physics, **how: str) -> tuple[MujocoWorld, Lanes]:
+    world = MujocoWorld(stage_scenarios("near", 4), physics, **how)
+    return world, start_lanes(world, torch.arange(4), 3, 0)
+
+
+def same(a: Lanes, b: Lanes) -> bool:
+    return torch.equal(a.state, b.state) and torch.equal(a.percept, b.percept)
+
+
+def tried(robot: Robot, rows: torch.Tensor | None = None) -> list[torch.Tensor]:
+    """What happens to four lanes, or to some of them, in a physics that knows nothing yet."""
+    world, lanes = begun(Physics(robot))
+    lanes = lanes if rows is None else lanes.rows(rows)
+    control = CONTROL if rows is None else CONTROL[rows]
+    lanes, done = world.step(lanes, control)
+    after, good = world.success(lanes)
+    return [lanes.state, lanes.percept, done, after.state, good]
+
+
+def test_it_keeps_the_interface(physics: Physics) -> None:
+    check_environment(begun(physics)[0])
+
+
+def test_it_begins_like_the_kinematic_world(physics: Physics) -> None:
+    """The same percepts but for rounding, and the same noise."""
+    world, lanes = begun(physics)
+    other = TabletopWorld(world.scenarios, lambda p, t: p[:, 0] > 0, (-0.3, 0.3, -0.3, 0.3))
+    expected = start_lanes(other, torch.arange(4), 3, 0)
+    assert torch.allclose(lanes.percept, expected.percept, atol=1e-6)
+    assert torch.equal(lanes.state[:, :12], expected.state)
+
+
+def test_rows_do_not_depend_on_one_another_nor_on_processes(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = [tried(robot, torch.tensor([row])) for row in range(4)]
+    together = tried(robot)
+    for parts, whole in zip(zip(*alone, strict=True), together, strict=True):
+        assert torch.equal(torch.cat(parts), whole)
+    monkeypatch.setattr(questions, "WORTH_SHARING", 2)
+    before = native.use_threads(2)
+    try:
+        shared = tried(robot)
+    finally:
+        native.use_threads(before)
+    assert all(torch.equal(a, b) for a, b in zip(shared, together, strict=True))
+
+
+def test_nothing_is_asked_twice(physics: Physics, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, lanes = begun(physics)
+    first, done = world.step(lanes, CONTROL)
+    found = world.success(first)
+
+    def refuse(*given: object) -> torch.Tensor:
+        raise AssertionError("asked again")
+
+    monkeypatch.setattr(questions, "drive", refuse)
+    monkeypatch.setattr(questions, "grasp", refuse)
+    again, done_again = world.step(lanes, CONTROL)
+    assert same(first, again)
+    assert torch.equal(done, done_again)
+    assert done.tolist()[2] is False, "too far"
+    assert torch.equal(world.success(again)[1], found[1])
+
+
+def test_noise_changes_the_question(physics: Physics) -> None:
+    world, lanes = begun(physics)
+    known = len(physics.memo)
+    world.step(world.observe(lanes), CONTROL)
+    assert len(physics.memo) > known
+
+
+def test_a_refused_motion_leaves_a_lane_as_it_is(physics: Physics) -> None:
+    world, lanes = begun(physics)
+    after, done = world.step(lanes, torch.full((4, 3), float("nan")))
+    assert not done.any()
+    assert same(after, lanes)
+
+
+def test_an_object_that_was_pushed_is_seen_where_it_is(physics: Physics) -> None:
+    world, lanes = begun(physics)
+    state = lanes.state.clone()
+    state[:, 9], state[:, 10], state[:, -6] = -0.9, 0.2, 0.05  # on the floor
+    seen = world.observe(replace(lanes, state=state)).percept
+    away = seen[:, 4:6] - (torch.tensor([-0.9, 0.2]) - state[:, :2])
+    assert away.abs().max() < 0.05
+    assert seen[:, 6].abs().max() < 0.05
+    assert not world.success(replace(lanes, state=state))[1].any()
+
+
+def test_a_touch_counts_as_it_is_said(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answers are remembered once, and either world reads them its own way."""
+    physics = Physics(robot)
+    answers = torch.tensor([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+
+    def told(given: Physics, rows: torch.Tensor) -> torch.Tensor:
+        return torch.cat([answers[: len(rows)], rows[:, 9:16]], 1)
+
+    monkeypatch.setattr("cgtorch.tabletop.physics.world.grasps", told)
+    for touch, good in (("fails", [0, 1, 0, 0]), ("allowed", [1, 1, 0, 0])):
+        world, lanes = begun(physics, touch=touch)
+        after, found = world.success(lanes)
+        assert found.tolist() == good
+        assert after.state[:, -1].tolist() == [1, 0, 1, 0]
+        assert torch.equal(after.percept, lanes.percept)
+
+
+def test_obstacles_and_any_table(physics: Physics) -> None:
+    drawn: Scenarios = draw_of("general-clutter")(6, torch.Generator().manual_seed(1))
+    world = MujocoWorld(drawn, physics, percept="yaw")
+    lanes = start_lanes(world, torch.arange(6), 3, 0)
+    assert lanes.percept.shape == (6, 13)
+    after, done = world.step(lanes, torch.tensor([[0.2, 0.0, 0.1]]).expand(6, 3))
+    assert done.any()
+    assert torch.equal(after.state[:, 12:17], lanes.state[:, 12:17])
+
+
+def test_an_unknown_touch_is_refused(physics: Physics) -> None:
+    with pytest.raises(SettingsError, match="use one of fails, allowed"):
+        begun(physics, touch="maybe")
