@@ -16,6 +16,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
     closed_form_follow,
 )
 from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates, numerical_follow
+from cgtorch.tabletop.kinematics.solids import Solids
 
 _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
@@ -47,6 +48,8 @@ class ArmModel:
         continuous: (n,) whether a joint turns without end.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: How far from its base link's origin the tool frame's can be at most, m.
+        capsules: What collides, roughly: those of `solids` that are cylinders end as balls.
+        solids: What collides, as the URDF has it.
         closed_form: What the closed form of inverse kinematics needs, or None for arms without.
     """
 
@@ -58,6 +61,7 @@ class ArmModel:
     mount: Tensor
     reach: float
     capsules: Capsules
+    solids: Solids
     closed_form: SphericalArm | None
     _xml: bytes
     _links: tuple[str, str]

@@ -1,17 +1,24 @@
-"""The way of an arm: from home to an object, up with it, and back."""
+"""The way of an arm: from home to an object, up with it, and home again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, grasp_solution, table_slab, waypoints
+from cgtorch.ground.counter_rng import words
+from cgtorch.tabletop.kinematics.clear_ways import ways_clear
+from cgtorch.tabletop.kinematics.grasping import APPROACHES, table_slab
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.touching import touches
-
-LINE = 41
-"""Waypoints from the pre-grasp over the grasp to where the object is lifted."""
-STEPS = 100
+from cgtorch.tabletop.kinematics.rrt_connect import VIAS, ways_planned
+from cgtorch.tabletop.kinematics.scene import CARRY
+from cgtorch.tabletop.kinematics.way_search import (
+    HALF,
+    LINE,
+    FoundWays,
+    found_ways,
+    places_of,
+    row_keys,
+)
 
 
 @dataclass(frozen=True)
@@ -28,8 +35,9 @@ class ArmWay:
         pre_grasp, grasp, lifted: (B,) index of these waypoints; `lifted` is a row's last one. Until
             `pre_grasp` the way is free in space, then the tool keeps to its line.
         back: (B, V, n) waypoints with the object, from where it is lifted to home.
-        home_again: (B,) index of the last waypoint of `back`, and
-        returns: (B,) whether the arm can bring the object home; where not, `back` ends earlier.
+        home_again: (B,) index of the last waypoint of `back`.
+        returns: (B,) whether the arm can bring the object home; where not, `back` ends where the
+            object is lifted.
     """
 
     found: Tensor
@@ -57,31 +65,49 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
     Raises:
         RobotError: A shape is wrong or a value is not finite.
     """
-    solution = grasp_solution(robot, position, table)
-    rows, n = len(position), solution.joints.shape[-1]
-    joints = position.new_zeros(rows, LINE + 1, n)
-    found = solution.found.clone()
-    for row in found.nonzero()[:, 0].tolist():
-        which = int(solution.arm[row])
-        arm = robot.arms[which]
-        k = len(arm.joint_names)
-        home = robot.home[which].to(position)
-        path = waypoints(position[row : row + 1], *APPROACHES[int(solution.approach[row])])
-        share = torch.linspace(0, 1, LINE // 2 + 1).to(path)[:, None, None]
-        half = path[0, :1] + share * (path[0, 2:3] - path[0, :1])
-        lift = path[0, 2:3] + share[1:] * (path[0, 4:5] - path[0, 2:3])
-        line, reached = arm.follow(solution.joints[row, 2:3, :k], torch.cat([half, lift])[None])
-        way = [home]
-        for q in line[0]:
-            way.append(way[-1] + arm.difference(q, way[-1]))
-        joints[row, :, :k] = torch.stack(way)
-        at = torch.linspace(0, 1, STEPS).to(path)[:, None]
-        straight = torch.cat([way[0] + at * (way[1] - way[0]), torch.stack(way[1:])])
-        slab = table_slab(table[row : row + 1].to(position))
-        hit = touches(arm, straight, slab, robot.body.to(position)).any()
-        found[row] = bool(reached.all()) & ~hit
-    index = torch.zeros(rows, dtype=torch.long)
+    ways, arms = found_ways(robot, position, table, seed), len(robot.arms)
+    found, arm = ways.rank < arms * len(APPROACHES), ways.rank % arms
+    n = ways.line.shape[2]
+    home = torch.stack([torch.nn.functional.pad(q, (0, n - len(q))) for q in robot.home])
+    home = home.to(ways.line)[arm]
+    before = torch.where(ways.count > 0, ways.count - 1, 1)
+    index = torch.arange(VIAS - 1 + LINE, device=arm.device).expand(len(arm), -1)
+    vias = torch.where((ways.count > 0)[:, None, None], ways.vias, home[:, None])
+    both = torch.cat([vias[:, : VIAS - 1], ways.line], 1)
+    lifted = before + LINE - 1
+    which = index.minimum(lifted[:, None])
+    which = torch.where(which < before[:, None], which, which - before[:, None] + VIAS - 1)
+    joints = both.gather(1, which[..., None].expand(-1, -1, n))
+    back, count = _ways_back(robot, position, table, ways, home, found, seed)
+    most = int(lifted[found].max()) + 1 if bool(found.any()) else 1
     return ArmWay(
-        found, solution.arm, solution.approach, joints, index + 1, index + 1 + LINE // 2,
-        index + LINE, joints[:, [LINE, 0]], index + 1, found,
+        found, arm, ways.rank // arms, joints[:, :most].to(position), before, before + HALF, lifted,
+        back.to(position), count - 1, found & (count > 1),
     )  # fmt: skip
+
+
+def _ways_back(
+    robot: Robot, position: Tensor, table: Tensor, ways: FoundWays, home: Tensor, found: Tensor,
+    seed: int,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """Ways (B, VIAS, n) home with the object, straight where it is clear, and their lengths (B,)."""
+    back = ways.line[:, -1:].repeat(1, VIAS, 1)
+    count = torch.ones_like(ways.rank)
+    places = replace(places_of(position, table_slab(table.to(position))), held=ways.held)
+    keys = row_keys(position, table, seed)
+    for which, arm in enumerate(robot.arms):
+        n, scene = len(arm.joint_names), robot.scenes[which]
+        rows = (found & (ways.rank % len(robot.arms) == which)).nonzero()[:, 0]
+        ends = torch.stack([ways.line[rows, -1, :n], home[rows, :n]], 1)
+        kind = torch.full_like(rows, CARRY)
+        straight = ways_clear(arm, scene, places[rows], kind, ends)
+        done = rows[straight]
+        back[done, 1:, :n], count[done] = home[done, None, :n], 2
+        left, ends = rows[~straight], ends[~straight]
+        key = words(keys[left], torch.full_like(left, -1))
+        vias, length = ways_planned(arm, scene, places[left], kind[: len(left)], ends, key)
+        planned = length > 0
+        last = torch.arange(VIAS).minimum(length[planned, None] - 1)
+        vias = vias[planned].gather(1, last[..., None].expand(-1, -1, n))
+        back[left[planned], :, :n], count[left[planned]] = vias, length[planned]
+    return back, count

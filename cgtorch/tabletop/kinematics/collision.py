@@ -126,14 +126,14 @@ def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]
     capsule along its longest side, a flatter one parallel capsules as thick as its shortest side,
     side by side. RobotError if the element, called `where`, is a mesh or of an impossible size.
     """
-    kind, sizes = _shape(collision, where)
+    kind, sizes = shape_of(collision, where)
     ends, radius = [([0.0] * 3, [0.0] * 3)], sizes[0]
     if kind == "cylinder":
         along = max(sizes[1] / 2 - radius, 0.0)
         ends = [([0.0, 0.0, -along], [0.0, 0.0, along])]
     elif kind == "box":
         ends, radius = _box_capsules(sizes, where)
-    pose, both = _pose(collision), torch.tensor(ends, dtype=torch.float64)
+    pose, both = pose_of(collision), torch.tensor(ends, dtype=torch.float64)
     placed = (pose[:3, :3] @ both[..., None]).squeeze(-1) + pose[:3, 3]
     return [(start, end, radius) for start, end in placed]
 
@@ -162,20 +162,20 @@ def _box_capsules(sizes: list[float], where: str) -> tuple[list[Any], float]:
 
 def box_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
     """Pose (4, 4) and half sizes (3,), m, of the box around an element; see `capsules_of`."""
-    kind, sizes = _shape(collision, where)
+    kind, sizes = shape_of(collision, where)
     if kind == "sphere":
         sizes = [2 * sizes[0]] * 3
     elif kind == "cylinder":
         sizes = [2 * sizes[0], 2 * sizes[0], sizes[1]]
-    return _pose(collision), torch.tensor(sizes, dtype=torch.float64) / 2
+    return pose_of(collision), torch.tensor(sizes, dtype=torch.float64) / 2
 
 
-def _pose(collision: Any) -> Tensor:
+def pose_of(collision: Any) -> Tensor:
     origin = torch.eye(4).tolist() if collision.origin is None else collision.origin
     return torch.as_tensor(origin, dtype=torch.float64)
 
 
-def _shape(collision: Any, where: str) -> tuple[str, list[float]]:
+def shape_of(collision: Any, where: str) -> tuple[str, list[float]]:
     """What a collision element is, and its radius, its radius and length, or its sides, m."""
     shape = collision.geometry
     if shape.sphere is not None:

@@ -6,6 +6,7 @@ posture, and if nothing touches the table, the torso or the base on the way.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -23,7 +24,7 @@ PRE_GRASP = 0.10  # m behind the grasp, where the straight approach starts
 LIFT = 0.10  # m straight up
 TABLE_THICKNESS = 0.04  # m, of the table's slab
 MAX_STEP = 0.6  # rad or m that a joint may move between waypoints 0.05 m apart
-_CHUNK = 2048
+CHUNK = 2048
 _GROUP = 256
 _FEW, _SPARSE = 16, 8
 """Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
@@ -78,6 +79,19 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
     Raises:
         RobotError: A shape is wrong or a value is not finite.
     """
+    check_rows(position, table)
+    table, arms = table.to(position), len(robot.arms)
+    widest = max(len(arm.joint_names) for arm in robot.arms)
+    joints = position.new_zeros(len(position), 5, widest)
+    rank = torch.full_like(position[:, 0], arms * len(APPROACHES), dtype=torch.long)
+    parts = (each.split(CHUNK) for each in (position, table, rank, joints))
+    for part in zip(*parts, strict=True):
+        _grasp(robot, *part)
+    return GraspSolution(rank < arms * len(APPROACHES), rank % arms, rank // arms, joints)
+
+
+def check_rows(position: Tensor, table: Tensor) -> None:
+    """RobotError if objects and tables have a wrong shape or a value that is not finite."""
     for what, value, width in (("position", position, 3), ("table", table, 6)):
         if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):
             raise RobotError(
@@ -86,26 +100,17 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
             )
         if not bool(torch.isfinite(value).all()):
             raise RobotError(f"{what} has a value that is not finite: give finite numbers")
-    table, arms = table.to(position), len(robot.arms)
-    widest = max(len(arm.joint_names) for arm in robot.arms)
-    joints = position.new_zeros(len(position), 5, widest)
-    rank = torch.full_like(position[:, 0], arms * len(APPROACHES), dtype=torch.long)
-    parts = (each.split(_CHUNK) for each in (position, table, rank, joints))
-    for part in zip(*parts, strict=True):
-        _grasp(robot, *part)
-    return GraspSolution(rank < arms * len(APPROACHES), rank % arms, rank // arms, joints)
 
 
 def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: Tensor) -> None:
     """Fill in the first approach and arm that solve each row, and how, whatever the other rows."""
     slab, body = table_slab(table), robot.body.to(position)
     approaches, arms = position.new_tensor(APPROACHES), len(robot.arms)
-    possible = ~_standing_in_table(robot, table) & _within_reach(robot, position)
+    possible = ~standing_in_table(robot, table) & within_reach(robot, position)
     open_rows = possible.nonzero().squeeze(1)
     start = 0
     while start < len(APPROACHES) and len(open_rows):
-        group = torch.arange(start, len(APPROACHES), device=position.device)
-        group = group[: max(1, _GROUP // len(open_rows))]
+        group = next_approaches(start, open_rows)
         start += len(group)
         for which, arm in enumerate(robot.arms):
             order = group * arms + which
@@ -113,7 +118,7 @@ def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: 
             at = open_rows[row]
             path = waypoints(position[at], *approaches[group[column]].unbind(1))
             solved, found = _try(arm, path, slab[at], body)
-            first = _first_of_each(row[solved])
+            first = first_of_each(row[solved])
             solved, done = solved[first], at[solved[first]]
             rank[done] = order[column[solved]]
             joints[done] = torch.nn.functional.pad(
@@ -122,29 +127,46 @@ def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: 
         open_rows = open_rows[rank[open_rows] == arms * len(APPROACHES)]
 
 
+def next_approaches(start: int, rows: Tensor) -> Tensor:
+    """(G,) the approaches from `start` on that are tried at once, the more the fewer rows (B,)."""
+    group = torch.arange(start, len(APPROACHES), device=rows.device)
+    return group[: max(1, _GROUP // len(rows))]
+
+
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
     """Rows (R,), ascending, whose waypoints (B, 5, 4, 4) an arm can follow, joints (R, 5, n)."""
-    row, q = arm.candidates(path[:, 2])
-    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-    solved = torch.zeros(len(path), dtype=torch.bool, device=row.device)
-    joints = q.new_zeros(len(path), path.shape[1], q.shape[1])
-    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
-    soon = few | (nth % _SPARSE == 0)
-    for part in (soon, ~soon):
-        part = part & ~solved[row]
-        if not part.any():
-            break
-        at, found = _feasible(arm, path, slab, body, row[part], q[part])
-        solved[at] = True
-        joints[at] = found
+    solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
+    joints = path.new_zeros(len(path), path.shape[1], len(arm.joint_names))
+    for row, q in postures_in_turn(arm, path, solved):
+        at, found = followed(arm, path, slab, body, row, q)
+        first = first_of_each(at)
+        solved[at[first]] = True
+        joints[at[first]] = found[first]
     rows = solved.nonzero().squeeze(1)
     return rows, joints[rows]
 
 
-def _feasible(
+def postures_in_turn(
+    arm: ArmModel, path: Tensor, solved: Tensor
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Ascending rows (M,) and postures q (M, n) at the grasps of waypoints (B, 5, 4, 4).
+
+    First some of each row, then all others of rows that are not `solved` (B,) by then.
+    """
+    row, q = arm.candidates(path[:, 2])
+    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
+    soon = few | (nth % _SPARSE == 0)
+    for part in (soon, ~soon):
+        part = part & ~solved[row]
+        if part.any():
+            yield row[part], q[part]
+
+
+def followed(
     arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """As `_try`, of postures q (M, n) at the grasps of ascending rows (M,) only."""
+    """Rows (K,) and joints (K, 5, n) of those postures q (M, n) that can follow their row's path."""
     free = ~touches(arm, q, slab[row], body)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])
@@ -154,11 +176,10 @@ def _feasible(
     for step in (0, 4, 1, 3):
         free = ~touches(arm, joints[:, step], slab[row], body)
         row, joints = row[free], joints[free]
-    first = _first_of_each(row)
-    return row[first], joints[first]
+    return row, joints
 
 
-def _first_of_each(row: Tensor) -> Tensor:
+def first_of_each(row: Tensor) -> Tensor:
     """(M,) which of ascending rows is the first of its kind."""
     first = torch.ones_like(row, dtype=torch.bool)
     first[1:] = row[1:] != row[:-1]
@@ -201,14 +222,14 @@ def table_slab(table: Tensor) -> Boxes:
     return Boxes(centre[:, None], rotation[:, None], half[:, None])
 
 
-def _within_reach(robot: Robot, position: Tensor) -> Tensor:
+def within_reach(robot: Robot, position: Tensor) -> Tensor:
     """(B,) whether an arm is long enough, which it is not for most that a skill tries."""
     grasp = position + position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
     near = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) <= arm.reach for arm in robot.arms]
     return torch.stack(near).any(0)
 
 
-def _standing_in_table(robot: Robot, table: Tensor) -> Tensor:
+def standing_in_table(robot: Robot, table: Tensor) -> Tensor:
     """(B,) whether the robot's footprint overlaps the table."""
     footprint = torch.tensor(robot.description.footprint, dtype=torch.float64)
     footprint = box_rectangle(footprint).to(table)

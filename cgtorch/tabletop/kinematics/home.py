@@ -8,9 +8,11 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes
-from cgtorch.tabletop.kinematics.touching import touches
+from cgtorch.tabletop.kinematics.scene_pairs import clear_alone, random_postures, scene_of
+from cgtorch.tabletop.kinematics.solids import boxes_as_solids
 
-SAMPLES, TRIED = 16_384, 512
+SAMPLES, TRIED = 16_384, 2048
+CENTRE = 0.01  # m: an arm that is mounted nearer to the middle than this has no side of its own
 ABOVE = 1.0  # m: what is beyond the footprint stays above tables
 BELOW_COSTS = 4.0
 """How much worse it is to be beyond the footprint and low, or on the other arm's side, than far
@@ -36,12 +38,8 @@ def _named(arm: ArmModel, named: Mapping[str, float]) -> Tensor:
 
 
 def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, float]) -> Tensor:
-    """The one of many random postures, clear of the body, that is raised and near to the body."""
-    generator = torch.Generator().manual_seed(0)
-    low = torch.where(arm.continuous, -math.pi, arm.lower)
-    high = torch.where(arm.continuous, math.pi, arm.upper)
-    share = torch.rand(SAMPLES, len(low), generator=generator, dtype=low.dtype)
-    q = low + share * (high - low)
+    """The one of many random postures that is clear of body and arm, raised, and near to the body."""
+    q = random_postures(arm, SAMPLES)
     start, end = arm.capsules.to(q).placed(arm.frames(q))
     points, radius = torch.cat([start, end], 1), arm.capsules.radius.repeat(2)
     x_min, x_max, y_min, y_max = footprint
@@ -49,8 +47,8 @@ def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, 
     beyond = torch.maximum(points[..., :2] - corner[0], corner[1] - points[..., :2])
     beyond = (beyond.amax(-1) + radius).clamp_min(0)
     under = torch.minimum(beyond, (ABOVE + radius - points[..., 2]).clamp_min(0)).amax(1)
-    side = math.copysign(1.0, float(arm.mount[1, 3])) if abs(float(arm.mount[1, 3])) > 0.01 else 0.0
+    side = math.copysign(1.0, float(arm.mount[1, 3])) if abs(float(arm.mount[1, 3])) > CENTRE else 0
     crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1) if side else 0.0
     best = q[(beyond.amax(1) + BELOW_COSTS * (under + crossed)).argsort()[:TRIED]]
-    free = ~touches(arm, best, body[:0][None].to(best), body.to(best))
-    return best[int(free.long().argmax())]
+    alone = scene_of(arm, boxes_as_solids(body), boxes_as_solids(body[:0]))
+    return best[int(clear_alone(arm, alone, best).long().argmax())]

@@ -1,7 +1,8 @@
 """The robot: its URDF and description, checked together and ready for batched kinematics."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,15 @@ from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_
 from cgtorch.tabletop.kinematics.files import robot_files
 from cgtorch.tabletop.kinematics.home import home_postures
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
+from cgtorch.tabletop.kinematics.scene import Scene
+from cgtorch.tabletop.kinematics.scene_pairs import scene_of
+from cgtorch.tabletop.kinematics.solids import (
+    Solids,
+    boxes_as_solids,
+    solid_of,
+    solid_of_capsule,
+    solids_of,
+)
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
 
 _TURNS = 3 * math.pi
@@ -30,6 +40,7 @@ class Robot:
         arms: In the description's order.
         body: The boxes an arm must not touch, in the base frame.
         home: (n,) of each arm, where its joints are while the robot drives, rad or m.
+        scenes: Of each arm, what it must keep clear of, the others at home.
     """
 
     description: RobotDescription
@@ -37,6 +48,7 @@ class Robot:
     arms: tuple[ArmModel, ...]
     body: Boxes
     home: tuple[Tensor, ...]
+    scenes: tuple[Scene, ...]
 
 
 def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
@@ -54,12 +66,23 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     model.model.update_cfg(words.held)
     for name in words.capsules:
         model.link(name)
-    for name, position in words.home.items():
-        _check_home(model.joint(name), position, in_arms)
     arms = tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms)
     body = _body(model, words, in_arms)
+    for name, position in words.home.items():
+        _check_home(model.joint(name), position, in_arms)
     home = home_postures(arms, body, words.footprint, words.home)
-    return Robot(words, model, arms, body, home)
+    return Robot(words, model, arms, body, home, _scenes(arms, body, home))
+
+
+def _scenes(arms: tuple[ArmModel, ...], body: Boxes, home: tuple[Tensor, ...]) -> tuple[Scene, ...]:
+    """What each arm must keep clear of, the others at home."""
+    torso, none = boxes_as_solids(body), boxes_as_solids(body[:0])
+    at_home = [
+        replace(arm.solids.placed(arm.frames(q[None])[:, 0]), joints=arm.solids.joints)
+        for arm, q in zip(arms, home, strict=True)
+    ]
+    others = [none.joined(*at_home[:i], *at_home[i + 1 :]) for i in range(len(arms))]
+    return tuple(scene_of(arm, torso, each) for arm, each in zip(arms, others, strict=True))
 
 
 def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
@@ -120,6 +143,7 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
         mount=_transform(urdf, arm.base_link, words.base_frame),
         reach=_reach(joints),
         capsules=_capsules(urdf, words, arm, moving, probe.frame_to_idx),
+        solids=_solids(urdf, words, arm, moving, probe.frame_to_idx),
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
         _links=(arm.base_link, arm.tool_frame),
@@ -188,15 +212,9 @@ def _fixed_to_base(
 def _capsules(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Capsules:
-    """The shapes of every link that the arm's joints move, fingers at rest included."""
-    names = {joint.name for joint in moving}
+    """The shapes of every link that the arm's joints move, fingers at rest included, as capsules."""
     rows: list[tuple[int, int, Tensor, Tensor, float]] = []
-    for link in urdf.model.robot.links:
-        path = urdf.joints_above(link.name, arm.base_link)
-        carriers = [joint.child for joint in path if joint.name in names]
-        if not carriers or path[-1].parent != arm.base_link:
-            continue
-        pose = _transform(urdf, link.name, carriers[0])
+    for link, pose, carriers in _moved_links(urdf, arm, moving):
         for start, end, radius in _link_capsules(link, words):
             start, end = (pose[:3, :3] @ point + pose[:3, 3] for point in (start, end))
             rows.append((frame_index[carriers[0]], len(carriers), start, end, radius))
@@ -207,6 +225,35 @@ def _capsules(
         end=_stacked([row[3] for row in rows], 3),
         radius=torch.tensor([row[4] for row in rows], dtype=torch.float64),
     )
+
+
+def _solids(
+    urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
+) -> Solids:
+    """The same as what they are in the URDF, but for those that the description replaces."""
+    rows = []
+    for link, pose, carriers in _moved_links(urdf, arm, moving):
+        if link.name in words.capsules:
+            shapes = [solid_of_capsule(*each) for each in _link_capsules(link, words)]
+        else:
+            shapes = [solid_of(each, f"link {link.name!r}") for each in link.collisions]
+        for at, size in shapes:
+            rows.append((pose @ at, size, frame_index[carriers[0]], len(carriers)))
+    return solids_of(rows)
+
+
+def _moved_links(
+    urdf: Urdf, arm: Arm, moving: list[Any]
+) -> Iterator[tuple[Any, Tensor, list[str]]]:
+    """Links that an arm's joints move: pose (4, 4) in the last frame of the arm that carries it, and
+    the names of all these frames, that one first.
+    """
+    names = {joint.name for joint in moving}
+    for link in urdf.model.robot.links:
+        path = urdf.joints_above(link.name, arm.base_link)
+        carriers = [joint.child for joint in path if joint.name in names]
+        if carriers and path[-1].parent == arm.base_link:
+            yield link, _transform(urdf, link.name, carriers[0]), carriers
 
 
 def _link_capsules(link: Any, words: RobotDescription) -> list[tuple[Tensor, Tensor, float]]:

@@ -214,11 +214,11 @@ def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
     stretch = torch.linspace(1, 1.8, 4000)[:, None]
     position[:, :2] *= stretch
     table[:, :2] *= stretch
-    near = grasping._within_reach(pr2, position)
+    near = grasping.within_reach(pr2, position)
     assert 500 < int(near.sum()) < 3500
     found = graspable(pr2, position, table)
     monkeypatch.setattr(
-        grasping, "_within_reach", lambda robot, at: torch.ones_like(near[: len(at)])
+        grasping, "within_reach", lambda robot, at: torch.ones_like(near[: len(at)])
     )
     assert torch.equal(graspable(pr2, position, table), found)
     assert (found & ~near).sum() == 0

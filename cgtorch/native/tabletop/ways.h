@@ -1,0 +1,135 @@
+/* Whether an arm is clear of everything on all of its way, between waypoints too.
+
+   A way is halved until each half is known to be clear: two solids that are so far apart in its middle
+   that the joints cannot bring them together before its ends need no further look (Schwarzer, Saha &
+   Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
+   environments", 2005). */
+#pragma once
+#include "library.h"
+#include "tabletop/solids.h"
+
+#define MOST_JOINTS 16
+#define MOST_SOLIDS 128
+#define MOST_PAIRS 4096
+#define MOST_WAYPOINTS 128
+#define MOST_HALVINGS 24
+
+enum { TABLE, OBJECT, HELD, OWN }; /* the first solids; from OWN on those of the arm and of others */
+
+typedef struct {
+  Chain chain;
+  const real *pose, *size, *radius; /* (S, 3, 4), (S, 5), (S,) of a ball about the middle of each */
+  const int64_t *frame;             /* (S,) of the chain that a solid moves with, -1 if it is still */
+  const int64_t *pairs;             /* (P, 3) two solids, the first moves; bits of kinds of ways */
+  const real *reach;                /* (P, joints) how much nearer a unit of a joint brings them, m */
+  int64_t solids, count;            /* S, P */
+  double margin, resolution;        /* m to keep; m that solids may come nearer unseen */
+} Scene;
+
+typedef struct {
+  Scene scene;
+  const real *table, *size, *object, *held; /* (K, 3, 4), (K, 5), (K, 3, 4), (K, 3, 4) of each way */
+  const int64_t *kind, *first;              /* (K,) bit of each way; (K + 1,) its first waypoint */
+  const real *q;                            /* (first[K], joints) */
+  unsigned char *clear;                     /* (K,) */
+  int64_t ways;
+} Ways;
+
+/* A way in its scene: waypoints and how far each joint has gone until there. */
+typedef struct {
+  const Scene *scene;
+  const real *q;
+  Solid solids[MOST_SOLIDS];
+  real gone[MOST_WAYPOINTS][MOST_JOINTS];
+  int64_t waypoints;
+  int32_t todo[MOST_PAIRS * (MOST_HALVINGS + 2)]; /* pairs to look at, those of halves at the end */
+} Way;
+
+static void placed_in_scene(const Ways *ways, int64_t row, Way *way) {
+  const Scene *scene = way->scene = &ways->scene;
+  for (int64_t i = 0; i < scene->solids; i++) {
+    const real *pose = scene->pose + i * 12;
+    way->solids[i].size = i == TABLE ? ways->size + row * 5 : scene->size + i * 5;
+    if (i == TABLE) pose = ways->table + row * 12;
+    if (i == OBJECT) pose = ways->object + row * 12;
+    memcpy(way->solids[i].pose, pose, sizeof way->solids[i].pose);
+  }
+}
+
+/* Where the joints are at a place of the way, or how far they have gone. */
+static inline void between(const real *rows, int64_t width, int64_t joints, int64_t waypoints, real at,
+                           real *out) {
+  int64_t first = (int64_t)at;
+  if (first > waypoints - 2) first = waypoints - 2;
+  if (first < 0) first = 0;
+  const real *a = rows + first * width, *b = waypoints > 1 ? a + width : a;
+  for (int64_t j = 0; j < joints; j++) out[j] = a[j] + (at - (real)first) * (b[j] - a[j]);
+}
+
+/* No more than the distance of a solid, by the ball around it, from the box around another. */
+static inline real ball_distance(const Solid *ball, real radius, const Solid *box) {
+  const real *p = box->pose, *size = box->size;
+  real away[3], square = 0;
+  for (int i = 0; i < 3; i++) away[i] = ball->pose[i * 4 + 3] - p[i * 4 + 3];
+  for (int i = 0; i < 3; i++) {
+    real x = FN(fabs)(p[i] * away[0] + p[4 + i] * away[1] + p[8 + i] * away[2]) - size[i] -
+             (i < 2 ? size[3] : 0);
+    if (x > 0) square += x * x;
+  }
+  return FN(sqrt)(square) - size[4] - radius;
+}
+
+static void arm_placed(Way *way, const real *held, real at) {
+  const Scene *scene = way->scene;
+  real q[MOST_JOINTS], poses[MOST_FRAMES][12];
+  between(way->q, scene->chain.joints, scene->chain.joints, way->waypoints, at, q);
+  poses_of(&scene->chain, q, poses);
+  for (int64_t i = HELD; i < scene->solids; i++)
+    if (scene->frame[i] >= 0)
+      product(poses[scene->frame[i]], i == HELD ? held : scene->pose + i * 12, way->solids[i].pose);
+}
+
+/* Whether pairs stay apart from a place of the way to another. */
+static int clear_between(Way *way, const real *held, real begin, real end, const int32_t *pairs,
+                         int64_t count, int32_t *kept, int halvings) {
+  const Scene *scene = way->scene;
+  int64_t joints = scene->chain.joints, left = 0;
+  real at = (begin + end) / 2, from[MOST_JOINTS], here[MOST_JOINTS], to[MOST_JOINTS];
+  arm_placed(way, held, at);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, begin, from);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, at, here);
+  between(way->gone[0], MOST_JOINTS, joints, way->waypoints, end, to);
+  for (int64_t j = 0; j < joints; j++) {
+    real before = here[j] - from[j], after = to[j] - here[j];
+    here[j] = before > after ? before : after;
+  }
+  for (int64_t k = 0; k < count; k++) {
+    const int64_t *pair = scene->pairs + pairs[k] * 3;
+    const Solid *a = way->solids + pair[0], *b = way->solids + pair[1];
+    const real *reach = scene->reach + pairs[k] * joints;
+    real nearer = 0, margin = (real)scene->margin;
+    for (int64_t j = 0; j < joints; j++) nearer += reach[j] * here[j];
+    if (ball_distance(a, scene->radius[pair[0]], b) >= margin + nearer) continue;
+    real distance = distance_of(a, b, margin, margin + nearer);
+    if (distance < margin) return 0;
+    if (distance < margin + nearer && nearer > (real)scene->resolution) kept[left++] = pairs[k];
+  }
+  if (!left || halvings == MOST_HALVINGS) return 1;
+  return clear_between(way, held, begin, at, kept, left, kept + left, halvings + 1) &&
+         clear_between(way, held, at, end, kept, left, kept + left, halvings + 1);
+}
+
+/* Whether the way through waypoints (W, joints) is clear; `placed_in_scene` comes first. */
+static int is_clear(const Ways *ways, int64_t row, Way *way, const real *q, int64_t waypoints) {
+  const Scene *scene = way->scene;
+  int64_t joints = scene->chain.joints, count = 0;
+  way->q = q, way->waypoints = waypoints;
+  for (int64_t j = 0; j < joints; j++) way->gone[0][j] = 0;
+  for (int64_t w = 1; w < waypoints; w++)
+    for (int64_t j = 0; j < joints; j++)
+      way->gone[w][j] = way->gone[w - 1][j] + FN(fabs)(q[w * joints + j] - q[(w - 1) * joints + j]);
+  for (int64_t k = 0; k < scene->count; k++)
+    if (scene->pairs[k * 3 + 2] & ways->kind[row]) way->todo[count++] = (int32_t)k;
+  return clear_between(way, ways->held + row * 12, 0, (real)(waypoints - 1), way->todo, count,
+                       way->todo + count, 0);
+}

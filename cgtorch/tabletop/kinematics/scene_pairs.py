@@ -1,0 +1,133 @@
+"""Which solids of a robot an arm must keep apart from which on its way."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.clear_ways import Places, ways_clear
+from cgtorch.tabletop.kinematics.scene import (
+    ALWAYS,
+    APPROACH,
+    CARRY,
+    HELD,
+    LIFT,
+    OBJECT,
+    OBJECT_HALF,
+    OBJECT_RADIUS,
+    OWN,
+    REACH,
+    TABLE,
+    Scene,
+)
+from cgtorch.tabletop.kinematics.solids import Solids
+from cgtorch.tabletop.kinematics.touching import SHOULDER_JOINTS
+
+SPREAD = 200
+"""Random postures by which solids are found that are built into each other."""
+BUILT_IN = 0.25
+"""Solids that touch in more than such a share of them are."""
+BITS = 62
+_FAR = torch.eye(3, 4, dtype=torch.float64)
+
+
+def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
+    """The scene of an arm, given the robot's body and the other arms at home, in the base frame."""
+    n, tool = len(arm.joint_names), len(arm.chain(arm.lower)[1].kind) - 1
+    size = arm.lower.new_tensor([[0, 0, OBJECT_HALF, OBJECT_RADIUS, 0]]).expand(OWN, 5)
+    own = Solids(
+        pose=torch.eye(4, dtype=size.dtype)[:3].expand(OWN, 3, 4),
+        size=size,
+        frame=torch.tensor([-1, -1, tool]),
+        joints=torch.tensor([0, 0, n]),
+    )
+    every = own.joined(arm.solids, body, others)
+    pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
+    reach = torch.stack([_reach(arm, every, *pair[:2]) for pair in pairs.tolist()])
+    scene = Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
+    kept = ~_built_in(arm, scene)
+    return replace(scene, pairs=pairs[kept], reach=reach[kept])
+
+
+def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
+    """(P, 3) pairs of solids that may meet, given how many joints move those of the arms.
+
+    The gripper, which all joints move, may touch the object once it is about to grasp it; the
+    object stands on the table until it is lifted. Neighbours in an arm touch by design, and
+    shoulders are held off the body by joint limits.
+    """
+    arm = {OWN + i: joints for i, joints in enumerate(own)}
+    torso = range(OWN + len(arm), OWN + len(arm) + body)
+    beside = {OWN + len(arm) + body + i: joints for i, joints in enumerate(others)}
+    pairs = [(HELD, TABLE, CARRY), *((HELD, k, LIFT | CARRY) for k in (*torso, *beside))]
+    for i, joints in arm.items():
+        loose = joints > SHOULDER_JOINTS
+        pairs.append((i, TABLE, ALWAYS))
+        pairs.append((i, OBJECT, REACH if joints == n else REACH | APPROACH))
+        if joints < n:
+            pairs.append((HELD, i, LIFT | CARRY))
+        pairs.extend((i, k, ALWAYS) for k in torso if loose)
+        pairs.extend((i, k, ALWAYS) for k, far in beside.items() if loose or far > SHOULDER_JOINTS)
+    for i, k in itertools.permutations(arm, 2):
+        if arm[i] > arm[k] + 1:
+            pairs.append((i, k, ALWAYS))
+    return torch.tensor(pairs)
+
+
+def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
+    """(P,) whether solids of the robot touch in most postures."""
+    found = torch.zeros(len(scene.pairs), dtype=torch.bool)
+    nothing = Places(*(each[None] for each in (_FAR, scene.size[TABLE], _FAR, _FAR)))
+    q = random_postures(arm, SPREAD)[:, None]
+    robot = (scene.pairs[:, :2] >= OWN).all(1).nonzero()[:, 0]
+    for some in robot.split(BITS):
+        bit = 1 << torch.arange(len(some))
+        alone = replace(
+            scene,
+            pairs=torch.cat([scene.pairs[some, :2], bit[:, None]], 1),
+            reach=scene.reach[some],
+        )
+        kind, rows = bit.repeat_interleave(SPREAD), torch.zeros(SPREAD * len(some)).long()
+        clear = ways_clear(arm, alone, nothing[rows], kind, q.repeat(len(some), 1, 1))
+        found[some] = clear.view(len(some), SPREAD).double().mean(1) < 1 - BUILT_IN
+    return found
+
+
+def clear_alone(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
+    """(B,) whether postures (B, n) are clear of the robot, with neither table nor object."""
+    pairs = scene.pairs[:, :2] >= OWN
+    robot = replace(scene, pairs=scene.pairs[pairs.all(1)], reach=scene.reach[pairs.all(1)])
+    kind, rows = torch.full((len(q),), REACH), torch.zeros(len(q), dtype=torch.long)
+    nothing = Places(*(each[None] for each in (_FAR, scene.size[TABLE], _FAR, _FAR)))
+    return ways_clear(arm, robot, nothing[rows], kind, q[:, None])
+
+
+def random_postures(arm: ArmModel, count: int) -> Tensor:
+    """(count, n) always the same random postures within limits, rad or m."""
+    generator = torch.Generator().manual_seed(0)
+    low = torch.where(arm.continuous, -math.pi, arm.lower)
+    high = torch.where(arm.continuous, math.pi, arm.upper)
+    share = torch.rand(count, len(low), generator=generator, dtype=low.dtype)
+    return low + share * (high - low)
+
+
+def _reach(arm: ArmModel, solids: Solids, first: int, second: int) -> Tensor:
+    """(n,) how far a solid's points are from each joint that moves it against another, at most.
+
+    All links between are taken to be in one line and slides drawn out; 1 for a joint that slides.
+    """
+    chain = arm.chain(arm.lower)[1]
+    reach = arm.lower.new_zeros(len(arm.joint_names))
+    base = int(solids.joints[second]) if int(solids.frame[second]) >= 0 else 0
+    far = float(solids.pose[first, :, 3].norm() + solids.radius[first])
+    for frame in range(int(solids.frame[first]), -1, -1):
+        joint, kind = int(chain.joint[frame]), int(chain.kind[frame])
+        if kind and joint >= base:
+            reach[joint] = far if kind == 1 else 1.0
+        if kind == 2:
+            far += max(abs(float(arm.lower[joint])), abs(float(arm.upper[joint])))
+        far += float(chain.offset[frame, :, 3].norm())
+    return reach

@@ -1,0 +1,98 @@
+"""Solids: each is the sum of a box, a disc and a ball, so that cylinders end as cylinders do."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.kinematics.collision import Boxes, Tensors, pose_of, shape_of
+
+
+@dataclass(frozen=True)
+class Solids(Tensors):
+    """Solids in the frames of an arm, or in the base frame.
+
+    Attributes:
+        pose: (S, 3, 4) upper rows of the pose of each in its frame.
+        size: (S, 5) half sides of the box, radius of the disc about z, radius of the ball, m: a
+            cylinder is half its height and a disc, a capsule half the length of its axis and a
+            ball.
+        frame: (S,) long, the frame of the arm's chain that each moves with, or -1.
+        joints: (S,) long, how many of the arm's joints move it.
+    """
+
+    pose: Tensor
+    size: Tensor
+    frame: Tensor
+    joints: Tensor
+
+    def __len__(self) -> int:
+        """S."""
+        return len(self.size)
+
+    @property
+    def radius(self) -> Tensor:
+        """(S,) of the ball about each solid's middle that holds it, m."""
+        x, y, z, disc, ball = self.size.unbind(-1)
+        return ((x.hypot(y) + disc).hypot(z)) + ball
+
+    def placed(self, frames: Tensor) -> "Solids":
+        """The solids in the base frame, where the frames of the chain have poses (F, 4, 4)."""
+        pose = frames[self.frame, :3, :3] @ self.pose
+        pose[..., 3] += frames[self.frame, :3, 3]
+        still = torch.full_like(self.frame, -1)
+        return Solids(pose, self.size, still, torch.zeros_like(still))
+
+    def joined(self, *more: "Solids") -> "Solids":
+        """All of them, one after the other."""
+        every = (self, *more)
+        return Solids(*(torch.cat([getattr(s, name) for s in every]) for name in vars(self)))
+
+
+def solids_of(shapes: list[tuple[Tensor, Tensor, int, int]]) -> Solids:
+    """Solids from pose (4, 4), size (5,), frame and number of joints of each."""
+    poses = [pose[:3] for pose, *_ in shapes]
+    return Solids(
+        pose=torch.stack(poses) if shapes else torch.zeros(0, 3, 4, dtype=torch.float64),
+        size=torch.stack([s[1] for s in shapes]) if shapes else torch.zeros(0, 5).double(),
+        frame=torch.tensor([s[2] for s in shapes], dtype=torch.long),
+        joints=torch.tensor([s[3] for s in shapes], dtype=torch.long),
+    )
+
+
+def boxes_as_solids(boxes: Boxes) -> Solids:
+    """Boxes (N, ...) that stand still."""
+    pose = torch.cat([boxes.rotation, boxes.centre[..., None]], -1)
+    still = torch.full((len(boxes.half),), -1)
+    return Solids(pose, torch.nn.functional.pad(boxes.half, (0, 2)), still, torch.zeros_like(still))
+
+
+def solid_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
+    """Pose (4, 4) and size (5,) of a URDF collision element; errors are those of `capsules_of`."""
+    kind, sizes = shape_of(collision, where)
+    size = torch.zeros(5, dtype=torch.float64)
+    if kind == "sphere":
+        size[4] = sizes[0]
+    elif kind == "cylinder":
+        size[2], size[3] = sizes[1] / 2, sizes[0]
+    else:
+        size[:3] = torch.tensor(sizes, dtype=torch.float64) / 2
+    return pose_of(collision), size
+
+
+def solid_of_capsule(start: Tensor, end: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Pose (4, 4) and size (5,) of a capsule from `start` to `end` (3,), m."""
+    along = end - start
+    length = along.norm()
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, 3] = (start + end) / 2
+    if length > 0:
+        z = along / length
+        x = torch.eye(3, dtype=torch.float64)[int(z.abs().argmin())]
+        y = torch.linalg.cross(z, x)
+        y = y / y.norm()
+        pose[:3, :3] = torch.stack([torch.linalg.cross(y, z), y, z], 1)
+    size = torch.zeros(5, dtype=torch.float64)
+    size[2], size[4] = length / 2, radius
+    return pose, size
