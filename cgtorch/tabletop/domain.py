@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import torch
 from torch import Generator, Tensor, nn
@@ -26,7 +26,13 @@ from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.edge_networks import edge_actions
-from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, robot_files
+from cgtorch.tabletop.kinematics import (
+    Robot,
+    graspable,
+    has_posture,
+    load_robot,
+    robot_files,
+)
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
@@ -53,6 +59,9 @@ if TYPE_CHECKING:
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
+_Asked: TypeAlias = Callable[[Robot, Tensor, Tensor], Tensor]
+GRASPS: Mapping[str, _Asked] = {"way": graspable, "posture": has_posture}
+"""What has to be there for a grasp to succeed, by the setting `grasp`."""
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI by what their networks read."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
@@ -138,7 +147,7 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.world`."""
         footprint = self.robot.description.footprint
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)
-        grasps = partial(_graspable, self.robot)
+        grasps = partial(_shared, GRASPS[self.settings.grasp], self.robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
 
     def actions(self) -> ActionSet:
@@ -260,9 +269,9 @@ def usual_percept(kind: str) -> str:
     return "yaw" if kind.startswith("general") else "box"
 
 
-def _graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """`graspable`, many rows shared out among all ranks; with few, one rank can try a domain."""
+def _shared(asked: _Asked, robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """What is asked of many rows, shared out among all ranks; with few, one can try a domain."""
     if len(position) < WORTH_SHARING:
-        return graspable(robot, position, table)
+        return asked(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)
-    return distributed.all_gather(graspable(robot, position[mine], table[mine]), rows)
+    return distributed.all_gather(asked(robot, position[mine], table[mine]), rows)

@@ -42,6 +42,13 @@ class TabletopSettings(DomainSettings):
         "the data and models that are there have it",
         choices=("auto", "box", "yaw"),
     )
+    grasp: str = option(
+        "way",
+        "What a grasp needs: way for a way of the arm from home to the object that touches "
+        "nothing, posture for a posture at the object alone.",
+        "it says what success means, for labels and W",
+        choices=("way", "posture"),
+    )
     networks: str = option(
         "auto",
         "What networks read: percept as in the paper, edge for the scene as seen from the edge "

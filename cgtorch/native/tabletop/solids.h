@@ -108,8 +108,8 @@ static int of_tetrahedron(real corner[4][3], real *out) {
   return count;
 }
 
-/* No more than the distance of two solids, m, up to TOLERANCE; or any number below `near` or at
-   least `far`, if it is. */
+/* No more than the distance of two solids, m, up to TOLERANCE; or any number on the same side of
+   `near` and of `far`, which is all that is asked. */
 static real distance_of(const Solid *a, const Solid *b, real near, real far) {
   real corner[4][3], away[3], least = -INFINITY, balls = a->size[4] + b->size[4];
   for (int i = 0; i < 3; i++) away[i] = a->pose[i * 4 + 3] - b->pose[i * 4 + 3];
@@ -122,7 +122,9 @@ static real distance_of(const Solid *a, const Solid *b, real near, real far) {
     real length = FN(sqrt)(square), bound = dot(away, new) / length;
     if (bound > least) least = bound;
     if (least - balls >= far) return least - balls;
-    if (count && (length - balls < near || length - least < TOLERANCE)) break;
+    if (count && (length - balls < near || length - least < TOLERANCE ||
+                  (least - balls >= near && length - balls < far)))
+      break;
     copied(new, corner[count++]);
     switch (count) {
     case 1: copied(new, away); break;

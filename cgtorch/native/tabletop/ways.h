@@ -13,6 +13,7 @@
 #define MOST_PAIRS 4096
 #define MOST_WAYPOINTS 128
 #define MOST_HALVINGS 24
+#define COARSE (real)0.1 /* m: what may come nearer than that is not measured before the way is halved */
 
 enum { TABLE, OBJECT, HELD, OWN }; /* the first solids; from OWN on those of the arm and of others */
 
@@ -66,17 +67,18 @@ static inline void between(const real *rows, int64_t width, int64_t joints, int6
   for (int64_t j = 0; j < joints; j++) out[j] = a[j] + (at - (real)first) * (b[j] - a[j]);
 }
 
-/* No more than the distance of a solid, by the ball around it, from the box around another. */
-static inline real ball_distance(const Solid *ball, real radius, const Solid *box) {
+/* Whether the ball around a solid is at least so far from the box around another. */
+static inline int ball_apart(const Solid *ball, real radius, const Solid *box, real gap) {
   const real *p = box->pose, *size = box->size;
   real away[3], square = 0;
+  gap += radius + size[4];
   for (int i = 0; i < 3; i++) away[i] = ball->pose[i * 4 + 3] - p[i * 4 + 3];
   for (int i = 0; i < 3; i++) {
     real x = FN(fabs)(p[i] * away[0] + p[4 + i] * away[1] + p[8 + i] * away[2]) - size[i] -
              (i < 2 ? size[3] : 0);
-    if (x > 0) square += x * x;
+    x = x > 0 ? x : 0, square += x * x;
   }
-  return FN(sqrt)(square) - size[4] - radius;
+  return square >= gap * gap;
 }
 
 static void arm_placed(Way *way, const real *held, real at) {
@@ -94,6 +96,7 @@ static int clear_between(Way *way, const real *held, real begin, real end, const
                          int64_t count, int32_t *kept, int halvings) {
   const Scene *scene = way->scene;
   int64_t joints = scene->chain.joints, left = 0;
+  int moves = 0;
   real at = (begin + end) / 2, from[MOST_JOINTS], here[MOST_JOINTS], to[MOST_JOINTS];
   arm_placed(way, held, at);
   between(way->gone[0], MOST_JOINTS, joints, way->waypoints, begin, from);
@@ -102,14 +105,21 @@ static int clear_between(Way *way, const real *held, real begin, real end, const
   for (int64_t j = 0; j < joints; j++) {
     real before = here[j] - from[j], after = to[j] - here[j];
     here[j] = before > after ? before : after;
+    moves |= here[j] > 0;
   }
   for (int64_t k = 0; k < count; k++) {
     const int64_t *pair = scene->pairs + pairs[k] * 3;
     const Solid *a = way->solids + pair[0], *b = way->solids + pair[1];
     const real *reach = scene->reach + pairs[k] * joints;
     real nearer = 0, margin = (real)scene->margin;
-    for (int64_t j = 0; j < joints; j++) nearer += reach[j] * here[j];
-    if (ball_distance(a, scene->radius[pair[0]], b) >= margin + nearer) continue;
+    for (int64_t j = 0; moves && j < joints; j++) nearer += reach[j] * here[j];
+    if (ball_apart(a, scene->radius[pair[0]], b, margin + nearer) ||
+        (pair[1] != TABLE && ball_apart(b, scene->radius[pair[1]], a, margin + nearer)))
+      continue;
+    if (nearer > COARSE) {
+      kept[left++] = pairs[k];
+      continue;
+    }
     real distance = distance_of(a, b, margin, margin + nearer);
     if (distance < margin) return 0;
     if (distance < margin + nearer && nearer > (real)scene->resolution) kept[left++] = pairs[k];

@@ -86,11 +86,16 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
     )  # fmt: skip
 
 
+def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """Whether an arm has a way to each object and up with it (B,); see `arm_ways`."""
+    return found_ways(robot, position, table).rank < len(robot.arms) * len(APPROACHES)
+
+
 def _ways_back(
     robot: Robot, position: Tensor, table: Tensor, ways: FoundWays, home: Tensor, found: Tensor,
     seed: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Ways (B, VIAS, n) home with the object, straight where it is clear, and their lengths (B,)."""
+    """Ways (B, VIAS, n) home with the object, straight where clear, and their lengths (B,)."""
     back = ways.line[:, -1:].repeat(1, VIAS, 1)
     count = torch.ones_like(ways.rank)
     places = replace(places_of(position, table_slab(table.to(position))), held=ways.held)

@@ -171,6 +171,7 @@ def box_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
 
 
 def pose_of(collision: Any) -> Tensor:
+    """(4, 4) pose of a collision element in its link's frame."""
     origin = torch.eye(4).tolist() if collision.origin is None else collision.origin
     return torch.as_tensor(origin, dtype=torch.float64)
 

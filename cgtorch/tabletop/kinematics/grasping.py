@@ -1,8 +1,9 @@
-"""Whether an object on a table can be grasped from where the robot stands.
+"""In which posture an object on a table can be grasped from where the robot stands.
 
-A grasp succeeds, as the PR2's own manipulation pipeline has it, if an arm reaches the grasp and a
+A posture serves, as the PR2's own manipulation pipeline has it, if an arm reaches the grasp and a
 pre-grasp behind it, if the way between the two and a straight lift can be followed without changing
-posture, and if nothing touches the table, the torso or the base on the way.
+posture, and if nothing touches the table, the torso or the base at five places of that way. How the
+arm comes to the pre-grasp is left to `arm_way`.
 """
 
 import math
@@ -62,8 +63,8 @@ class GraspSolution:
     joints: Tensor
 
 
-def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """Whether objects can be grasped by either arm (B,); see `grasp_solution`."""
+def has_posture(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+    """Whether an arm has a posture at each object (B,), however it gets there; `grasp_solution`."""
     return grasp_solution(robot, position, table).found
 
 
@@ -166,7 +167,7 @@ def postures_in_turn(
 def followed(
     arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Rows (K,) and joints (K, 5, n) of those postures q (M, n) that can follow their row's path."""
+    """Rows (K,) and joints (K, 5, n) of those postures q (M, n) that can follow their paths."""
     free = ~touches(arm, q, slab[row], body)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])

@@ -38,7 +38,7 @@ def _named(arm: ArmModel, named: Mapping[str, float]) -> Tensor:
 
 
 def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, float]) -> Tensor:
-    """The one of many random postures that is clear of body and arm, raised, and near to the body."""
+    """The one of many random postures that is raised, near to the body, and clear of it."""
     q = random_postures(arm, SAMPLES)
     start, end = arm.capsules.to(q).placed(arm.frames(q))
     points, radius = torch.cat([start, end], 1), arm.capsules.radius.repeat(2)

@@ -143,7 +143,7 @@ def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tup
     elbow = _cos_elbow(arm, *_from_shoulder(arm, wrist[:, None], pan))
     least, most = arm.elbow_cosines
     row, sample = ((elbow >= least) & (elbow <= most)).nonzero(as_tuple=True)
-    q, sound = _solve(arm, wrist[row], rotation[row], pan[sample])
+    q, sound = _solve(arm, arm.branches, wrist[row], rotation[row], pan[sample])
     which, branch = sound.nonzero(as_tuple=True)
     return row[which], q[which, branch]
 
@@ -153,12 +153,10 @@ def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tens
     angle = q * arm.signs
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
     branch = (signs[:, None] * arm.branches > 0).sum(-1).argmax(dim=1)
-    count, steps = pose.shape[:2]
     wrist, rotation = _wrist(arm, pose)
-    path, sound = _solve(arm, wrist, rotation, angle[:, :1].expand(count, steps))
-    index = branch[:, None, None].expand(count, steps, 1)
-    path = path.gather(2, index[..., None].expand(count, steps, 1, 7)).squeeze(2)
-    return path, sound.gather(2, index).squeeze(2)
+    pan = angle[:, :1].expand(pose.shape[:2])
+    path, sound = _solve(arm, arm.branches[branch][:, None, None], wrist, rotation, pan)
+    return path.squeeze(2), sound.squeeze(2)
 
 
 def _wrist(arm: SphericalArm, pose: Tensor) -> tuple[Tensor, Tensor]:
@@ -182,13 +180,13 @@ def _cos_elbow(arm: SphericalArm, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
 
 
 def _solve(
-    arm: SphericalArm, wrist: Tensor, rotation: Tensor, pan: Tensor
+    arm: SphericalArm, branches: Tensor, wrist: Tensor, rotation: Tensor, pan: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint angles (..., S, 7) at pan angles (...) in every branch, and whether they solve it.
+    """Joint angles (..., S, 7) at pan angles (...) in branches (..., S, 3), and which solve it.
 
     The wrist's centre (..., 3) and the rotation (..., 3, 3) of its last frame are in the pan frame.
     """
-    elbow_sign, roll_sign, wrist_sign = arm.branches.unbind(-1)
+    elbow_sign, roll_sign, wrist_sign = branches.unbind(-1)
     x, y, z = (value[..., None] for value in _from_shoulder(arm, wrist, pan))
     cos1, sin1 = pan.cos()[..., None], pan.sin()[..., None]
 

@@ -212,7 +212,7 @@ def _fixed_to_base(
 def _capsules(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Capsules:
-    """The shapes of every link that the arm's joints move, fingers at rest included, as capsules."""
+    """The shapes of every link that the arm's joints move, fingers at rest included, roughly."""
     rows: list[tuple[int, int, Tensor, Tensor, float]] = []
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         for start, end, radius in _link_capsules(link, words):
@@ -245,8 +245,9 @@ def _solids(
 def _moved_links(
     urdf: Urdf, arm: Arm, moving: list[Any]
 ) -> Iterator[tuple[Any, Tensor, list[str]]]:
-    """Links that an arm's joints move: pose (4, 4) in the last frame of the arm that carries it, and
-    the names of all these frames, that one first.
+    """Links that an arm's joints move, and the names of the arm's frames above each, nearest first.
+
+    Between the two their pose (4, 4) in the nearest.
     """
     names = {joint.name for joint in moving}
     for link in urdf.model.robot.links:

@@ -48,7 +48,7 @@ def ways_planned(
     count = torch.zeros(len(ends), dtype=torch.long)
     if task is None:
         for i in range(len(ends)):
-            clear = partial(_clear, arm, scene, places[i : i + 1], kind[i : i + 1])
+            clear = partial(_clear, arm, scene, places[torch.tensor([i])], kind[i : i + 1])
             way = planned_in_torch(clear, ends[i], low[i], high[i], key[i])
             count[i] = len(way)
             found[i, : len(way)] = torch.stack(way) if way else 0.0

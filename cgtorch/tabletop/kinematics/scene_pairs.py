@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.clear_ways import Places, ways_clear
+from cgtorch.tabletop.kinematics.clear_ways import MARGIN, Places, ways_clear
 from cgtorch.tabletop.kinematics.scene import (
     ALWAYS,
     APPROACH,
@@ -48,7 +48,7 @@ def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
     pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
     reach = torch.stack([_reach(arm, every, *pair[:2]) for pair in pairs.tolist()])
     scene = Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
-    kept = ~_built_in(arm, scene)
+    kept = ~_built_in(arm, scene) & _near_enough(arm, scene)
     return replace(scene, pairs=pairs[kept], reach=reach[kept])
 
 
@@ -94,6 +94,16 @@ def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
         clear = ways_clear(arm, alone, nothing[rows], kind, q.repeat(len(some), 1, 1))
         found[some] = clear.view(len(some), SPREAD).double().mean(1) < 1 - BUILT_IN
     return found
+
+
+def _near_enough(arm: ArmModel, scene: Scene) -> Tensor:
+    """(P,) whether an arm is long enough for pairs to meet, by far from its first joint."""
+    chain, b = arm.chain(arm.lower)[1], scene.pairs[:, 1]
+    first = int((chain.kind > 0).nonzero()[0, 0])
+    still = (b >= OWN) & (scene.frame[b] < 0) & (chain.kind[first] == 1)
+    joint = arm.frames(arm.lower[None])[first, 0, :3, 3]
+    away = (scene.pose[b, :, 3] - joint).norm(dim=1) - scene.radius[b]
+    return ~still | (away <= scene.reach[:, 0] + MARGIN)
 
 
 def clear_alone(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ def farthest(pose: Tensor, size: Tensor, way: Tensor) -> Tensor:
 def distance_of(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tensor) -> Tensor:
     """(M,) no more than the distance of solids with poses (M, 3, 4) and sizes (M, 5), m.
 
-    Up to `TOLERANCE`; below 0 where they meet without their balls, which are taken off.
+    Up to `TOLERANCE`; 0 or less where they meet.
     """
     balls = size[:, 4] + other_size[:, 4]
     least = torch.full_like(balls, -torch.inf)

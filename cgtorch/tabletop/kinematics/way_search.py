@@ -32,8 +32,9 @@ LINE = 41
 HALF = LINE // 2
 MAX_TURN = 0.15
 """Rad or m that a joint may move between two of them, so that the tool keeps to its line."""
-TRIED = 2
-"""Postures of each arm at each approach whose ways are looked at closely, those nearest to home."""
+NEAR, TRIED = 4, 2
+"""Postures of each arm at each approach that are looked at closely, those nearest to home, and of
+them those whose ways are."""
 NONE, BLOCKED, STRAIGHT = range(3)
 PLANNED = 3
 """Grasps of each object for which a way is planned if none can be reached straight."""
@@ -152,40 +153,51 @@ def _lines(
     line = home.new_zeros(len(path), LINE, len(home))
     held = (torch.linalg.inv(path[:, 2].double()) @ _square(places.object))[:, :3]
     places = replace(places, held=held)
-    for row, q in postures_in_turn(arm, path, state == STRAIGHT):
-        row, joints = followed(arm, path, slab, body, row, q)
-        row, dense = _nearest_lines(arm, path, row, joints, home)
-        for kind, part in ((APPROACH, slice(0, HALF + 1)), (LIFT, slice(HALF, LINE))):
-            kept = ways_clear(arm, scene, places[row], _all(kind, row), dense[:, part])
-            row, dense = row[kept], dense[kept]
-        reach = torch.stack([home.expand_as(dense[:, 0]), dense[:, 0]], 1)
-        straight = ways_clear(arm, scene, places[row], _all(REACH, row), reach)
-        for better, mask in ((BLOCKED, ~straight), (STRAIGHT, straight)):
-            at, found = row[mask], dense[mask]
-            first = first_of_each(at)
-            at, found = at[first], found[first]
-            new = state[at] < better
-            state[at[new]], line[at[new]] = better, found[new]
+    for part in postures_in_turn(arm, path, state == STRAIGHT):
+        every, joints = _near_home(arm, *followed(arm, path, slab, body, *part), home)
+        kept = ways_clear(arm, scene, places[every], _all(APPROACH, every), joints[:, 2:3])
+        every, joints = every[kept], joints[kept]
+        nth = _nth_of_each(every)
+        for turn in range(TRIED):
+            mine = (nth == turn) & (state[every] != STRAIGHT)
+            if not mine.any():
+                continue
+            row, dense = _on_line(arm, path, every[mine], joints[mine, 2], home)
+            for kind, stretch in ((APPROACH, slice(HALF + 1)), (LIFT, slice(HALF, LINE))):
+                kept = ways_clear(arm, scene, places[row], _all(kind, row), dense[:, stretch])
+                row, dense = row[kept], dense[kept]
+            reach = torch.stack([home.expand_as(dense[:, 0]), dense[:, 0]], 1)
+            straight = ways_clear(arm, scene, places[row], _all(REACH, row), reach)
+            better = straight | (state[row] == NONE)
+            row, straight = row[better], straight[better]
+            line[row], state[row] = dense[better], torch.where(straight, STRAIGHT, BLOCKED)
     return state, line, held
 
 
-def _nearest_lines(
-    arm: ArmModel, path: Tensor, row: Tensor, joints: Tensor, home: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Rows (K,) and lines (K, LINE, n) in those postures (M, 5, n) of each that are near to home.
-
-    Without those in which a joint would have to turn too fast for the tool to keep to its line.
-    """
+def _near_home(arm: ArmModel, row: Tensor, joints: Tensor, home: Tensor) -> tuple[Tensor, Tensor]:
+    """Of postures (M, 5, n) of ascending rows (M,) the few of each that are nearest to home."""
     away = arm.difference(joints[:, 0].double(), home).abs().amax(1)
     order = away.argsort(stable=True)
     order = order[row[order].argsort(stable=True)]
-    row, joints = row[order], joints[order]
-    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-    row, q = row[nth < TRIED], joints[nth < TRIED, 2]
-    share = torch.linspace(0, 1, HALF + 1).to(path)[:, None, None]
-    there = torch.cat([path[:, 0, None] + share * (path[:, 2] - path[:, 0])[:, None],
-                       path[:, 2, None] + share[1:] * (path[:, 4] - path[:, 2])[:, None]], 1)  # fmt: skip
-    line, reached = arm.follow(q, there[row])
+    order = order[_nth_of_each(row[order]) < NEAR]
+    return row[order], joints[order]
+
+
+def _nth_of_each(row: Tensor) -> Tensor:
+    """(M,) how many of ascending rows (M,) before each are the same."""
+    return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+
+
+def _on_line(
+    arm: ArmModel, path: Tensor, row: Tensor, q: Tensor, home: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Rows (K,) and lines (K, LINE, n) in postures q (M, n) at the grasps of rows (M,).
+
+    Without those in which a joint would have to turn too fast for the tool to keep to its line.
+    """
+    ends, share = path[row][:, :, None], torch.linspace(0, 1, HALF + 1).to(path)[:, None, None]
+    there = [ends[:, i] + share * (ends[:, i + 2] - ends[:, i]) for i in (0, 2)]
+    line, reached = arm.follow(q, torch.cat([there[0], there[1][:, 1:]], 1))
     line = line.double()
     first = home + arm.difference(line[:, :1], home)
     steps = arm.difference(line[:, 1:], line[:, :-1])
@@ -199,14 +211,16 @@ def _plan(
 ) -> None:
     """Plan ways to the first few grasps of rows without a straight one."""
     none = len(robot.arms) * len(APPROACHES)
+    if not blocked:
+        return
     row, rank = (torch.cat([getattr(b, name) for b in blocked]) for name in ("row", "rank"))
     open_ = (ways.rank[row] == none).nonzero()[:, 0]
     order = open_[(row[open_] * none + rank[open_]).argsort()]
-    nth = torch.arange(len(order), device=row.device) - torch.searchsorted(row[order], row[order])
+    nth = _nth_of_each(row[order])
     for turn in range(PLANNED):
         todo = set(order[(nth == turn) & (ways.rank[row[order]] == none)].tolist())
         first = 0
-        for i, some in enumerate(blocked):
+        for some in blocked:
             mine = [j for j in range(len(some.row)) if first + j in todo]
             first += len(some.row)
             if mine:

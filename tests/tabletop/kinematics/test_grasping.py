@@ -5,7 +5,7 @@ import torch
 from support import tool_pose
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics import grasp_solution, graspable, grasping
+from cgtorch.tabletop.kinematics import grasp_solution, grasping, has_posture
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, waypoints
 from cgtorch.tabletop.kinematics.touching import touches
 
@@ -56,56 +56,56 @@ def one_scene(gap, inset, sideways=0.0, along=0.0, yaw=0.0):
 def test_object_at_the_edge_before_the_robot_is_in_reach(pr2, x, y):
     position, table = one_scene(gap=x - 0.1, inset=0.1, along=y)
     torch.testing.assert_close(position, torch.tensor([[x, y, HEIGHT]]))
-    assert graspable(pr2, position, table).tolist() == [True]
+    assert has_posture(pr2, position, table).tolist() == [True]
 
 
 @pytest.mark.parametrize(("gap", "inset"), [(1.1, 0.1), (0.4, 0.8), (0.9, 0.25)])
 def test_object_too_far_away_is_not(pr2, gap, inset):
-    assert graspable(pr2, *one_scene(gap, inset)).tolist() == [False]
+    assert has_posture(pr2, *one_scene(gap, inset)).tolist() == [False]
 
 
 def test_object_behind_the_robot_is_not(pr2):
-    assert graspable(pr2, *one_scene(0.4, 0.1, yaw=math.pi)).tolist() == [False]
+    assert has_posture(pr2, *one_scene(0.4, 0.1, yaw=math.pi)).tolist() == [False]
 
 
 def test_standing_in_the_table_is_not_allowed(pr2):
-    assert graspable(pr2, *one_scene(0.345, 0.15)).tolist() == [True]
-    assert graspable(pr2, *one_scene(0.325, 0.17)).tolist() == [False]
-    assert graspable(pr2, *one_scene(0.36, 0.15, yaw=math.pi / 4)).tolist() == [False]
+    assert has_posture(pr2, *one_scene(0.345, 0.15)).tolist() == [True]
+    assert has_posture(pr2, *one_scene(0.325, 0.17)).tolist() == [False]
+    assert has_posture(pr2, *one_scene(0.36, 0.15, yaw=math.pi / 4)).tolist() == [False]
 
 
 def test_the_table_stands_in_the_way(pr2):
     """The same object is out of reach once it lies under a higher table's top."""
     position, table = one_scene(0.4, 0.1)
     table[:, 5] = HEIGHT + 0.12
-    assert graspable(pr2, position, table).tolist() == [False]
+    assert has_posture(pr2, position, table).tolist() == [False]
 
 
 def test_too_high_and_too_low_tables(pr2):
     for height in (0.0, 1.6):
         position, table = one_scene(0.4, 0.1)
         position[:, 2] = table[:, 5] = height
-        assert graspable(pr2, position, table).tolist() == [False]
+        assert has_posture(pr2, position, table).tolist() == [False]
 
 
 def test_left_and_right_are_mirrored(pr2):
     position, table = random_scene(1500, seed=1)
     mirrored = table.clone()
     mirrored[:, 1:3] *= -1
-    label = graspable(pr2, position, table)
-    other = graspable(pr2, position * torch.tensor([1.0, -1.0, 1.0]), mirrored)
+    label = has_posture(pr2, position, table)
+    other = has_posture(pr2, position * torch.tensor([1.0, -1.0, 1.0]), mirrored)
     assert 0.2 < label.float().mean() < 0.8
     assert (label == other).float().mean() >= 0.99
 
 
 def test_a_row_does_not_depend_on_the_others(pr2):
     position, table = random_scene(2100, seed=2)
-    label = graspable(pr2, position, table)
+    label = has_posture(pr2, position, table)
     order = torch.randperm(2100, generator=torch.Generator().manual_seed(0))
     shuffled = torch.empty_like(label)
-    shuffled[order] = graspable(pr2, position[order], table[order])
+    shuffled[order] = has_posture(pr2, position[order], table[order])
     assert (label == shuffled).float().mean() >= 0.999
-    assert torch.equal(label, graspable(pr2, position, table))
+    assert torch.equal(label, has_posture(pr2, position, table))
 
 
 def test_a_solution_does_not_depend_on_the_others(pr2):
@@ -131,17 +131,17 @@ def test_postures_collide_alike_in_any_number(fetch, random_joints, generator):
 
 def test_float64_agrees_with_float32(pr2):
     position, table = random_scene(400, seed=3, dtype=torch.float64)
-    double = graspable(pr2, position, table)
-    single = graspable(pr2, position.float(), table.float())
+    double = has_posture(pr2, position, table)
+    single = has_posture(pr2, position.float(), table.float())
     assert (double == single).float().mean() >= 0.995
 
 
 def test_the_default_dtype_is_left_alone_and_ignored(pr2):
     position, table = random_scene(50, seed=3)
-    before = graspable(pr2, position, table)
+    before = has_posture(pr2, position, table)
     torch.set_default_dtype(torch.float64)
     try:
-        assert torch.equal(graspable(pr2, position, table), before)
+        assert torch.equal(has_posture(pr2, position, table), before)
     finally:
         torch.set_default_dtype(torch.float32)
 
@@ -151,7 +151,7 @@ def test_solutions_do_what_they_claim(request, name):
     robot = request.getfixturevalue(name)
     position, table = random_scene(600, seed=4)
     solution = grasp_solution(robot, position, table)
-    assert torch.equal(solution.found, graspable(robot, position, table))
+    assert torch.equal(solution.found, has_posture(robot, position, table))
     rows = solution.found.nonzero().squeeze(1)
     assert len(rows) > 100
     for row in rows.tolist():
@@ -192,7 +192,7 @@ def test_waypoints_go_straight_in_and_straight_up():
 
 
 def test_no_rows(pr2):
-    assert graspable(pr2, torch.zeros(0, 3), torch.zeros(0, 6)).shape == (0,)
+    assert has_posture(pr2, torch.zeros(0, 3), torch.zeros(0, 6)).shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_no_rows(pr2):
 )
 def test_bad_input(pr2, position, table, message):
     with pytest.raises(RobotError, match=message):
-        graspable(pr2, position, table)
+        has_posture(pr2, position, table)
 
 
 def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
@@ -216,10 +216,10 @@ def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
     table[:, :2] *= stretch
     near = grasping.within_reach(pr2, position)
     assert 500 < int(near.sum()) < 3500
-    found = graspable(pr2, position, table)
+    found = has_posture(pr2, position, table)
     monkeypatch.setattr(
         grasping, "within_reach", lambda robot, at: torch.ones_like(near[: len(at)])
     )
-    assert torch.equal(graspable(pr2, position, table), found)
+    assert torch.equal(has_posture(pr2, position, table), found)
     assert (found & ~near).sum() == 0
     assert found.any()

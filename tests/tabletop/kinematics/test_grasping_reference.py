@@ -1,4 +1,4 @@
-"""graspable() against a slow reference: one object at a time, other formulas, a finer search.
+"""has_posture() against a slow reference: one object at a time, other formulas, a finer search.
 
 The reference finds the elbow by geometry instead of algebra, samples the pan angle twice as finely
 and lets it change on the way, and tests collision by points sampled along every capsule.
@@ -13,7 +13,7 @@ import pytest
 import torch
 from test_grasping import random_scene
 
-from cgtorch.tabletop.kinematics import graspable
+from cgtorch.tabletop.kinematics import has_posture
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 
@@ -209,7 +209,7 @@ def overlap(corners, table):
 def test_labels_agree_with_the_reference(request, name, count):
     robot = request.getfixturevalue(name)
     position, table = random_scene(count, seed=11)
-    labels = graspable(robot, position, table).tolist()
+    labels = has_posture(robot, position, table).tolist()
     reference = [
         can_grasp(robot, p, t)
         for p, t in zip(position.double().numpy(), table.double().numpy(), strict=True)
