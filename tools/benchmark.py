@@ -21,6 +21,7 @@ import click
 from benchmarks.cold_start import cold_start
 from benchmarks.gamma import gamma_ceiling
 from benchmarks.generation import overhead_share
+from benchmarks.grasps import grasp_way
 from benchmarks.grid import (
     svc_grid_search,
     svc_grid_search_large,
@@ -63,6 +64,7 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "own_world": own_world,
     "own_models": own_models,
     "touching": touching,
+    "grasp_way": grasp_way,
     "cold_start": cold_start,
     "memory_of_a_million": memory_of_a_million,
 }

@@ -13,7 +13,6 @@
 #define MOST_PAIRS 4096
 #define MOST_WAYPOINTS 128
 #define MOST_HALVINGS 24
-#define COARSE (real)0.1 /* m: what may come nearer than that is not measured before the way is halved */
 
 enum { TABLE, OBJECT, HELD, OWN }; /* the first solids; from OWN on those of the arm and of others */
 
@@ -25,6 +24,7 @@ typedef struct {
   const real *reach;                /* (P, joints) how much nearer a unit of a joint brings them, m */
   int64_t solids, count;            /* S, P */
   double margin, resolution;        /* m to keep; m that solids may come nearer unseen */
+  double coarse;                    /* m: what may come nearer is measured in the halves only */
 } Scene;
 
 typedef struct {
@@ -116,7 +116,7 @@ static int clear_between(Way *way, const real *held, real begin, real end, const
     if (ball_apart(a, scene->radius[pair[0]], b, margin + nearer) ||
         (pair[1] != TABLE && ball_apart(b, scene->radius[pair[1]], a, margin + nearer)))
       continue;
-    if (nearer > COARSE) {
+    if (nearer > (real)scene->coarse) {
       kept[left++] = pairs[k];
       continue;
     }

@@ -17,11 +17,12 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Tensors
 from cgtorch.tabletop.kinematics.scene import HELD, OBJECT, TABLE, Scene
 from cgtorch.tabletop.kinematics.solid_distance import distance_of
+from cgtorch.tabletop.kinematics.solids import ball_radius
 
 MARGIN = 0.002  # m that is kept from everything
-RESOLUTION = 0.004  # m that two solids may come nearer without another look
+RESOLUTION = MARGIN  # m that two solids may come nearer without another look, so that none touch
+COARSE = 0.1  # m: what may come nearer than that is measured in the halves of a way only
 HALVINGS = 24
-_EYE = torch.eye(3, 4, dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def ways_task(
     made = structure("Chain", torch.float64)(**vars(chain), frames=len(chain.kind), joints=n)
     fixed = structure("Scene", torch.float64)(
         chain=made, **vars(scene), solids=len(scene.size), count=len(scene.pairs), margin=MARGIN,
-        resolution=RESOLUTION,
+        resolution=RESOLUTION, coarse=COARSE,
     )  # fmt: skip
     return structure("Ways", torch.float64)(
         scene=fixed, table=places.table, size=places.table_size, object=places.object,
@@ -105,8 +106,11 @@ def ways_clear_in_torch(
         here = _at(gone, row, at)
         travel = torch.maximum(here - _at(gone, row, begin), _at(gone, row, end) - here)
         nearer = (scene.reach[pair] * travel).sum(1)
-        gap = _distance(arm, scene, places, ways, row, pair, at)
-        clear[row[gap < MARGIN]] = False
+        solids = _placed(arm, scene, places, ways, row, pair, at)
+        gap = _ball_distance(*solids)
+        near = (gap < MARGIN + nearer) & (nearer <= COARSE)
+        gap[near] = distance_of(*(each[near] for each in solids))
+        clear[row[near & (gap < MARGIN)]] = False
         left = clear[row] & (gap < MARGIN + nearer) & (nearer > RESOLUTION)
         if halving == HALVINGS or not left.any():
             break
@@ -124,14 +128,14 @@ def _at(rows: Tensor, row: Tensor, at: Tensor) -> Tensor:
     return rows[row, first] + share * (rows[row, second] - rows[row, first])
 
 
-def _distance(
+def _placed(
     arm: ArmModel, scene: Scene, places: Places, ways: Tensor, row: Tensor, pair: Tensor, at: Tensor
-) -> Tensor:
-    """(M,) how far pairs are apart at places of ways."""
+) -> list[Tensor]:
+    """Poses (M, 3, 4) and sizes (M, 5) of both solids of pairs at places of ways."""
     moments, which = torch.unique(torch.stack([row.to(at), at], 1), dim=0, return_inverse=True)
     where = moments[:, 0].long()
     frames = arm.frames(_at(ways, where, moments[:, 1]))[:, which]
-    solids = []
+    solids: list[Tensor] = []
     for solid in scene.pairs[pair, :2].unbind(1):
         pose, size, frame = scene.pose[solid].clone(), scene.size[solid].clone(), scene.frame[solid]
         own = {TABLE: places.table, OBJECT: places.object, HELD: places.held}
@@ -143,4 +147,10 @@ def _distance(
         moved = carrier[:, :3, :3] @ pose
         moved[..., 3] += carrier[:, :3, 3]
         solids += [torch.where((frame >= 0)[:, None, None], moved, pose), size]
-    return distance_of(*solids)
+    return solids
+
+
+def _ball_distance(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tensor) -> Tensor:
+    """(M,) how far the balls around solids are apart, m."""
+    apart = (pose[..., 3] - other_pose[..., 3]).norm(dim=1)
+    return apart - ball_radius(size) - ball_radius(other_size)

@@ -26,6 +26,7 @@ from cgtorch.tabletop.kinematics.solids import (
     solid_of,
     solid_of_capsule,
     solids_of,
+    with_boxed_hand,
 )
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
 
@@ -77,10 +78,11 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
 def _scenes(arms: tuple[ArmModel, ...], body: Boxes, home: tuple[Tensor, ...]) -> tuple[Scene, ...]:
     """What each arm must keep clear of, the others at home."""
     torso, none = boxes_as_solids(body), boxes_as_solids(body[:0])
-    at_home = [
-        replace(arm.solids.placed(arm.frames(q[None])[:, 0]), joints=arm.solids.joints)
-        for arm, q in zip(arms, home, strict=True)
-    ]
+    at_home = []
+    for arm, q in zip(arms, home, strict=True):
+        solids = with_boxed_hand(arm.solids, len(q))
+        placed = solids.placed(arm.frames(q[None])[:, 0])
+        at_home.append(replace(placed, joints=solids.joints))
     others = [none.joined(*at_home[:i], *at_home[i + 1 :]) for i in range(len(arms))]
     return tuple(scene_of(arm, torso, each) for arm, each in zip(arms, others, strict=True))
 

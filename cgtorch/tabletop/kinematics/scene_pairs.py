@@ -125,19 +125,36 @@ def random_postures(arm: ArmModel, count: int) -> Tensor:
 
 
 def _reach(arm: ArmModel, solids: Solids, first: int, second: int) -> Tensor:
-    """(n,) how far a solid's points are from each joint that moves it against another, at most.
+    """(n,) how far a solid's points are at most from the axis of each joint that moves it.
 
-    All links between are taken to be in one line and slides drawn out; 1 for a joint that slides.
+    Against a second solid only joints between the two count. Wherever a joint turns, what hangs
+    from it is taken to be in one line, and slides drawn out; 1 for a joint that slides.
     """
     chain = arm.chain(arm.lower)[1]
     reach = arm.lower.new_zeros(len(arm.joint_names))
     base = int(solids.joints[second]) if int(solids.frame[second]) >= 0 else 0
-    far = float(solids.pose[first, :, 3].norm() + solids.radius[first])
+    # Points that no joint so far moves against each other, and how far others are from them.
+    points, far = _corners(solids, first), float(solids.size[first, 4])
+    if first == HELD:  # which is turned about the tool frame's origin as its grasp has it
+        points, far = points.new_zeros(1, 3), float(solids.radius[first])
     for frame in range(int(solids.frame[first]), -1, -1):
-        joint, kind = int(chain.joint[frame]), int(chain.kind[frame])
+        joint, kind, offset = int(chain.joint[frame]), int(chain.kind[frame]), chain.offset[frame]
         if kind and joint >= base:
-            reach[joint] = far if kind == 1 else 1.0
+            axis = chain.axis[frame].expand_as(points)
+            off = torch.linalg.cross(axis, points).norm(dim=1).max()
+            reach[joint] = float(off) + far if kind == 1 else 1.0
+        if kind:
+            far += float(points.norm(dim=1).max())
+            points = points.new_zeros(1, 3)
         if kind == 2:
             far += max(abs(float(arm.lower[joint])), abs(float(arm.upper[joint])))
-        far += float(chain.offset[frame, :, 3].norm())
+        points = points @ offset[:, :3].T + offset[:, 3]
     return reach
+
+
+def _corners(solids: Solids, which: int) -> Tensor:
+    """(8, 3) corners of the box about a solid without its ball, in the solid's frame."""
+    disc = solids.size[which, 3] * solids.size.new_tensor([1.0, 1.0, 0.0])
+    signs = torch.tensor(list(itertools.product((1.0, -1.0), repeat=3))).to(disc)
+    pose = solids.pose[which]
+    return signs * (solids.size[which, :3] + disc) @ pose[:, :3].T + pose[:, 3]

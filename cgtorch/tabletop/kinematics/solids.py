@@ -34,8 +34,7 @@ class Solids(Tensors):
     @property
     def radius(self) -> Tensor:
         """(S,) of the ball about each solid's middle that holds it, m."""
-        x, y, z, disc, ball = self.size.unbind(-1)
-        return ((x.hypot(y) + disc).hypot(z)) + ball
+        return ball_radius(self.size)
 
     def placed(self, frames: Tensor) -> "Solids":
         """The solids in the base frame, where the frames of the chain have poses (F, 4, 4)."""
@@ -48,6 +47,29 @@ class Solids(Tensors):
         """All of them, one after the other."""
         every = (self, *more)
         return Solids(*(torch.cat([getattr(s, name) for s in every]) for name in vars(self)))
+
+
+def ball_radius(size: Tensor) -> Tensor:
+    """(...) radius of the ball about the middle of solids of sizes (..., 5) that holds them, m."""
+    x, y, z, disc, ball = size.unbind(-1)
+    return (x.hypot(y) + disc).hypot(z) + ball
+
+
+def with_boxed_hand(solids: Solids, joints: int) -> Solids:
+    """Solids of an arm, those that all its joints move within one box about them."""
+    hand = solids.joints == joints
+    if int(hand.sum()) < 2:
+        return solids
+    pose, size = solids.pose[hand], solids.size[hand]
+    half = size[:, :3] + size[:, 4:] + size[:, 3:4] * size.new_tensor([1.0, 1.0, 0.0])
+    spread = (pose[..., :3].abs() @ half[..., None]).squeeze(-1)
+    low, high = (pose[..., 3] - spread).amin(0), (pose[..., 3] + spread).amax(0)
+    box = torch.cat([torch.eye(3).to(low), ((low + high) / 2)[:, None]], 1)
+    sides = torch.nn.functional.pad((high - low) / 2, (0, 2))
+    last = int(solids.frame[hand].max())
+    whole = Solids(box[None], sides[None], torch.tensor([last]), torch.tensor([joints]))
+    arm = Solids(*(each[~hand] for each in vars(solids).values()))
+    return arm.joined(whole)
 
 
 def solids_of(shapes: list[tuple[Tensor, Tensor, int, int]]) -> Solids:
