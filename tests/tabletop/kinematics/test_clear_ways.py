@@ -24,7 +24,9 @@ def asked(robot, arm, random_joints, generator, rows=ROWS, joints=3):
     q = random_joints(arm, rows * joints, generator).view(rows, joints, -1)
     middle = (q[:, :1] + robot.home[which]) / 2
     ways = torch.cat([middle, middle + 0.3 * (q[:, 1:] - middle)], 1)
-    places = places_of(position, table_slab(table))
+    turn = torch.linalg.qr(torch.randn(rows, 3, 3, generator=generator, dtype=torch.float64))[0]
+    held = torch.nn.functional.pad(turn * turn.det()[:, None, None], (0, 1))
+    places = replace(places_of(position, table_slab(table)), held=held)
     return arm, robot.scenes[which], places, torch.full((rows,), REACH), ways
 
 
@@ -153,7 +155,8 @@ def test_more_pairs_than_compiled_code_takes_are_tried_in_torch(pr2, random_join
     arm, scene, places, kind, ways = asked(
         pr2, pr2.arms[0], random_joints, torch.Generator().manual_seed(3), rows=8
     )
-    many = replace(scene, pairs=scene.pairs.repeat(20, 1), reach=scene.reach.repeat(20, 1))
+    copies = 4096 // len(scene.pairs) + 1
+    many = replace(scene, pairs=scene.pairs.repeat(copies, 1), reach=scene.reach.repeat(copies, 1))
     assert clear_ways.ways_task(arm, many, places, kind, ways) is None
     assert torch.equal(
         ways_clear(arm, many, places, kind, ways), ways_clear(arm, scene, places, kind, ways)
