@@ -32,7 +32,7 @@ class Places(Tensors):
     Attributes:
         table, table_size: (B, 3, 4) and (B, 5) of the table's slab; see `Solids`.
         object: (B, 3, 4) pose of the object where it stands.
-        held: (B, 3, 4) pose in the tool frame of the object as it is held, its middle in the origin.
+        held: (B, 3, 4) pose in the tool frame of the object as it is held; its middle is there.
     """
 
     table: Tensor
