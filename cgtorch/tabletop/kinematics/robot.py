@@ -1,6 +1,7 @@
 """The robot: its URDF and description, checked together and ready for batched kinematics."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
+from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
+from cgtorch.tabletop.kinematics.packages import package_places
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
 
 _TURNS = 3 * math.pi
@@ -28,22 +31,32 @@ class Robot:
     Attributes:
         arms: In the description's order.
         body: The boxes an arm must not touch, in the base frame.
+        meshes: What was fitted to the meshes of its URDF, none if it has none.
     """
 
     description: RobotDescription
     urdf: Urdf
     arms: tuple[ArmModel, ...]
     body: Boxes
+    meshes: tuple[MeshFit, ...] = ()
 
 
-def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
+def load_robot(
+    urdf: Path | str | None = None,
+    description: Path | str | None = None,
+    packages: Sequence[Path | str] = (),
+) -> Robot:
     """Load a robot, whose files are given as to `robot_files`, and check that they fit.
 
-    RobotError if one is missing or broken, or the description names a link or joint that the URDF
-    lacks or that cannot serve.
+    Shapes take the place of meshes, which are looked for in the folders of `packages` and those of
+    the environment (`package_places`).
+
+    RobotError if a file is missing or broken, or the description names a link or joint that the
+    URDF lacks or that cannot serve.
     """
     urdf, description = robot_files(urdf, description)
-    model, words = load_urdf(urdf), load_description(description)
+    words = load_description(description)
+    model, meshes = without_meshes(load_urdf(urdf), package_places(packages), words.capsules)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
     in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
     for name, position in words.held.items():
@@ -56,6 +69,7 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
         urdf=model,
         arms=tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms),
         body=_body(model, words, in_arms),
+        meshes=meshes,
     )
 
 
