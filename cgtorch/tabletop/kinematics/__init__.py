@@ -1,6 +1,8 @@
 """Robots from URDF files: forward and inverse kinematics, collision, and what can be grasped."""
 
 from cgtorch.tabletop.kinematics.arm import ArmModel as ArmModel
+from cgtorch.tabletop.kinematics.arm_way import ArmWay as ArmWay
+from cgtorch.tabletop.kinematics.arm_way import arm_ways as arm_ways
 from cgtorch.tabletop.kinematics.description import load_description as load_description
 from cgtorch.tabletop.kinematics.files import robot_files as robot_files
 from cgtorch.tabletop.kinematics.files import robots_folder as robots_folder

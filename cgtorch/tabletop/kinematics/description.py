@@ -1,7 +1,7 @@
 """The robot description: what a URDF does not say about a mobile manipulator.
 
 It is a small JSON file beside the URDF with the attributes of `RobotDescription` as keys, such as
-robots/pr2/robot.json; `body`, `gripper_joints` and `capsules` may be left out.
+robots/pr2/robot.json; `body`, `gripper_joints`, `capsules` and `home` may be left out.
 """
 
 from collections.abc import Mapping
@@ -47,6 +47,8 @@ class RobotDescription:
         body: The links an arm must not touch.
         gripper_joints: Where joints outside the arms stay, such as open fingers (rad or m).
         capsules: Shapes that replace the URDF's collision elements of a link.
+        home: Where the arms' joints are while the robot drives (rad or m); a joint that is not
+            named is at 0 or as near as its limits allow. Without any, a posture is computed.
     """
 
     name: str
@@ -60,6 +62,7 @@ class RobotDescription:
     capsules: Mapping[str, tuple[Capsule, ...]] = field(
         default_factory=lambda: MappingProxyType({})
     )
+    home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def held(self) -> dict[str, float]:

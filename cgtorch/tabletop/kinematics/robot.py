@@ -17,6 +17,7 @@ from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsu
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
+from cgtorch.tabletop.kinematics.home import home_postures
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
 from cgtorch.tabletop.kinematics.packages import package_places
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
@@ -31,6 +32,7 @@ class Robot:
     Attributes:
         arms: In the description's order.
         body: The boxes an arm must not touch, in the base frame.
+        home: (n,) of each arm, where its joints are while the robot drives, rad or m.
         meshes: What was fitted to the meshes of its URDF, none if it has none.
     """
 
@@ -38,6 +40,7 @@ class Robot:
     urdf: Urdf
     arms: tuple[ArmModel, ...]
     body: Boxes
+    home: tuple[Tensor, ...]
     meshes: tuple[MeshFit, ...] = ()
 
 
@@ -64,13 +67,12 @@ def load_robot(
     model.model.update_cfg(words.held)
     for name in words.capsules:
         model.link(name)
-    return Robot(
-        description=words,
-        urdf=model,
-        arms=tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms),
-        body=_body(model, words, in_arms),
-        meshes=meshes,
-    )
+    for name, position in words.home.items():
+        _check_home(model.joint(name), position, in_arms)
+    arms = tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms)
+    body = _body(model, words, in_arms)
+    home = home_postures(arms, body, words.footprint, words.home)
+    return Robot(words, model, arms, body, home, meshes)
 
 
 def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
@@ -86,6 +88,21 @@ def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
     if joint.type != "continuous" and not joint.limit.lower <= position <= joint.limit.upper:
         raise RobotError(
             f"{refused}give a position within its limits {joint.limit.lower} to {joint.limit.upper}"
+        )
+
+
+def _check_home(joint: Any, position: float, in_arms: set[str]) -> None:
+    """Refuse a home position of a joint that is no arm's, or that is beyond its limits."""
+    if joint.name not in in_arms:
+        raise RobotError(
+            f"joint {joint.name!r} is named in the home of the robot description but moves no arm: "
+            "name a joint of an arm, or hold it by gripper_joints"
+        )
+    lower, upper = _limits(joint)
+    if not lower <= position <= upper:
+        raise RobotError(
+            f"joint {joint.name!r} cannot be at {position} at home: give a position within its "
+            f"limits {lower} to {upper}"
         )
 
 
