@@ -27,6 +27,8 @@ class MeshFit:
     Attributes:
         link: The link whose it is.
         file: The file as the URDF names it.
+        kind: "collision" or "visual".
+        pose: (4, 4) of the mesh in the link's frame, m.
         fit: The shapes in the mesh's own frame, or None for a visual mesh that cannot be read, of
             a link that collides with nothing.
         problem: Why it cannot be read.
@@ -34,6 +36,8 @@ class MeshFit:
 
     link: str
     file: str
+    kind: str
+    pose: Array
     fit: Fit | None
     problem: str = ""
 
@@ -97,8 +101,8 @@ def _replace(link: Any, kind: str, reader: _Reader) -> list[MeshFit]:
         if mesh is None:
             continue
         fit = reader.fit(mesh)
-        found.append(MeshFit(link.get("name"), mesh.get("filename"), fit))
         pose = _pose(element.find("origin"))
+        found.append(MeshFit(link.get("name"), mesh.get("filename"), kind, pose, fit))
         for shape in fit.shapes:
             for part in _elements(kind, replace(shape, pose=pose @ shape.pose)):
                 part.extend(map(copy.deepcopy, element.findall("material")))
@@ -115,7 +119,7 @@ def _replace_visuals(link: Any, reader: _Reader) -> list[MeshFit]:
             return _replace(link, "visual", reader)
         except RobotError as error:
             names = [mesh.get("filename") or "" for mesh in link.iterfind("visual//mesh")]
-            problem = MeshFit(link.get("name"), names[0], None, str(error))
+            problem = MeshFit(link.get("name"), names[0], "visual", np.eye(4), None, str(error))
         for element in visuals:
             link.remove(element)
         return [problem]

@@ -58,8 +58,8 @@ def load_robot(
     URDF lacks or that cannot serve.
     """
     urdf, description = robot_files(urdf, description)
-    words = load_description(description)
-    model, meshes = without_meshes(load_urdf(urdf), package_places(packages), words.capsules)
+    model, words = load_urdf(urdf), load_description(description)
+    model, meshes = without_meshes(model, package_places(packages), words.capsules)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
     in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
     for name, position in words.held.items():
@@ -67,10 +67,10 @@ def load_robot(
     model.model.update_cfg(words.held)
     for name in words.capsules:
         model.link(name)
-    for name, position in words.home.items():
-        _check_home(model.joint(name), position, in_arms)
     arms = tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms)
     body = _body(model, words, in_arms)
+    for name, position in words.home.items():
+        _check_home(model.joint(name), position, in_arms)
     home = home_postures(arms, body, words.footprint, words.home)
     return Robot(words, model, arms, body, home, meshes)
 
