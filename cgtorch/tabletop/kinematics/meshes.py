@@ -14,8 +14,8 @@ from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.urdf import MOST
 
 KINDS = (".stl", ".dae", ".obj")
-MAX_BYTES = 64 * 2**20
-MAX_TRIANGLES = 2_000_000
+MAX_BYTES = 32 * 2**20
+MAX_TRIANGLES = 500_000
 MAX_INSTANCES = 10_000  # of a DAE's nodes, which may stand for one another
 _REFERENCES = "{*}instance_node", "{*}instance_geometry"
 
@@ -41,7 +41,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
         )
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-        corners = vertices[faces]
+        used, index = np.unique(faces, return_inverse=True)
+        vertices = vertices[used]
     except Exception as error:  # trimesh lets through whatever its parts raise
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise RobotError(f"{where} cannot be read ({reason}): export it again") from None
@@ -51,14 +52,13 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
             "its form"
         )
     with np.errstate(all="ignore"):
-        corners = corners * (unit * np.asarray(scale))
-    if not bool((np.abs(corners) <= MOST).all()):
+        vertices = vertices * (unit * np.asarray(scale))
+    if not bool((np.abs(vertices) <= MOST).all()):
         raise RobotError(
             f"{where} has, times the scale {list(scale)}, a number that is not finite or larger "
             f"than {MOST:.0e}: correct it"
         )
-    used, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return trimesh.Trimesh(used, index.reshape(-1, 3), process=False)
+    return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
 
 
 def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:

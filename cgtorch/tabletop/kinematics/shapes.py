@@ -17,7 +17,7 @@ MOST_PARTS = 4  # shapes of one mesh
 WORTH = 0.9
 """A part is split if its two parts have at most this share of its volume."""
 CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # where a part may be cut, as shares of its box's sides
-MOST_CUT = 20_000  # triangles; of a mesh with more, its convex hull is cut
+MOST_CUT = 20_000  # triangles; of a mesh with more, its convex hull is cut, if that has no more
 SEARCHED = 400  # directions whose furthest points decide how a shape lies
 
 
@@ -97,15 +97,17 @@ def fitted(mesh: trimesh.Trimesh) -> Fit:
     by the plane that leaves the least boxes, for as long as this is worth it.
     """
     corners, volume = _hull(mesh.vertices)
-    if len(mesh.faces) > MOST_CUT:
+    cut = len(mesh.faces) <= MOST_CUT or 2 * len(corners) <= MOST_CUT
+    if cut and len(mesh.faces) > MOST_CUT:
         mesh = trimesh.convex.convex_hull(corners)
     parts = [(_shape(corners), volume, mesh)]
     whole: list[tuple[Shape, float, trimesh.Trimesh]] = []
-    while parts and len(parts) + len(whole) < MOST_PARTS:
+    while cut and parts and len(parts) + len(whole) < MOST_PARTS:
         parts.sort(key=lambda part: part[0].volume - part[1])
         worst = parts.pop()
         pieces = _cut(worst[2])
-        made = [(_shape(piece.vertices), _hull(piece.vertices)[1], piece) for piece in pieces]
+        hulls = [_hull(piece.vertices) for piece in pieces]
+        made = [(_shape(hull[0]), hull[1], p) for hull, p in zip(hulls, pieces, strict=True)]
         worth = sum(shape.volume for shape, *_ in made) <= WORTH * worst[0].volume
         (parts if made and worth else whole).extend(made if made and worth else [worst])
     return Fit(tuple(shape for shape, *_ in (*whole, *parts)), corners, volume)
@@ -134,9 +136,8 @@ def _principal(points: Array) -> tuple[Array, Array, Array]:
     return centre + axes @ ((low + high) / 2), axes, high - low
 
 
-def _shape(points: Array) -> Shape:
-    """The shape of the least volume around points (V, 3), of those that are tried."""
-    corners, _ = _hull(points)
+def _shape(corners: Array) -> Shape:
+    """The shape of the least volume around the corners (K, 3) of a hull, of those that are tried."""
     few = _outermost(corners)
     axes, long = _box_axes(few)
     found = [_box(corners, axes)]
@@ -236,12 +237,14 @@ def _cut(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     local = mesh.vertices @ axes
     low, high = local.min(axis=0), local.max(axis=0)
     least, where = math.inf, (0, 0.0)
-    for axis in range(3):
+    for axis in np.flatnonzero(high - low > THIN).tolist():
         for at in (low[axis] + share * (high[axis] - low[axis]) for share in CUTS):
             sides = _sides(local, mesh.edges_unique, axis, at)
             total = sum(float(np.ptp(side, axis=0).clip(min=THIN).prod()) for side in sides)
             if total < least:
                 least, where = total, (axis, at)
+    if not math.isfinite(least):
+        return []
     normal = axes[:, where[0]]
     pieces = [mesh.slice_plane(normal * where[1], sign * normal) for sign in (1, -1)]
     return [] if any(piece is None or not len(piece.faces) for piece in pieces) else pieces
