@@ -29,10 +29,12 @@ def along_x(mesh: trimesh.Trimesh, start: float) -> trimesh.Trimesh:
 
 def meshes() -> dict[str, trimesh.Trimesh]:
     """The mesh of each file, m."""
-    corner = trimesh.util.concatenate([
-        trimesh.creation.box((0.05, 0.3, 0.6), translation_matrix([0, 0, 0])),
-        trimesh.creation.box((0.25, 0.2, 0.06), translation_matrix([0.1, 0, 0.27])),
-    ])
+    corner = trimesh.util.concatenate(
+        [
+            trimesh.creation.box((0.05, 0.3, 0.6), translation_matrix([0, 0, 0])),
+            trimesh.creation.box((0.25, 0.2, 0.06), translation_matrix([0.1, 0, 0.27])),
+        ]
+    )
     base = trimesh.creation.box((0.5, 0.46, 0.3), translation_matrix([0, 0, FLOOR + 0.15]))
     return {
         "base.stl": base,
@@ -66,7 +68,7 @@ def text() -> str:
     """The URDF: a base, a torso that slides, an arm of seven joints, and two fingers."""
     files = [None, "pan.obj", None, "upper.stl", None, "fore.dae", None, "palm.stl"]
     limit = '<limit {} effort="10" velocity="1"/>'
-    slide = f'<axis xyz="0 0 1"/>{limit.format("lower='0' upper='0.3'")}'
+    slide = '<axis xyz="0 0 1"/>' + limit.format('lower="0" upper="0.3"')
     parts = [
         _link("base_link", "base.stl"),
         _link("torso_link", "torso.stl"),
@@ -77,13 +79,13 @@ def text() -> str:
     for (name, axis, xyz, ends), file in zip(_ARM, files[1:], strict=True):
         link = f"{name}_link"
         parts.append(_link(link, file, scale if file == "fore.dae" else ""))
-        turn = f'<axis xyz="{_AXES[axis]}"/>{limit.format(ends or "")}'
+        turn = f'<axis xyz="{_AXES[axis]}"/>' + limit.format(ends or "")
         kind = "revolute" if ends else "continuous"
         parts.append(_joint(f"{name}_joint", kind, (parent, link), xyz, turn))
         parent = link
     for side, y, way in (("left", 0.01, "0 1 0"), ("right", -0.01, "0 -1 0")):
         parts.append(_link(f"{side}_finger", "finger.stl"))
-        move = f'<axis xyz="{way}"/>{limit.format("lower='0' upper='0.04'")}'
+        move = f'<axis xyz="{way}"/>' + limit.format('lower="0" upper="0.04"')
         ends = parent, f"{side}_finger"
         parts.append(_joint(f"{side}_joint", "prismatic", ends, f"{TIP - 0.08} {y} 0", move))
     return f'<robot name="mesh robot">{"".join(parts)}</robot>'

@@ -125,7 +125,7 @@ def _position(option: str, text: str) -> tuple[str, float]:
     try:
         return joint, float(position)
     except ValueError:
-        raise SettingsError(f"{option} is {text!r}; give JOINT=POSITION, such as neck=0.1") from None
+        raise SettingsError(f"{option} is {text!r}; give JOINT=POSITION") from None
 
 
 def _told(made: "Made", folder: Path) -> list[str]:
@@ -163,9 +163,8 @@ def _told(made: "Made", folder: Path) -> list[str]:
     ]
     if made.inertials:
         notes.append(f"masses or inertias were made up for {', '.join(made.inertials)}")
-    for each in made.meshes:
-        if each.fit is None:
-            notes.append(f"link {each.link} is not drawn: {each.problem}")
+    unread = [each for each in made.meshes if each.fit is None]
+    notes += [f"link {each.link} is not drawn: {each.problem}" for each in unread]
     notes.append(
         f"of {len(made.grasps)} objects on a table right before the robot it can grasp "
         f"{int(made.grasps.sum())}"

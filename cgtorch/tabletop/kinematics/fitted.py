@@ -86,6 +86,11 @@ class _Reader:
         name = mesh.get("filename") or ""
         scale = [float(part) for part in mesh.get("scale", "1").replace(",", " ").split()]
         scale = scale * 3 if len(scale) == 1 else scale
+        if len(scale) != 3:
+            raise RobotError(
+                f"URDF {str(self.urdf)!r} scales the mesh {name!r} by {scale}: give one number or "
+                "three"
+            )
         key = name, tuple(scale)
         if key not in self.known:
             path = file_named(name, self.urdf, self.places)
@@ -157,9 +162,7 @@ def _pose(origin: Any) -> Array:
 def _element(kind: str, shape: Shape) -> Any:
     element = etree.Element(kind)
     numbers = transformations.euler_from_matrix(shape.pose, "sxyz")
-    etree.SubElement(
-        element, "origin", xyz=_text(shape.pose[:3, 3].tolist()), rpy=_text(numbers)
-    )
+    etree.SubElement(element, "origin", xyz=_text(shape.pose[:3, 3].tolist()), rpy=_text(numbers))
     geometry = etree.SubElement(element, "geometry")
     if shape.kind == "box":
         etree.SubElement(geometry, "box", size=_text(shape.sizes))

@@ -113,10 +113,8 @@ def _check_instances(root: Any, where: str) -> None:
             known[node] = nodes, faces
         return known[node]
 
-    nodes, faces = (
-        sum(part)
-        for part in zip((0.0, 0.0), *(size(scene, ()) for scene in root.iter("{*}visual_scene")))
-    )
+    sizes = [size(scene, ()) for scene in root.iter("{*}visual_scene")]
+    nodes, faces = (sum(each[i] for each in sizes) for i in range(2))
     if nodes > MAX_INSTANCES or faces > 3 * MAX_TRIANGLES:
         raise RobotError(
             f"{where} has {nodes:.3g} nodes of {faces:.3g} triangles: give a mesh of at most "

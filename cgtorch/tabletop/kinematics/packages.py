@@ -22,7 +22,8 @@ def package_places(
 ) -> tuple[Path, ...]:
     """Folders in which packages are looked for, the given ones first.
 
-    After them come those of the variable ROS_PACKAGE_PATH, and `share` in each of AMENT_PREFIX_PATH.
+    After them come those of the variable ROS_PACKAGE_PATH, and `share` in those of
+    AMENT_PREFIX_PATH.
     """
     ros, ament = (
         [Path(place) for place in environment.get(name, "").split(os.pathsep) if place]

@@ -137,7 +137,7 @@ def _principal(points: Array) -> tuple[Array, Array, Array]:
 
 
 def _shape(corners: Array) -> Shape:
-    """The shape of the least volume around the corners (K, 3) of a hull, of those that are tried."""
+    """The shape of the least volume that is found around the corners (K, 3) of a hull."""
     few = _outermost(corners)
     axes, long = _box_axes(few)
     found = [_box(corners, axes)]

@@ -73,8 +73,8 @@ def _opening(structure: Structure, hand: str) -> float:
 def tool_of(structure: Structure, hand: str) -> Tool:
     """The tool frame of a hand whose fingers are open: between their tips.
 
-    x is the axis of the last joint where that leads to the fingers, else the axis of the hand's frame
-    that does best, and y leads from one finger to another. A link that is there is taken if it lies so.
+    x is the axis of the last joint where that leads to the fingers, else the axis of the hand's
+    frame that does best, and y leads from one finger to another. A link that lies so is taken.
     """
     fingers = _branches(structure, hand)
     body = [structure.points(link, hand) for link in structure.rigid(hand)]

@@ -25,7 +25,8 @@ def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
     massless = {
         joint.child
         for joint in urdf.model.robot.joints
-        if joint.type in MOVING and not any(_mass(structure, n) for n in structure.rigid(joint.child))
+        if joint.type in MOVING
+        and not any(_mass(structure, n) for n in structure.rigid(joint.child))
     }
     names = [
         link.name

@@ -83,7 +83,9 @@ def _loaded(place: Path, words: RobotDescription) -> Robot:
 
 def _as_json(words: RobotDescription) -> dict[str, Any]:
     """The description as its file has it, without what is empty and may be left out."""
-    optional = {f.name for f in dataclasses.fields(words) if f.default_factory is not dataclasses.MISSING}
+    optional = {
+        f.name for f in dataclasses.fields(words) if f.default_factory is not dataclasses.MISSING
+    }
     values = {f.name: getattr(words, f.name) for f in dataclasses.fields(words)}
     values["arms"] = [dataclasses.asdict(arm) for arm in words.arms]
     plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}

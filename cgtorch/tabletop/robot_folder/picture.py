@@ -1,4 +1,4 @@
-"""A robot drawn from three sides with the shapes that it collides with, to look at what is proposed."""
+"""A robot drawn from three sides with the shapes that it collides with, to be looked at."""
 
 import io
 from typing import Any
@@ -41,10 +41,12 @@ def robot_picture(robot: Robot, title: str = "") -> bytes:
             for points in structure.shapes(name):
                 _fill(axes, points[:, [right, up]], colour)
         x0, x1, y0, y1 = words.footprint
-        corners = np.array([[x, y, 0] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))])
+        corners = np.array(
+            [[x, y, 0] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))]
+        )
         axes.plot(corners[:, right], corners[:, up], "k--", linewidth=1)
-        for arm in words.arms:
-            pose = structure.pose(arm.tool_frame)
+        for tool in (arm.tool_frame for arm in words.arms):
+            pose = structure.pose(tool)
             for axis, colour in enumerate(("red", "green", "blue")):
                 line = np.stack([pose[:3, 3], pose[:3, 3] + AXIS * pose[:3, axis]])
                 axes.plot(line[:, right], line[:, up], color=colour, linewidth=2)

@@ -152,7 +152,7 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
 
 
 def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
-    """A link at a pose in the frame of another; or, `above`, one in whose frame that has the pose."""
+    """A link at a pose in the frame of another; or, `above`, one in which the other has it."""
     etree.SubElement(root, "link", name=name)
     joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
     numbers = pose[:3, 3].tolist(), transformations.euler_from_matrix(pose, "sxyz")
@@ -277,10 +277,7 @@ def _footprint(
     if not low:
         notes.append("nothing but arms collides: the footprint is a square of 0.2 m, give yours")
         return -0.1, 0.1, -0.1, 0.1
-    points = np.concatenate(low)
-    (x_min, y_min, _), (x_max, y_max, _) = points.min(axis=0), points.max(axis=0)
-    ends = math.floor(x_min * 1000), math.ceil(x_max * 1000), math.floor(y_min * 1000)
-    x0, x1, y0 = (end / 1000 for end in ends)
-    return x0, x1, y0, math.ceil(y_max * 1000) / 1000
-
-
+    points = np.concatenate(low)[:, :2] * 1000
+    least, most = points.min(axis=0).round(2), points.max(axis=0).round(2)  # files are rounded, too
+    (x0, y0), (x1, y1) = np.floor(least) / 1000, np.ceil(most) / 1000
+    return float(x0), float(x1), float(y0), float(y1)

@@ -1,4 +1,4 @@
-"""How a robot is built: rigid bodies that joints connect, and the chains among them that are arms."""
+"""How a robot is built: rigid bodies that joints connect, and the chains that end in hands."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -75,7 +75,9 @@ def test_every_vertex_and_all_of_the_surface_lie_inside(seed, kind):
     ],
 )
 def test_a_mesh_of_a_shape_becomes_that_shape(mesh, kind, ratio):
-    turned = mesh.copy().apply_transform(rotation_matrix(0.7, [1, 2, 3])).apply_translation([3, 2, 1])
+    turned = (
+        mesh.copy().apply_transform(rotation_matrix(0.7, [1, 2, 3])).apply_translation([3, 2, 1])
+    )
     fit = fitted(turned)
     assert [shape.kind for shape in fit.shapes] == [kind]
     assert 0.999 < fit.ratio < ratio
@@ -106,8 +108,14 @@ def test_a_mesh_of_very_many_triangles_is_taken_for_its_hull():
     [
         (Shape("box", np.eye(4), (0.3, 0.2, 0.1)), trimesh.creation.box((0.3, 0.2, 0.1))),
         (Shape("sphere", np.eye(4), (0.1,)), trimesh.creation.icosphere(4, 0.1)),
-        (Shape("cylinder", np.eye(4), (0.1, 0.3)), trimesh.creation.cylinder(0.1, 0.3, sections=128)),
-        (Shape("capsule", np.eye(4), (0.1, 0.3)), trimesh.creation.capsule(0.3, 0.1, count=(64, 64))),
+        (
+            Shape("cylinder", np.eye(4), (0.1, 0.3)),
+            trimesh.creation.cylinder(0.1, 0.3, sections=128),
+        ),
+        (
+            Shape("capsule", np.eye(4), (0.1, 0.3)),
+            trimesh.creation.capsule(0.3, 0.1, count=(64, 64)),
+        ),
     ],
 )
 def test_distances_and_volumes_are_those_of_a_mesh_of_the_shape(shape, mesh):
