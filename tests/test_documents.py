@@ -17,7 +17,7 @@ import torch
 from support import world
 
 from cgtorch.actions import ActionSet, check_action
-from cgtorch.commands import evaluate, export, report, train, view
+from cgtorch.commands import evaluate, export, report, robot, train, view
 from cgtorch.graphs import Graphs, Skill, load_skill, skill_to_dict
 from cgtorch.simulation import rollout
 
@@ -27,6 +27,7 @@ COMMANDS = {
     "cgtorch-evaluate": evaluate.command,
     "cgtorch-export": export.command,
     "cgtorch-report": report.command,
+    "cgtorch-robot": robot.command,
     "cgtorch-view": view.command,
 }
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

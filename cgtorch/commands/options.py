@@ -96,13 +96,14 @@ force_option = click.option("--force", is_flag=True, help="Replace the file if i
 
 
 def output_option(what: str) -> Callable[[F], F]:
-    """Decorator: which file is written."""
-    kind = click.Path(path_type=Path, dir_okay=False)
-    return click.option("--output", type=kind, required=True, help=what)
+    """Decorator: which file or folder is written."""
+    return click.option("--output", type=click.Path(path_type=Path), required=True, help=what)
 
 
 def check_output(output: Path, force: bool) -> None:
-    """RunError if there is a file that may not be replaced."""
+    """RunError if there is a folder, or a file that may not be replaced."""
+    if output.is_dir():
+        raise RunError(f"{str(output)!r} is a folder; choose another --output")
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
 

@@ -268,10 +268,12 @@ class Tabletop(Domain[Scenarios]):
         return robot_files(given, None if beside else Path(s.robot))
 
     def write(self, folder: Path) -> None:
-        """See `Domain.write`: the URDF and its description."""
+        """See `Domain.write`: the URDF, with shapes in place of meshes, and its description."""
         (folder / "robot").mkdir()
-        for source, target in zip(self._files(), _stored(folder), strict=True):
-            write_bytes(target, read_bytes(source, MAX_BYTES, RobotError))
+        urdf, words = (read_bytes(source, MAX_BYTES, RobotError) for source in self._files())
+        urdf = self.robot.urdf.xml if self.robot.meshes else urdf
+        for data, target in zip((urdf, words), _stored(folder), strict=True):
+            write_bytes(target, data)
 
     @classmethod
     def read(cls, settings: Any, folder: Path) -> Self:

@@ -12,6 +12,7 @@ import pytest
 from cgtorch.commands import evaluate as evaluate_command
 from cgtorch.commands import export as export_command
 from cgtorch.commands import report as report_command
+from cgtorch.commands import robot as robot_command
 from cgtorch.commands import train as train_command
 from cgtorch.commands import view as view_command
 from cgtorch.domains.settings import to_plain
@@ -22,6 +23,7 @@ MAIN: dict[str, Callable[[], None]] = {
     "cgtorch-evaluate": evaluate_command.main,
     "cgtorch-export": export_command.main,
     "cgtorch-report": report_command.main,
+    "cgtorch-robot": robot_command.main,
     "cgtorch-view": view_command.main,
 }
 

@@ -5,12 +5,14 @@ what it returns is used a little, so that nothing stays lazy.
 """
 
 import json
+import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+import trimesh
 from torch import Generator, nn
 
 from cgtorch.actions import ActionSet
@@ -46,9 +48,18 @@ from cgtorch.runs.storage import (
 from cgtorch.svm import load_model_and_report, save_model
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot, load_robot
+from cgtorch.tabletop.kinematics.meshes import read_mesh
+from cgtorch.tabletop.kinematics.shapes import fitted
 from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.world import draw_of
-from hostile.mutations import CANARY, Mutation, damaged_json, damaged_tensors, damaged_xml
+from hostile.mutations import (
+    CANARY,
+    Mutation,
+    damaged_bytes,
+    damaged_json,
+    damaged_tensors,
+    damaged_xml,
+)
 from hostile.small_robot import URDF, WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -218,6 +229,41 @@ def _read_pr2(folder: Path, actions: ActionSet) -> object:
     return robot
 
 
+def _read_mesh(name: str) -> Callable[[Path, ActionSet], object]:
+    """A mesh, in all of whose shapes its numbers must be finite."""
+
+    def read(folder: Path, actions: ActionSet) -> object:
+        fit = fitted(read_mesh(folder / name))
+        if not all(math.isfinite(x) for shape in fit.shapes for x in (*shape.sizes, shape.volume)):
+            raise ArithmeticError("the mesh's shapes are not of finite numbers")
+        return fit
+
+    return read
+
+
+def _meshes(kind: str) -> Callable[[Path, ActionSet], list[bytes]]:
+    def written(folder: Path, actions: ActionSet) -> list[bytes]:
+        made = [trimesh.creation.box((0.3, 0.2, 0.1)), trimesh.creation.cylinder(0.1, 0.2)]
+        found = [mesh.export(file_type=kind) for mesh in made]
+        return [data if isinstance(data, bytes) else data.encode() for data in found]
+
+    return written
+
+
+def _read_mesh_robot(folder: Path, actions: ActionSet) -> object:
+    """A URDF with a mesh beside it, in place of the run's."""
+    (folder / "robot" / "a.stl").write_bytes(_meshes("stl")(folder, actions)[0])
+    robot = load_robot(folder / "robot" / "mesh.urdf", folder / "robot" / "robot.json")
+    _moved(robot)
+    return robot
+
+
+def _mesh_urdf(folder: Path, actions: ActionSet) -> list[bytes]:
+    text = (folder / "robot" / "robot.urdf").read_text()
+    mesh = '<mesh filename="package://robot/a.stl" scale="0.1 0.1 0.1"/>'
+    return [text.replace('<box size="0.2 0.1 0.05"/>', mesh).encode()]
+
+
 def _moved(robot: Robot) -> None:
     """Use a robot a little; what cannot be computed must have been refused."""
     for arm in robot.arms:
@@ -280,5 +326,11 @@ FORMATS = {
     "urdf pr2": Format(
         damaged_xml, 1, "pr2.urdf", _read_pr2, lambda *_: [(PR2 / "pr2.urdf").read_bytes()]
     ),
+    "urdf of meshes": Format(
+        damaged_xml, 1, "robot/mesh.urdf", _read_mesh_robot, _mesh_urdf
+    ),
+    "stl": Format(damaged_bytes, 2, "a.stl", _read_mesh("a.stl"), _meshes("stl")),
+    "obj": Format(damaged_bytes, 2, "a.obj", _read_mesh("a.obj"), _meshes("obj")),
+    "dae": Format(damaged_xml, 2, "a.dae", _read_mesh("a.dae"), _meshes("dae")),
     "robot.json": Format(damaged_json, 3, "robot/robot.json", _read_run, _kept("robot/robot.json")),
 }  # fmt: skip

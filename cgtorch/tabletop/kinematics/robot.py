@@ -1,7 +1,7 @@
 """The robot: its URDF and description, checked together and ready for batched kinematics."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
+from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.home import home_postures
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
+from cgtorch.tabletop.kinematics.packages import package_places
 from cgtorch.tabletop.kinematics.scene import Scene
 from cgtorch.tabletop.kinematics.scene_pairs import scene_of
 from cgtorch.tabletop.kinematics.solids import (
@@ -42,6 +44,7 @@ class Robot:
         body: The boxes an arm must not touch, in the base frame.
         home: (n,) of each arm, where its joints are while the robot drives, rad or m.
         scenes: Of each arm, what it must keep clear of, the others at home.
+        meshes: What was fitted to the meshes of its URDF, none if it has none.
     """
 
     description: RobotDescription
@@ -50,16 +53,25 @@ class Robot:
     body: Boxes
     home: tuple[Tensor, ...]
     scenes: tuple[Scene, ...]
+    meshes: tuple[MeshFit, ...] = ()
 
 
-def load_robot(urdf: Path | str | None = None, description: Path | str | None = None) -> Robot:
+def load_robot(
+    urdf: Path | str | None = None,
+    description: Path | str | None = None,
+    packages: Sequence[Path | str] = (),
+) -> Robot:
     """Load a robot, whose files are given as to `robot_files`, and check that they fit.
 
-    RobotError if one is missing or broken, or the description names a link or joint that the URDF
-    lacks or that cannot serve.
+    Shapes take the place of meshes, which are looked for in the folders of `packages` and those of
+    the environment (`package_places`).
+
+    RobotError if a file is missing or broken, or the description names a link or joint that the
+    URDF lacks or that cannot serve.
     """
     urdf, description = robot_files(urdf, description)
     model, words = load_urdf(urdf), load_description(description)
+    model, meshes = without_meshes(model, package_places(packages), words.capsules)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}
     in_arms = {joint.name for path in joints.values() for joint in path if joint.type in MOVING}
     for name, position in words.held.items():
@@ -72,7 +84,7 @@ def load_robot(urdf: Path | str | None = None, description: Path | str | None = 
     for name, position in words.home.items():
         _check_home(model.joint(name), position, in_arms)
     home = home_postures(arms, body, words.footprint, words.home)
-    return Robot(words, model, arms, body, home, _scenes(arms, body, home))
+    return Robot(words, model, arms, body, home, _scenes(arms, body, home), meshes)
 
 
 def _scenes(arms: tuple[ArmModel, ...], body: Boxes, home: tuple[Tensor, ...]) -> tuple[Scene, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import networkx
+import numpy as np
 import yourdfpy
 from lxml import etree
 
@@ -21,6 +22,7 @@ MAX_LINKS = 500
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
+ROUNDING = 1e-6  # of moments of inertia
 _HUGE = sys.float_info.max  # which is written where no limit is meant
 _NUMBERS = {
     "origin": (3, MOST, ("xyz", "rpy")),
@@ -33,7 +35,8 @@ _NUMBERS = {
     "safety_controller": (
         1, _HUGE, ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
     ),
-    "mass": (1, _HUGE, ("value",)),
+    "mass": (1, MOST, ("value",)),
+    "inertia": (1, MOST, ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
 }  # fmt: skip
 """How many numbers, of at most how much, the attributes of an element hold."""
 
@@ -93,15 +96,34 @@ def load_urdf(path: Path | str) -> Urdf:
     """Read and check a URDF; meshes are not loaded.
 
     RobotError if it cannot be read, is not well-formed XML, has a document type (which can name
-    entities), or does not describe one connected tree of links with sound numbers.
+    entities), or does not describe one connected tree of links with sound numbers, or a link has an
+    inertia that no body has.
     """
-    path = Path(path)
+    urdf = checked_urdf(Path(path), read_urdf(Path(path)))
+    for link in urdf.model.robot.links:
+        problem = inertial_problem(link)
+        if problem:
+            raise RobotError(
+                f"URDF {str(urdf.path)!r}: link {link.name!r} has {problem}: correct it, or let "
+                "cgtorch-robot make a robot folder with one made up"
+            )
+    return urdf
+
+
+def read_urdf(path: Path) -> Any:
+    """The elements of a URDF that is sound but for its inertias, which are not looked at."""
     where = f"URDF {str(path)!r}"
     root = _parse(read_bytes(path, MAX_BYTES, RobotError), where)
     _check_numbers(root, where)
     _check_tree(root, where)
     for joint in root.findall("joint"):
         _check_joint(joint, f"{where}: joint {joint.get('name')!r}")
+    return root
+
+
+def checked_urdf(path: Path, root: Any) -> Urdf:
+    """The URDF of a sound tree of elements; RobotError if yourdfpy refuses it."""
+    where = f"URDF {str(path)!r}"
     xml: bytes = etree.tostring(root)
     try:
         model = yourdfpy.URDF.load(io.BytesIO(xml), build_scene_graph=True, load_meshes=False)
@@ -111,6 +133,20 @@ def load_urdf(path: Path | str) -> Urdf:
     if refused is not None:
         raise RobotError(f"{where} is refused by yourdfpy ({_line(refused)}): correct it")
     return Urdf(path, xml, model)
+
+
+def inertial_problem(link: Any) -> str:
+    """What a link has that no body has, nothing if all is well; no inertial element is well."""
+    inertial = link.inertial
+    if inertial is None:
+        return ""
+    if inertial.mass is not None and inertial.mass < 0:
+        return f"the mass {inertial.mass} kg"
+    if inertial.inertia is not None:
+        least, _, most = np.linalg.eigvalsh(inertial.inertia)
+        if least < -ROUNDING * max(abs(most), ROUNDING):
+            return f"an inertia of {least:.3g} kg m² about one of its axes"
+    return ""
 
 
 def _line(error: object) -> str:

@@ -186,7 +186,7 @@ def test_a_mesh_needs_capsules(tmp_path):
     shape = '<cylinder radius="0.066" length="0.321"/>'
     text = TEXT.replace(shape, '<mesh filename="forearm.stl"/>')
     assert text != TEXT
-    assert "collides as a mesh" in fails(load_robot, robot(tmp_path, text))
+    assert "forearm.stl', which is missing" in fails(load_robot, robot(tmp_path, text))
     capsules = {f"{s}_forearm_link": [[0.066, 0, 0, 0.255, 0, 0, 0.066]] for s in ("l", "r")}
     loaded = load_robot(robot(tmp_path, text, changed(capsules=capsules)))
     count = len(load_robot().arms[0].capsules.radius)

@@ -1,0 +1,178 @@
+"""`cgtorch-robot`: a robot folder from any URDF."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgtorch.commands import options
+from cgtorch.commands.command import importing, run_command
+from cgtorch.ground.errors import RunError, SettingsError
+
+if TYPE_CHECKING:
+    from cgtorch.tabletop.robot_folder.make import Made
+
+EXAMPLES = """\b
+Examples:
+  cgtorch-robot fetch.urdf --package-path ~/ros/src --output my_fetch
+  cgtorch-robot arm.urdf --output mine --arm arm=base_link:tool0 --torso-joint none
+  cgtorch-robot pr2.urdf --output mine --torso-position 0.15 --hold l_gripper_l_finger_joint=0.4
+"""
+NO_JOINT = "none"
+
+
+@click.command("cgtorch-robot", epilog=options.epilog(EXAMPLES))
+@click.argument("urdf", metavar="URDF", type=click.Path(path_type=Path))
+@options.output_option("The robot folder to make; its last part must not be there yet.")
+@click.option(
+    "--package-path",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A folder in which the packages of package:// lie, or such a package; may be given more "
+    "than once. Those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are looked through, too.",
+)
+@click.option("--name", "robot_name", help="What the robot is called.  [as in the URDF]")
+@click.option("--base-frame", help="The link on the floor that all is relative to.  [the root]")
+@click.option(
+    "--footprint",
+    type=float,
+    nargs=4,
+    metavar="X_MIN X_MAX Y_MIN Y_MAX",
+    help="The body seen from above, m.  [what stands near the floor]",
+)
+@click.option(
+    "--torso-joint", help="The joint that lifts the arms, or none.  [the slide below all arms]"
+)
+@click.option("--torso-position", type=float, help="Where it stays, m.  [shoulders 1 m high]")
+@click.option(
+    "--arm",
+    "arms",
+    multiple=True,
+    metavar="NAME=BASE_LINK:TOOL_FRAME",
+    help="An arm, from the link that carries it to its tool frame, of which x leads along the "
+    "approach and y across the fingers; may be given more than once.  [chains that end in hands]",
+)
+@click.option(
+    "--body",
+    multiple=True,
+    metavar="LINK",
+    help="A link that arms must not touch; may be given more than once.  [all that move with no "
+    "arm and are not low]",
+)
+@click.option(
+    "--hold",
+    multiple=True,
+    metavar="JOINT=POSITION",
+    help="Where a joint outside the arms stays, rad or m; may be given more than once.  [fingers "
+    "open, others at 0]",
+)
+@click.option(
+    "--home",
+    multiple=True,
+    metavar="JOINT=POSITION",
+    help="Where a joint of an arm is while the robot drives, rad or m; may be given more than "
+    "once.  [a computed posture]",
+)
+@options.common_options
+def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: Any) -> None:
+    """Make a robot folder from a URDF, for --robot of cgtorch-train.
+
+    It has the URDF with shapes in place of meshes (robot.urdf), a description that is proposed
+    (robot.json), what was fitted to each mesh (shapes.json), and a picture of all this (robot.png).
+    Meshes are STL, DAE or OBJ files. Look at the picture and at what is printed, and give what is
+    wrong as an option.
+    """
+    if output.exists():
+        raise RunError(f"{str(output)!r} exists; choose another --output")
+    with importing():
+        import torch
+
+        from cgtorch.tabletop.robot_folder.make import make_robot_folder
+        from cgtorch.tabletop.robot_folder.proposal import Wishes
+
+    torch.set_num_threads(1)
+    torso = rest["torso_joint"]
+    wishes = Wishes(
+        name=rest["robot_name"],
+        base_frame=rest["base_frame"],
+        footprint=rest["footprint"],
+        torso_joint="" if torso == NO_JOINT else torso,
+        torso_position=rest["torso_position"],
+        arms=tuple(_arm(text) for text in rest["arms"]),
+        body=rest["body"],
+        held=dict(_position("--hold", text) for text in rest["hold"]),
+        home=dict(_position("--home", text) for text in rest["home"]),
+    )
+    with options.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
+        made = make_robot_folder(urdf, output, wishes, package_path)
+    for line in _told(made, output):
+        click.echo(line)
+
+
+def _arm(text: str) -> Any:
+    from cgtorch.tabletop.kinematics.description import Arm
+
+    name, _, links = text.partition("=")
+    base, _, tool = links.partition(":")
+    if not (name and base and tool):
+        raise SettingsError(f"--arm is {text!r}; give NAME=BASE_LINK:TOOL_FRAME")
+    return Arm(name, base, tool)
+
+
+def _position(option: str, text: str) -> tuple[str, float]:
+    joint, _, position = text.rpartition("=")
+    try:
+        return joint, float(position)
+    except ValueError:
+        raise SettingsError(f"{option} is {text!r}; give JOINT=POSITION") from None
+
+
+def _told(made: "Made", folder: Path) -> list[str]:
+    """What was made, and what a person should look at."""
+    words, robot = made.robot.description, made.robot
+    x0, x1, y0, y1 = words.footprint
+    lines = [
+        f"{words.name}: {folder}",
+        f"base frame {words.base_frame}, footprint {x1 - x0:.3f} by {y1 - y0:.3f} m, "
+        f"x from {x0} to {x1}, y from {y0} to {y1}",
+        f"torso {words.torso_joint} at {words.torso_position}"
+        if words.torso_joint
+        else "no torso joint",
+    ]
+    for arm, model in zip(words.arms, robot.arms, strict=True):
+        solved = "in closed form" if model.closed_form is not None else "numerically, which is slow"
+        lines.append(
+            f"arm {arm.name}: {len(model.joint_names)} joints from {arm.base_link} to "
+            f"{arm.tool_frame}, solved {solved}"
+        )
+    fits = [each for each in made.meshes if each.fit is not None]
+    if fits:
+        worst = max(fits, key=lambda each: each.fit.ratio if each.fit else 0.0)
+        shapes = sum(len(each.fit.shapes) for each in fits if each.fit)
+        volumes = [each.fit.ratio for each in fits if each.fit]
+        lines.append(
+            f"{len(fits)} meshes are {shapes} shapes, of {sum(volumes) / len(volumes):.2f} times "
+            f"the volume of convex hulls (mean; {max(volumes):.2f} of {worst.link})"
+        )
+    lines += ["", "Please check:"]
+    notes = [
+        f"x leads forward in {folder / 'robot.png'}, and the dashed footprint holds the body",
+        "tool frames lie between the finger tips: red (x) along the approach, green (y) across",
+        *made.notes,
+    ]
+    if made.inertials:
+        notes.append(f"masses or inertias were made up for {', '.join(made.inertials)}")
+    unread = [each for each in made.meshes if each.fit is None]
+    notes += [f"link {each.link} is not drawn: {each.problem}" for each in unread]
+    notes.append(
+        f"of {len(made.grasps)} objects on a table right before the robot it can grasp "
+        f"{int(made.grasps.sum())}"
+    )
+    return [*lines, *(f"- {note}" for note in notes)]
+
+
+main = partial(run_command, command)
+
+if __name__ == "__main__":
+    main()

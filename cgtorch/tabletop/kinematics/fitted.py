@@ -1,0 +1,178 @@
+"""A URDF whose meshes are shapes that hold them, so that it needs no other file."""
+
+import copy
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from trimesh import transformations
+
+from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics.description import Capsule
+from cgtorch.tabletop.kinematics.meshes import read_mesh
+from cgtorch.tabletop.kinematics.packages import file_named
+from cgtorch.tabletop.kinematics.shapes import Array, Fit, Shape, capsule, fitted
+from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf
+
+MAX_MESHES = 500
+
+
+@dataclass(frozen=True)
+class MeshFit:
+    """What became of a mesh.
+
+    Attributes:
+        link: The link whose it is.
+        file: The file as the URDF names it.
+        kind: "collision" or "visual".
+        pose: (4, 4) of the mesh in the link's frame, m.
+        fit: The shapes in the mesh's own frame, or None for a visual mesh that cannot be read, of
+            a link that collides with nothing.
+        problem: Why it cannot be read.
+    """
+
+    link: str
+    file: str
+    kind: str
+    pose: Array
+    fit: Fit | None
+    problem: str = ""
+
+
+def without_meshes(
+    urdf: Urdf, places: Sequence[Path] = (), capsules: Mapping[str, Sequence[Capsule]] | None = None
+) -> tuple[Urdf, tuple[MeshFit, ...]]:
+    """The URDF with shapes in place of meshes, and what was fitted to them; see `fitted`.
+
+    A colliding mesh becomes the shapes around it; a link with `capsules` gets these. What is seen
+    of a link whose visual is a mesh are the shapes with which it collides; where it collides with
+    nothing, shapes around the visual mesh, or nothing if that cannot be read.
+
+    RobotError if a colliding mesh is missing or cannot be read; see `file_named` and `read_mesh`.
+    """
+    root = etree.fromstring(urdf.xml)
+    if root.find("link//mesh") is None:
+        return urdf, ()
+    if len(root.findall("link//mesh")) > MAX_MESHES:
+        raise RobotError(f"URDF {str(urdf.path)!r} has more than {MAX_MESHES} meshes: give fewer")
+    reader = _Reader(urdf.path, places, {})
+    found: list[MeshFit] = []
+    for link in root.findall("link"):
+        given = (capsules or {}).get(link.get("name"))
+        if given is not None and link.find("collision//mesh") is not None:
+            for element in link.findall("collision"):
+                link.remove(element)
+            for x0, y0, z0, x1, y1, z1, radius in given:
+                shape = capsule(np.array([x0, y0, z0]), np.array([x1, y1, z1]), radius)
+                link.extend(_elements("collision", shape))
+        found.extend(_replace(link, "collision", reader))
+        if link.find("visual//mesh") is not None:
+            found.extend(_replace_visuals(link, reader))
+    return checked_urdf(urdf.path, root), tuple(found)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Fits each file once."""
+
+    urdf: Path
+    places: Sequence[Path]
+    known: dict[tuple[str, tuple[float, ...]], Fit]
+
+    def fit(self, mesh: Any) -> Fit:
+        name = mesh.get("filename") or ""
+        scale = [float(part) for part in mesh.get("scale", "1").replace(",", " ").split()]
+        scale = scale * 3 if len(scale) == 1 else scale
+        if len(scale) != 3:
+            raise RobotError(
+                f"URDF {str(self.urdf)!r} scales the mesh {name!r} by {scale}: give one number or "
+                "three"
+            )
+        key = name, tuple(scale)
+        if key not in self.known:
+            path = file_named(name, self.urdf, self.places)
+            self.known[key] = fitted(read_mesh(path, scale))
+        return self.known[key]
+
+
+def _replace(link: Any, kind: str, reader: _Reader) -> list[MeshFit]:
+    """Shapes in place of a link's elements of a kind that are meshes."""
+    found = []
+    for element in link.findall(kind):
+        mesh = element.find("geometry/mesh")
+        if mesh is None:
+            continue
+        fit = reader.fit(mesh)
+        pose = _pose(element.find("origin"))
+        found.append(MeshFit(link.get("name"), mesh.get("filename"), kind, pose, fit))
+        for shape in fit.shapes:
+            for part in _elements(kind, replace(shape, pose=pose @ shape.pose)):
+                part.extend(map(copy.deepcopy, element.findall("material")))
+                element.addprevious(part)
+        link.remove(element)
+    return found
+
+
+def _replace_visuals(link: Any, reader: _Reader) -> list[MeshFit]:
+    """What is seen of a link with visual meshes."""
+    visuals, collisions = link.findall("visual"), link.findall("collision")
+    if not collisions:
+        try:
+            return _replace(link, "visual", reader)
+        except RobotError as error:
+            names = [mesh.get("filename") or "" for mesh in link.iterfind("visual//mesh")]
+            problem = MeshFit(link.get("name"), names[0], "visual", np.eye(4), None, str(error))
+        for element in visuals:
+            link.remove(element)
+        return [problem]
+    materials = [each for visual in visuals for each in visual.findall("material")][:1]
+    for element in visuals:
+        link.remove(element)
+    for element in collisions:
+        etree.SubElement(link, "visual").extend(map(copy.deepcopy, (*element, *materials)))
+    return []
+
+
+def _elements(kind: str, shape: Shape) -> list[Any]:
+    """A shape as elements of a URDF, which knows no capsule: that is a cylinder and two spheres."""
+    if shape.kind != "capsule":
+        return [_element(kind, shape)]
+    radius, length = shape.sizes
+    parts = [Shape("cylinder", shape.pose, shape.sizes)]
+    for end in (-length / 2, length / 2):
+        ball = shape.pose @ transformations.translation_matrix([0, 0, end])
+        parts.append(Shape("sphere", ball, (radius,)))
+    return [_element(kind, part) for part in parts]
+
+
+def _pose(origin: Any) -> Array:
+    """(4, 4) of an <origin>, or of none."""
+    xyz, rpy = (
+        [0.0] * 3 if text is None else [float(part) for part in text.replace(",", " ").split()]
+        for text in (None if origin is None else origin.get(name) for name in ("xyz", "rpy"))
+    )
+    pose = np.asarray(transformations.euler_matrix(*rpy, "sxyz"), dtype=np.float64)
+    pose[:3, 3] = xyz
+    return pose
+
+
+def _element(kind: str, shape: Shape) -> Any:
+    element = etree.Element(kind)
+    numbers = transformations.euler_from_matrix(shape.pose, "sxyz")
+    etree.SubElement(element, "origin", xyz=_text(shape.pose[:3, 3].tolist()), rpy=_text(numbers))
+    geometry = etree.SubElement(element, "geometry")
+    if shape.kind == "box":
+        etree.SubElement(geometry, "box", size=_text(shape.sizes))
+    elif shape.kind == "cylinder":
+        radius, length = map(repr, shape.sizes)
+        etree.SubElement(geometry, "cylinder", radius=radius, length=length)
+    else:
+        etree.SubElement(geometry, "sphere", radius=repr(shape.sizes[0]))
+    return element
+
+
+def _text(numbers: Collection[float]) -> str:
+    return " ".join(repr(round(float(number), 9)) for number in numbers)

@@ -1,0 +1,283 @@
+"""What a robot description could say of a URDF: base, footprint, torso, arms, hands and body."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from trimesh import transformations
+
+from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.robot_folder.hands import Tool, open_fingers, tool_of
+from cgtorch.tabletop.robot_folder.structure import LEAST_JOINTS, Array, Structure
+
+FLOOR_LINK = "base_footprint"
+PLACES = ("world", "map", "odom")
+"""Root links of other names than these belong to the robot."""
+OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
+LOW = 0.5  # m: shapes that begin below are seen by the footprint
+ABOVE_WHEELS = 0.3  # m: what ends below is where no arm comes
+SHOULDER = 1.0  # m above the floor, where a torso holds its arms
+UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a person says of a robot; what is None or empty is proposed.
+
+    Attributes:
+        name: What the robot is called.
+        base_frame, footprint, torso_position, arms, body: As in `RobotDescription`.
+        torso_joint: As there; an empty text for none.
+        held: Where joints outside the arms stay, rad or m.
+        home: Where joints of the arms are while the robot drives, rad or m.
+    """
+
+    name: str | None = None
+    base_frame: str | None = None
+    footprint: tuple[float, float, float, float] | None = None
+    torso_joint: str | None = None
+    torso_position: float | None = None
+    arms: tuple[Arm, ...] = ()
+    body: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A description of a robot, the URDF that it is for, and what a person should look at."""
+
+    urdf: Urdf
+    words: RobotDescription
+    notes: tuple[str, ...]
+
+
+def propose(
+    urdf: Urdf, wishes: Wishes, corners: Mapping[str, Sequence[Array]] = MappingProxyType({})
+) -> Proposal:
+    """A description of a robot whose URDF has no meshes, and that URDF with frames that it needs.
+
+    Of links that were meshes there may be the `corners` of these; see `Structure`.
+
+    RobotError if no arm is found and none is wished, or a link or joint of a wish is not there.
+    """
+    notes: list[str] = []
+    urdf, base = _base(Structure(urdf, urdf.model.base_link, corners), wishes, notes)
+    structure = Structure(urdf, base, corners)
+    for name in wishes.held:
+        urdf.joint(name)
+    urdf.model.update_cfg(_at_rest(structure, set()) | dict(wishes.held))
+    hands = [_hand_of(structure, arm) for arm in wishes.arms] or structure.hands()
+    if not hands:
+        raise RobotError(
+            f"URDF {str(urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
+            f"{base!r} to a hand: name the arms by --arm NAME=BASE_LINK:TOOL_FRAME"
+        )
+    shared, chains = _chains(structure, hands)
+    opened = {k: v for hand in hands for k, v in open_fingers(structure, hand).items()}
+    torso = _torso(structure, shared, chains, wishes)
+    in_arms = {joint.name for chain in chains for joint in chain}
+    held = _at_rest(structure, in_arms) | opened | dict(wishes.held)
+    position = None if torso is None else held.pop(torso)
+    position = wishes.torso_position if wishes.torso_position is not None else position
+    urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    if torso is not None and wishes.torso_position is None:
+        position = _torso_position(structure, urdf.joint(torso), chains, held)
+        urdf.model.update_cfg({torso: position})
+    arms = wishes.arms
+    if not arms:
+        urdf, arms = _arms(structure, hands, chains, notes)
+        structure = Structure(urdf, base, corners)
+        urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    moved = {name for chain in chains for name in structure.hanging(chain[0].child)}
+    body = wishes.body or _body(structure, moved)
+    words = RobotDescription(
+        name=wishes.name or urdf.model.robot.name or urdf.path.stem,
+        base_frame=base,
+        footprint=wishes.footprint or _footprint(structure, moved, notes),
+        arms=arms,
+        torso_joint=torso,
+        torso_position=position,
+        body=body,
+        gripper_joints=held,
+        home=wishes.home,
+    )
+    return Proposal(urdf, words, tuple(notes))
+
+
+def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf, str]:
+    """The frame on the floor, which is added below the root where the robot has none."""
+    urdf, base = structure.urdf, structure.base
+    if wishes.base_frame is not None:
+        return urdf, str(urdf.link(wishes.base_frame).name)
+    if base in PLACES and len(structure.below[base]) == 1:
+        base = structure.below[base][0].child
+        structure = replace(structure, base=base)
+    urdf.model.update_cfg(_at_rest(structure, set()))
+    known = [link for link in structure.rigid(base) if "footprint" in link]
+    if known:
+        ground = float(structure.pose(known[0])[2, 3])
+    else:
+        every = [structure.points(name) for name in structure.hanging(base)]
+        ground = float(np.concatenate([np.zeros((0, 3)), *every])[:, 2].min(initial=math.inf))
+    if not math.isfinite(ground):
+        notes.append(f"nothing of the robot collides, so that {base!r} is taken to be on the floor")
+        return urdf, base
+    if abs(ground) <= OFF_FLOOR:
+        return urdf, base
+    name = FLOOR_LINK if FLOOR_LINK not in structure.below else f"{FLOOR_LINK}_added"
+    notes.append(
+        f"{base!r} is {-ground:.3f} m above the lowest point of the robot, so the link {name!r} "
+        "was added there"
+    )
+    root = etree.fromstring(urdf.xml)
+    if base != urdf.model.base_link:  # what holds the robot in a world is left out
+        above = structure.above[base]
+        for element in root.findall("joint"):
+            if element.get("name") == above.name:
+                root.remove(element)
+        for element in root.findall("link"):
+            if element.get("name") == above.parent:
+                root.remove(element)
+    pose = np.eye(4)
+    pose[2, 3] = -ground
+    _add_frame(root, name, base, pose, above=True)
+    return checked_urdf(urdf.path, root), name
+
+
+def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
+    """A link at a pose in the frame of another; or, `above`, one in which the other has it."""
+    etree.SubElement(root, "link", name=name)
+    joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
+    numbers = pose[:3, 3].tolist(), transformations.euler_from_matrix(pose, "sxyz")
+    xyz, rpy = (" ".join(repr(round(float(x), 9)) for x in part) for part in numbers)
+    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    etree.SubElement(joint, "parent", link=name if above else link)
+    etree.SubElement(joint, "child", link=link if above else name)
+
+
+def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
+    """Every joint that moves by itself at 0, or as near as its limits allow, but for others."""
+    found = {}
+    for joint in structure.urdf.model.robot.joints:
+        if joint.type in MOVING and joint.mimic is None and joint.name not in others:
+            bounded = joint.type != "continuous"
+            low, high = (joint.limit.lower, joint.limit.upper) if bounded else (0.0, 0.0)
+            found[joint.name] = float(min(max(0.0, low), high))
+    return found
+
+
+def _hand_of(structure: Structure, arm: Arm) -> str:
+    """The link at which the rigid body of an arm's tool frame begins."""
+    joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
+    moving = [joint for joint in joints if joint.type in MOVING]
+    return str(moving[-1].child if moving else arm.base_link)
+
+
+def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:
+    """The joints that move all hands, or slide upright first, and those of each arm by itself."""
+    paths = [structure.path(hand) for hand in hands]
+    count = 0
+    if len(paths) > 1:
+        while len({path[count].name for path in paths if len(path) > count}) == 1:
+            count += 1
+    for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
+        if i >= count and _slides_upright(structure, joint):
+            count = i + 1
+    return paths[0][:count], [path[count:] for path in paths]
+
+
+def _slides_upright(structure: Structure, joint: Any) -> bool:
+    axis = structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+    return joint.type == "prismatic" and abs(float(axis[2])) > UPRIGHT
+
+
+def _torso(
+    structure: Structure, shared: list[Any], chains: list[list[Any]], wishes: Wishes
+) -> str | None:
+    if wishes.torso_joint is not None:
+        return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
+    slides = [joint.name for joint in shared if _slides_upright(structure, joint)]
+    return slides[-1] if slides else None
+
+
+def _torso_position(
+    structure: Structure, joint: Any, chains: list[list[Any]], held: Mapping[str, float]
+) -> float:
+    """Where the shoulders are a metre above the floor, or as near as limits allow."""
+    if joint.type == "continuous":
+        return 0.0
+    low, high = float(joint.limit.lower), float(joint.limit.upper)
+    room = 0.05 * (high - low)
+    structure.urdf.model.update_cfg({joint.name: low})
+    height = min(float(structure.pose(chain[0].child)[2, 3]) for chain in chains)
+    return round(min(max(low + SHOULDER - height, low + room), high - room), 3)
+
+
+def _arms(
+    structure: Structure, hands: list[str], chains: list[list[Any]], notes: list[str]
+) -> tuple[Urdf, tuple[Arm, ...]]:
+    """The arms, and a URDF with the tool frames that the robot has not."""
+    root, arms = etree.fromstring(structure.urdf.xml), []
+    for name, hand, chain in zip(_names(structure, chains), hands, chains, strict=True):
+        tool = tool_of(structure, hand)
+        frame = tool.link
+        if frame is None:
+            frame = f"{name}_tool_frame"
+            while frame in structure.below:
+                frame += "_added"
+            _add_frame(root, frame, tool.parent, tool.pose)
+            notes.append(f"arm {name!r}: the link {frame!r} was added {_where(tool)}")
+        if not tool.fingers:
+            notes.append(f"arm {name!r} has no fingers: it needs a gripper to grasp anything")
+        arms.append(Arm(name, chain[0].parent, frame))
+    added = len(root) > len(etree.fromstring(structure.urdf.xml))
+    return checked_urdf(structure.urdf.path, root) if added else structure.urdf, tuple(arms)
+
+
+def _where(tool: Tool) -> str:
+    x, y, z = tool.pose[:3, 3]
+    place = "between its finger tips" if tool.fingers else "at its end"
+    return f"{place}, at ({x:.3f}, {y:.3f}, {z:.3f}) m in {tool.parent!r}"
+
+
+def _names(structure: Structure, chains: list[list[Any]]) -> list[str]:
+    """Arms are left and right if two stand so, else numbered."""
+    if len(chains) == 1:
+        return ["arm"]
+    sides = [float(structure.pose(chain[0].child)[1, 3]) for chain in chains]
+    if len(chains) == 2 and min(sides) < 0 < max(sides):
+        return ["left" if side > 0 else "right" for side in sides]
+    return [f"arm-{i + 1}" for i in range(len(chains))]
+
+
+def _body(structure: Structure, moved: set[str]) -> tuple[str, ...]:
+    """The links that collide, move with no arm, and are not all low."""
+    points = {name: structure.points(name) for name in structure.hanging(structure.base)}
+    return tuple(
+        name
+        for name, each in points.items()
+        if name not in moved and len(each) and each[:, 2].max() > ABOVE_WHEELS
+    )
+
+
+def _footprint(
+    structure: Structure, moved: set[str], notes: list[str]
+) -> tuple[float, float, float, float]:
+    """The rectangle around what stands near the floor and moves with no arm, in full mm."""
+    own = [name for name in structure.hanging(structure.base) if name not in moved]
+    shapes = [each for name in own for each in structure.shapes(name)]
+    low = [each for each in shapes if each[:, 2].min() < LOW] or shapes
+    if not low:
+        notes.append("nothing but arms collides: the footprint is a square of 0.2 m, give yours")
+        return -0.1, 0.1, -0.1, 0.1
+    points = np.concatenate(low)[:, :2] * 1000
+    least, most = points.min(axis=0).round(2), points.max(axis=0).round(2)  # files are rounded, too
+    (x0, y0), (x1, y1) = np.floor(least) / 1000, np.ceil(most) / 1000
+    return float(x0), float(x1), float(y0), float(y1)

@@ -1,0 +1,136 @@
+"""Shapes around meshes hold all of them, and are about as small as they can be."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trimesh.transformations import random_rotation_matrix, rotation_matrix, translation_matrix
+
+from cgtorch.tabletop.kinematics import shapes
+from cgtorch.tabletop.kinematics.shapes import Shape, capsule, fitted
+
+SLACK = 1e-9  # m, of rounding
+
+
+def outside(fit, points):
+    """How far the worst of points is from all shapes, m."""
+    return float(np.min([shape.outside(points) for shape in fit.shapes], axis=0).max())
+
+
+def on_surface(mesh, count=500):
+    if mesh.area == 0:
+        return mesh.vertices
+    return np.asarray(trimesh.sample.sample_surface(mesh, count, seed=0)[0])
+
+
+def random_mesh(seed, kind):
+    """Some mesh: a cloud's triangles, boxes put together, a flat or a thin one, a heavy lump."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-2.5, 0.5)
+    if kind == "boxes":
+        parts = [
+            trimesh.creation.box(rng.uniform(0.05, 1, 3), random_rotation_matrix(rng.random(3)))
+            for _ in range(rng.integers(1, 4))
+        ]
+        for part in parts:
+            part.apply_translation(rng.normal(size=3))
+        return trimesh.util.concatenate(parts).apply_scale(size)
+    points = rng.normal(size=(rng.integers(3, 60), 3)) * rng.uniform(0.1, 1, 3)
+    if kind == "flat":
+        points[:, 2] = 0
+    if kind == "line":
+        points[:, 1:] = 0
+    if kind == "point":
+        points[:] = points[0]
+    points = points @ random_rotation_matrix(rng.random(3))[:3, :3].T
+    faces = rng.integers(0, len(points), size=(rng.integers(1, 80), 3))
+    return trimesh.Trimesh(size * points, faces, process=False)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["cloud", "boxes", "flat", "line", "point"]))
+def test_every_vertex_and_all_of_the_surface_lie_inside(seed, kind):
+    mesh = random_mesh(seed, kind)
+    used = mesh.vertices[np.unique(mesh.faces)]
+    mesh = trimesh.Trimesh(used, np.searchsorted(np.unique(mesh.faces), mesh.faces), process=False)
+    fit = fitted(mesh)
+    assert 1 <= len(fit.shapes) <= shapes.MOST_PARTS
+    assert outside(fit, mesh.vertices) <= SLACK
+    assert outside(fit, on_surface(mesh)) <= SLACK
+    assert all(np.allclose(s.pose[:3, :3] @ s.pose[:3, :3].T, np.eye(3)) for s in fit.shapes)
+    assert all(np.linalg.det(s.pose[:3, :3]) > 0.99 for s in fit.shapes)
+    assert all(0 < size < 1e3 for shape in fit.shapes for size in shape.sizes)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "kind", "ratio"),
+    [
+        (trimesh.creation.box((0.3, 0.1, 0.05)), "box", 1.001),
+        (trimesh.creation.cylinder(0.05, 0.2, sections=64), "cylinder", 1.01),
+        (trimesh.creation.capsule(0.3, 0.05, count=(48, 48)), "capsule", 1.02),
+        (trimesh.creation.icosphere(4, 0.1), "sphere", 1.02),
+    ],
+)
+def test_a_mesh_of_a_shape_becomes_that_shape(mesh, kind, ratio):
+    turned = (
+        mesh.copy().apply_transform(rotation_matrix(0.7, [1, 2, 3])).apply_translation([3, 2, 1])
+    )
+    fit = fitted(turned)
+    assert [shape.kind for shape in fit.shapes] == [kind]
+    assert 0.999 < fit.ratio < ratio
+    assert outside(fit, turned.vertices) <= SLACK
+
+
+def test_what_is_concave_is_split():
+    arms = [
+        trimesh.creation.box((0.5, 0.05, 0.05), translation_matrix([0.25, 0, 0])),
+        trimesh.creation.box((0.05, 0.05, 0.5), translation_matrix([0, 0, 0.25])),
+    ]
+    fit = fitted(trimesh.util.concatenate(arms))
+    assert len(fit.shapes) > 1
+    assert sum(shape.volume for shape in fit.shapes) < 1.3 * sum(arm.volume for arm in arms)
+    assert fit.ratio < 0.5  # of the convex hull
+
+
+def test_a_mesh_of_very_many_triangles_is_taken_for_its_hull():
+    ball = trimesh.creation.icosphere(6, 0.1)
+    assert len(ball.faces) > shapes.MOST_CUT
+    fit = fitted(ball)
+    assert outside(fit, ball.vertices) <= SLACK
+    assert fit.ratio < 1.02
+
+
+@pytest.mark.parametrize(
+    ("shape", "mesh"),
+    [
+        (Shape("box", np.eye(4), (0.3, 0.2, 0.1)), trimesh.creation.box((0.3, 0.2, 0.1))),
+        (Shape("sphere", np.eye(4), (0.1,)), trimesh.creation.icosphere(4, 0.1)),
+        (
+            Shape("cylinder", np.eye(4), (0.1, 0.3)),
+            trimesh.creation.cylinder(0.1, 0.3, sections=128),
+        ),
+        (
+            Shape("capsule", np.eye(4), (0.1, 0.3)),
+            trimesh.creation.capsule(0.3, 0.1, count=(64, 64)),
+        ),
+    ],
+)
+def test_distances_and_volumes_are_those_of_a_mesh_of_the_shape(shape, mesh):
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (300, 3))
+    _, away, _ = trimesh.proximity.closest_point_naive(mesh, points)
+    away[trimesh.proximity.signed_distance(mesh, points) > 0] = 0
+    np.testing.assert_allclose(shape.outside(points), away, atol=2e-3)
+    assert math.isclose(shape.volume, mesh.volume, rel_tol=0.01)
+
+
+def test_a_capsule_between_two_points():
+    start, end = np.array([0.1, 0.2, 0.3]), np.array([0.4, -0.2, 0.3])
+    shape = capsule(start, end, 0.05)
+    assert (shape.kind, shape.sizes) == ("capsule", (0.05, pytest.approx(0.5)))
+    away = shape.outside(np.stack([start, end, (start + end) / 2 + [0, 0, 0.07]]))
+    np.testing.assert_allclose(away, [0, 0, 0.02], atol=1e-12)
+    assert capsule(start, start, 0.05).kind == "sphere"

@@ -1,0 +1,116 @@
+"""A robot folder from the meshes of a package: it loads without them, and its robot can grasp."""
+
+import json
+import shutil
+
+import mesh_robot
+import numpy as np
+import pytest
+import torch
+
+from cgtorch.ground.errors import RobotError, RunError
+from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.kinematics import graspable, load_robot, load_urdf
+from cgtorch.tabletop.kinematics.urdf import inertial_problem
+from cgtorch.tabletop.robot_folder.make import make_robot_folder
+from cgtorch.tabletop.robot_folder.proposal import Wishes
+from cgtorch.tabletop.settings import TabletopSettings
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    return mesh_robot.write_package(tmp_path / "ws")
+
+
+def listing(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_folder_is_made_and_serves_without_the_meshes(urdf, tmp_path):
+    made = make_robot_folder(urdf, tmp_path / "mine")
+    shutil.rmtree(tmp_path / "ws")
+    assert listing(tmp_path / "mine") == ["robot.json", "robot.png", "robot.urdf", "shapes.json"]
+    assert listing(tmp_path) == ["mine"]
+    robot = load_robot(description=tmp_path / "mine")
+    assert robot.meshes == ()
+    assert robot.description == made.robot.description
+    assert robot.arms[0].closed_form is not None
+    assert set(robot.description.home) == set(robot.arms[0].joint_names)
+    assert (tmp_path / "mine" / "robot.png").read_bytes().startswith(b"\x89PNG")
+    told = json.loads((tmp_path / "mine" / "shapes.json").read_text())
+    assert [each["link"] for each in told][:2] == ["base_link", "torso_link"]
+    assert all(0.4 < each["ratio"] < 1.35 and each["shapes"] for each in told)
+    x0, x1, y0, y1 = robot.description.footprint
+    np.testing.assert_allclose([x0, x1, y0, y1], [-0.25, 0.25, -0.23, 0.23], atol=0.0015)
+    edge = x1 + 0.05
+    objects = torch.tensor(
+        [[edge + 0.1, 0.0, 0.75], [edge + 0.2, 0.2, 0.75], [edge + 3, 0.0, 0.75]]
+    )
+    table = torch.tensor([edge + 2, 0.0, 0.0, 4.0, 2.0, 0.75]).expand(3, 6)
+    assert graspable(robot, objects, table).tolist() == [True, True, False]
+    assert int(made.grasps.sum()) >= 6
+
+
+def test_a_run_carries_the_robot_without_the_meshes(urdf, tmp_path, monkeypatch):
+    make_robot_folder(urdf, tmp_path / "mine")
+    words = tmp_path / "words.json"
+    content = json.loads((tmp_path / "mine" / "robot.json").read_text())
+    content["arms"][0]["tool_frame"] = "hand_link"
+    words.write_text(json.dumps({**content, "base_frame": "base_link"}))
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws"))
+    elsewhere = shutil.copy(urdf, tmp_path / "elsewhere.urdf")
+    settings = TabletopSettings(urdf=str(elsewhere), robot=str(words))
+    domain = Tabletop(settings)
+    assert domain.robot.meshes
+    (tmp_path / "run").mkdir()
+    domain.write(tmp_path / "run")
+    monkeypatch.delenv("ROS_PACKAGE_PATH")
+    shutil.rmtree(tmp_path / "ws")
+    again = Tabletop.read(settings, tmp_path / "run").robot
+    assert again.meshes == ()
+    for name in ("start", "end", "radius", "frame"):
+        mine, other = (getattr(r.arms[0].capsules, name) for r in (domain.robot, again))
+        torch.testing.assert_close(mine, other, rtol=0, atol=0)
+    with pytest.raises(RobotError, match=r"which is missing: the package 'mesh_robot' is in none"):
+        Tabletop(settings)
+
+
+def test_masses_that_no_body_has_are_made_up_and_told(urdf, tmp_path):
+    text = urdf.read_text()
+    text = text.replace('ixx="0.01"', 'ixx="-0.01"', 1)  # of the base
+    head, tail = text.split('<link name="roll_link">')
+    tail = tail.replace('<mass value="1"/>', '<mass value="0"/>', 1)
+    first, last = tail.split('<link name="left_finger">')
+    urdf.write_text(
+        head + '<link name="roll_link">' + first + '<link name="left_finger">'
+        + last.replace('izz="0.01"', 'izz="0.1"', 1)
+    )  # fmt: skip
+    with pytest.raises(RobotError, match=r"link 'base_link' has an inertia of -0.01 kg"):
+        load_urdf(urdf)
+    made = make_robot_folder(urdf, tmp_path / "mine")
+    assert set(made.inertials) == {"base_link", "roll_link", "left_finger"}
+    for link in made.robot.urdf.model.robot.links:
+        assert not inertial_problem(link)
+        if link.name in made.inertials:
+            moments = np.linalg.eigvalsh(link.inertial.inertia)
+            assert 0 < moments[0] <= moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9)
+            assert link.inertial.mass > 0
+
+
+@pytest.mark.parametrize("mass", ["-1", "nan", "1e300"])
+def test_a_mass_that_is_none(urdf, mass):
+    urdf.write_text(urdf.read_text().replace('<mass value="1"/>', f'<mass value="{mass}"/>', 1))
+    with pytest.raises(RobotError, match=f"mass (-1.0 kg|value is '{mass}')"):
+        load_urdf(urdf)
+
+
+def test_nothing_is_left_where_it_fails(urdf, tmp_path):
+    with pytest.raises(RobotError) as caught:
+        make_robot_folder(urdf, tmp_path / "mine", Wishes(footprint=(1.0, 0.0, 0.0, 1.0)))
+    assert f"{str(tmp_path / 'mine' / 'robot.json')!r}" in str(caught.value)
+    with pytest.raises(RunError, match="cannot write"):
+        make_robot_folder(urdf, tmp_path / "none" / "mine")
+    (urdf.parents[1] / "meshes" / "palm.stl").write_text("solid")
+    with pytest.raises(RobotError, match=r"palm\.stl"):
+        make_robot_folder(urdf, tmp_path / "mine")
+    assert listing(tmp_path) == ["ws"]

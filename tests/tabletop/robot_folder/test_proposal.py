@@ -1,0 +1,138 @@
+"""What is proposed of a robot: the built-in ones as they are described, and those made for it."""
+
+import mesh_robot
+import numpy as np
+import pytest
+
+from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics import load_robot, load_urdf, robots_folder
+from cgtorch.tabletop.kinematics.description import Arm
+from cgtorch.tabletop.kinematics.fitted import without_meshes
+from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+
+
+def proposed(text, tmp_path, wishes=None):
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    return propose(load_urdf(path), wishes or Wishes())
+
+
+@pytest.mark.parametrize("name", ["pr2", "fetch"])
+def test_a_built_in_robot_is_seen_as_it_is_described(name):
+    known = load_robot(description=name).description
+    words = propose(load_urdf(robots_folder() / name / f"{name}.urdf"), Wishes()).words
+    assert words.base_frame == known.base_frame
+    assert {(arm.base_link, arm.tool_frame) for arm in words.arms} == {
+        (arm.base_link, arm.tool_frame) for arm in known.arms
+    }
+    assert {arm.name for arm in words.arms} == {arm.name for arm in known.arms}
+    np.testing.assert_allclose(words.footprint, known.footprint, atol=0.005)
+    assert words.torso_joint == known.torso_joint
+    assert words.torso_position == pytest.approx(known.torso_position, abs=0.06)
+    assert set(known.body) <= set(words.body)
+    assert {k for k, v in known.gripper_joints.items() if v} <= set(words.gripper_joints)
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def box(size):
+    return f'<collision><geometry><box size="{size}"/></geometry></collision>'
+
+
+def chain(name, count, above, place="0 0 0.1", first="0.2 0 0.5"):
+    """Links and joints of a chain that ends in nothing."""
+    parts = []
+    for i in range(count):
+        parts.append(
+            f'<link name="{name}{i}">{box("0.05 0.05 0.05")}</link>'
+            f'<joint name="{name}{i}_joint" type="revolute"><parent link="{above}"/>'
+            f'<child link="{name}{i}"/><origin xyz="{place if i else first}"/>'
+            f'<axis xyz="{"0 1 0" if i % 2 else "0 0 1"}"/>{LIMIT}</joint>'
+        )
+        above = f"{name}{i}"
+    return "".join(parts)
+
+
+def test_a_robot_above_the_floor_gets_a_frame_on_it_and_legs_are_no_arms(tmp_path):
+    text = (
+        f'<robot name="walker"><link name="pelvis">{box("0.3 0.3 0.2")}</link>'
+        + chain("arm", 6, "pelvis")
+        + chain("left_leg", 6, "pelvis", "0 0 -0.12", "0 0.1 -0.2")
+        + chain("right_leg", 6, "pelvis", "0 0 -0.12", "0 -0.1 -0.2")
+        + "</robot>"
+    )
+    found = proposed(text, tmp_path)
+    assert [arm.base_link for arm in found.words.arms] == ["pelvis"]
+    assert found.words.base_frame == "base_footprint"
+    height = found.urdf.model.get_transform("pelvis", "base_footprint")[2, 3]
+    assert height == pytest.approx(0.2 + 5 * 0.12 + 0.025)
+    assert any("has no fingers" in note for note in found.notes)
+    assert any("was added there" in note for note in found.notes)
+
+
+def test_a_frame_of_the_world_is_left_out(tmp_path):
+    fixed = (
+        '<joint name="hold" type="fixed"><parent link="world"/><child link="stand"/></joint>'
+        f'<link name="world"/><link name="stand">{box("0.2 0.2 1")}</link>'
+    )
+    found = proposed(f'<robot name="x">{fixed}{chain("a", 6, "stand")}</robot>', tmp_path)
+    assert found.words.base_frame == "base_footprint"
+    assert "world" not in found.urdf.model.link_map
+    assert found.words.footprint == (-0.1, 0.1, -0.1, 0.1)
+    assert found.words.torso_joint is None
+
+
+def test_no_arm_is_said_with_what_to_do(tmp_path):
+    text = f'<robot name="x"><link name="a">{box("1 1 1")}</link>{chain("b", 4, "a")}</robot>'
+    with pytest.raises(RobotError, match=r"no chain of 5 joints or more.*--arm NAME=BASE"):
+        proposed(text, tmp_path)
+    wish = Wishes(arms=(Arm("short", "a", "b3"),))
+    assert proposed(text, tmp_path, wish).words.arms == wish.arms
+
+
+def test_the_tool_frame_lies_between_the_finger_tips(tmp_path):
+    plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
+    found = propose(plain, Wishes())
+    (arm,) = found.words.arms
+    assert (arm.name, arm.base_link, arm.tool_frame) == ("arm", "torso_link", "arm_tool_frame")
+    pose = found.urdf.model.get_transform(arm.tool_frame, "hand_link")
+    np.testing.assert_allclose(pose[:3, 3], [mesh_robot.TIP - 0.02, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(pose[:3, 0], [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(np.abs(pose[:3, 1]), [0, 1, 0], atol=1e-6)
+    assert found.words.gripper_joints == {"left_joint": 0.04, "right_joint": 0.04}
+    assert found.words.torso_joint == "torso_joint"
+
+
+WISHES = Wishes(
+    name="mine", base_frame="base_link", footprint=(-1.0, 1.0, -0.5, 0.5), torso_joint="",
+    arms=(Arm("one", "torso_link", "hand_link"),), body=("base_link",), held={"torso_joint": 0.1},
+    home={"pan_joint": 0.5},
+)  # fmt: skip
+
+
+def test_every_wish_comes_first(tmp_path):
+    plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
+    words = propose(plain, WISHES).words
+    for name in ("name", "base_frame", "footprint", "arms", "body", "home"):
+        assert getattr(words, name) == getattr(WISHES, name)
+    assert (words.torso_joint, words.torso_position) == (None, None)
+    assert words.gripper_joints["torso_joint"] == 0.1
+    wishes = Wishes(torso_position=0.07)
+    assert propose(plain, wishes).words.torso_position == 0.07
+
+
+@pytest.mark.parametrize(
+    "wishes",
+    [
+        Wishes(base_frame="nowhere"),
+        Wishes(torso_joint="nowhere"),
+        Wishes(held={"nowhere": 0.0}),
+        Wishes(arms=(Arm("one", "torso_link", "nowhere"),)),
+        Wishes(arms=(Arm("one", "nowhere", "hand_link"),)),
+    ],
+)
+def test_a_wish_for_what_is_not_there(wishes, tmp_path):
+    plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
+    with pytest.raises(RobotError, match=r"has no (link|joint) 'nowhere'"):
+        propose(plain, wishes)
