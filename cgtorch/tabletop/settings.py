@@ -79,13 +79,6 @@ class TabletopSettings(DomainSettings):
         choices=("way", "posture"),
         before="posture",
     )
-    grasp: str = option(
-        "way",
-        "What a grasp needs: way for a way of the arm from home to the object that touches "
-        "nothing, posture for a posture at the object alone.",
-        "it says what success means, for labels and W",
-        choices=("way", "posture"),
-    )
     networks: str = option(
         "auto",
         "The input of networks: percept (as in the paper), edge (the scene relative to the table "
