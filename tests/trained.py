@@ -22,7 +22,7 @@ from cgtorch.training.context import Training
 from cgtorch.training.train import train
 
 SMALL = RunSettings(
-    seed=4,
+    seed=6,
     population=60,
     generations=15,
     attempts=3,

@@ -5,7 +5,7 @@ decides are placements drawn for nothing else afterwards, and every try needs mo
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import isfinite, sqrt
 from statistics import NormalDist, fmean, stdev
 
 from cgtorch.domains.settings import check_options, option
@@ -67,9 +67,11 @@ EPISODES, DECISIVE_EPISODES = 100, 200
 def mean_holds(returns: list[float], target: float, decision: int) -> bool:
     """Whether the mean of returns, less one standard error, is at least the target.
 
+    It is not where an episode has no return, as it was not finished.
+
     Later decisions of a run (`decision` counts from 1) ask for more errors, as in `holds`.
     """
-    if len(returns) < 2:
+    if len(returns) < 2 or not all(map(isfinite, returns)):
         return False
     errors = NormalDist().inv_cdf(NormalDist().cdf(-1) * 2 / (decision * (decision + 1)))
     return fmean(returns) + errors * stdev(returns) / sqrt(len(returns)) >= target

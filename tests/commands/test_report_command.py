@@ -73,7 +73,7 @@ def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> Non
         ((REFERENCE,), "Missing option '--output'"),
         (("--output", "x"), "Missing argument 'RUN'"),
         ((REFERENCE, "--output", "no/where/x"), "where"),
-        ((REFERENCE, "--output", "."), "directory"),
+        ((REFERENCE, "--output", "."), "is a folder; choose another --output"),
         ((REFERENCE, "--output", "x", "--actions", "Wait"), "was begun without action 'Wait'"),
     ],
 )

@@ -111,3 +111,9 @@ def test_a_mean_has_to_be_surer_the_more_often_it_is_looked_at() -> None:
 @pytest.mark.parametrize("returns", [[], [5.0]])
 def test_the_mean_of_hardly_any_returns_says_nothing(returns: list[float]) -> None:
     assert not mean_holds(returns, 0.0, 1)
+
+
+def test_an_unfinished_episode_has_no_return_to_hold() -> None:
+    returns = [500.0] * 99
+    assert mean_holds([*returns, 500.0], 400.0, 1)
+    assert not mean_holds([*returns, float("-inf")], 400.0, 1)

@@ -27,6 +27,7 @@ def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> N
     assert set(fixed) == {
         *("domain", "seed", "method", "models", "transitions", "labels", "scenarios", "actions"),
         *("robot", "urdf", "position_noise", "heading_noise", "percept", "networks"),
+        *("world", "touch", "grasp"),
     }
     for name, reason in fixed.items():
         other = (known[name], "x")

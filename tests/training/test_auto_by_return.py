@@ -34,7 +34,7 @@ def begun(folder: Path, target: float = OUT_OF_REACH) -> Run:
         population=12,
         generations=3,
         attempts=2,
-        max_transitions=1000,
+        max_transitions=2000,
     )
     return create_run(folder, settings, GymnasiumSettings("CartPole-v1", target))
 
