@@ -283,7 +283,7 @@ def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
 def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: Path) -> None:
     folder = copied(trained, tmp_path / "run", ())
     about = json.loads((folder / "run.json").read_text())
-    about["settings"].update(population=2, generations=1, attempts=1)
+    about["settings"].update(population=2, generations=1, attempts=1, practice=0)
     (folder / "run.json").write_text(json.dumps(about))
     before = listing(folder)
     with pytest.raises(NotImprovedError, match="raise --attempts") as caught:
