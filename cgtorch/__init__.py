@@ -12,6 +12,7 @@ from cgtorch.ground.version import __version__ as __version__
 if TYPE_CHECKING:
     from cgtorch.actions import Action as Action
     from cgtorch.actions import ActionSet as ActionSet
+    from cgtorch.actions import DelayNN as DelayNN
     from cgtorch.actions import RecurrentNN as RecurrentNN
     from cgtorch.actions import paper_actions as paper_actions
     from cgtorch.actions import resolve_actions as resolve_actions
@@ -42,7 +43,14 @@ if TYPE_CHECKING:
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {
-    "actions": ("Action", "ActionSet", "RecurrentNN", "paper_actions", "resolve_actions"),
+    "actions": (
+        "Action",
+        "ActionSet",
+        "DelayNN",
+        "RecurrentNN",
+        "paper_actions",
+        "resolve_actions",
+    ),
     "domains": ("Domain", "DomainSettings", "Field", "ScenarioBatch", "World", "option"),
     "environment": ("Environment", "Lanes"),
     "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),

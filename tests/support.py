@@ -9,7 +9,7 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import Action, ActionSet, LinearNN, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN, paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
@@ -107,10 +107,10 @@ class Visits(Counter):
 
 
 def recurrent_actions(size: int = 7) -> ActionSet:
-    """The paper's actions, two with a memory of their own, a linear and a recurrent network."""
+    """The paper's actions, two counters, and linear, delay and recurrent networks."""
     paper = paper_actions(size).extended(["Counter"], [Counter()])
-    own = [RecurrentNN(size, 4), Visits(), LinearNN(size)]
-    return paper.extended(["RecurrentNN", "Visits", "LinearNN"], own)
+    own = [RecurrentNN(size, 4), Visits(), LinearNN(size), DelayNN(size, 2)]
+    return paper.extended(["RecurrentNN", "Visits", "LinearNN", "DelayNN"], own)
 
 
 def endless_actions() -> ActionSet:

@@ -8,7 +8,9 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
+from cgtorch.actions.linear import DelayNN, LinearNN
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
+from cgtorch.actions.recurrent import RecurrentNN
 from cgtorch.actions.routines import Detect, Grasp, MoveBase
 from cgtorch.ground.errors import ActionError
 
@@ -138,3 +140,22 @@ def named_actions(*networks: Action) -> ActionSet:
     """The routines of section VI and networks, under the names of their classes."""
     actions = (MoveBase(), Detect(), Grasp(), *networks)
     return ActionSet(tuple(type(a).__name__ for a in actions), actions)
+
+
+def reward_actions(percept: int, control: int) -> ActionSet:
+    """The actions of domains with rewards, for percepts and controls of these lengths.
+
+    Four networks send a control: a linear one, one with a hidden layer of 8, one that sees the
+    latest changes, and a recurrent one. A step carries the control out, and a network branches.
+    """
+    return ActionSet(
+        ("Linear", "Aim", "Delay", "Recur", "Step", "Branch"),
+        (
+            LinearNN(percept, control),
+            ContinuousNN(percept, 8, control),
+            DelayNN(percept, outputs=control),
+            RecurrentNN(percept, outputs=control),
+            MoveBase(control),
+            BranchingNN(percept),
+        ),
+    )

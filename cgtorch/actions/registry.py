@@ -9,7 +9,8 @@ from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
 from cgtorch.actions.action_set import ActionSet, paper_actions
-from cgtorch.actions.recurrent import LinearNN, RecurrentNN
+from cgtorch.actions.linear import DelayNN, LinearNN
+from cgtorch.actions.recurrent import RecurrentNN
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.environment.dry_run import (
     ROWS,
@@ -28,6 +29,7 @@ TABLETOP = 7, 3
 """Numbers of a percept and of a control in the paper."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
     "LinearNN": LinearNN,
+    "DelayNN": lambda percept, control: DelayNN(percept, outputs=control),
     "RecurrentNN": lambda percept, control: RecurrentNN(percept, outputs=control),
 }
 """Actions that belong to no domain, by name, from the numbers of its percepts and controls."""

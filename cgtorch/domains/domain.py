@@ -20,9 +20,8 @@ from cgtorch.actions import (
     BranchingNN,
     ContinuousNN,
     Grasp,
-    LinearNN,
     MoveBase,
-    RecurrentNN,
+    reward_actions,
 )
 from cgtorch.domains import knowledge as learned
 from cgtorch.domains.exploration import explore
@@ -43,9 +42,6 @@ from cgtorch.simulation.model import anything
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-WIDE = 8
-"""Hidden units of the network without memory where parameters are tuned in a world."""
 
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a domain."""
@@ -139,18 +135,15 @@ class Domain(ABC, Generic[S]):
     def actions(self) -> ActionSet:
         """What nodes of graphs can do.
 
-        A network sends a control, a step carries it out, a network branches. Where the world gives
-        no rewards, and so does not end by itself, a test of success ends the skill. Where it gives
-        some there are a linear one and one with memory, too, and that with a hidden layer is
-        larger.
+        A network sends a control, a step carries it out, a network branches, and a test of success
+        ends the skill. Where the world gives rewards, and so ends by itself, there is no test, and
+        there are more networks (`cgtorch.actions.reward_actions`).
         """
         d, u = len(self.percept), len(self.control)
-        common = MoveBase(u), BranchingNN(d)
         if self.rewarded:
-            networks = LinearNN(d, u), ContinuousNN(d, WIDE, u), RecurrentNN(d, outputs=u)
-            return ActionSet(("Linear", "Aim", "Recur", "Step", "Branch"), (*networks, *common))
-        aim = ContinuousNN(d, outputs=u)
-        return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, *common, Grasp()))
+            return reward_actions(d, u)
+        aim, branch = ContinuousNN(d, outputs=u), BranchingNN(d)
+        return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, MoveBase(u), branch, Grasp()))
 
     def tests(self, kind: str) -> S:
         """The fixed scenarios that a stage of this kind is tested on first; none by default."""

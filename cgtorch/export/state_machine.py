@@ -26,6 +26,8 @@ from cgtorch.simulation import most_steps
 
 PLAIN = "cgtorch.export.plain"
 BASE = f"{PLAIN}.networks"
+SIZES = "inputs", "hidden", "delays", "outputs"
+"""What plain networks are made with, as far as an action has it."""
 """Has what the plain classes of other modules stand on."""
 
 
@@ -117,7 +119,8 @@ def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str
     values = fill(", ".join(map(repr, node.parameters)), 92)
     values = f"[\n{indent(values, ' ' * 8)},\n    ]" if node.parameters else ""
     if _plain(action):
-        sizes = f"inputs={action.inputs}, hidden={action.hidden}, outputs={action.outputs}"
+        names = [name for name in SIZES if hasattr(action, name)]
+        sizes = ", ".join(f"{name}={getattr(action, name)}" for name in names)
         sizes += f", memory={places[id(action)]}" if action.memory_size else ""
         sizes += "".join(f", {key}={value!r}" for key, value in action.plain_arguments.items())
         return f"{name}({values or '[]'}, {sizes})"

@@ -25,6 +25,7 @@ COLOURS = {
     "ContinuousNN": "#dcd0f2",
     "EdgeNN": "#dcd0f2",
     "LinearNN": "#dcd0f2",
+    "DelayNN": "#dcd0f2",
     "EdgeWayNN": "#dcd0f2",
     "RecurrentNN": "#dcd0f2",
     "BranchingNN": "#f6cadd",

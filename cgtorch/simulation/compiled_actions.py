@@ -24,10 +24,12 @@ from cgtorch.simulation.program import skill_tables
 
 LARGEST = 2**30
 """Nodes, transitions and scenarios that compiled code can count."""
+SIZES = ("inputs", "hidden", "delays", "outputs")
+"""What an `Action` of program.h says of a network, 0 where it has no such thing."""
 ROUTINES = ("MOVE_BASE", "GRASP", "DETECT")
 """Kinds of actions that do what an environment does."""
 NETWORKS = ("CONTINUOUS", "BRANCHING")
-WITH_MEMORY = ("RECURRENT",)
+WITH_MEMORY = ("RECURRENT", "DELAY")
 """Networks that use a lane's memory, which only resumable rollouts have (`resumable.py`)."""
 
 
@@ -145,16 +147,19 @@ def _fields(
     """An `Action` of program.h."""
     kinds, most = constants("action_kinds", dtype), constants("engine_limits", dtype)
     kind, inputs = vars(type(action)).get("native_kind", ""), getattr(action, "percept_size", 0)
-    sizes = {name: getattr(action, name, 0) for name in ("inputs", "hidden", "outputs")}
+    sizes = {name: getattr(action, name, 0) for name in SIZES}
     ordinary = kind in (*ROUTINES, *NETWORKS, *WITH_MEMORY)
     fits = inputs <= percept_size if ordinary else inputs == percept_size
     fits &= inputs <= most["MOST_PERCEPT"] and sizes["hidden"] <= most["MOST_HIDDEN"]
     fits &= sizes["outputs"] <= most["MOST_MESSAGE"]
     fits &= action.num_parameters <= most["MOST_WEIGHTS"]
-    fits &= kind not in WITH_MEMORY or action.memory_size >= sizes["hidden"]
+    window = sizes["inputs"] * (sizes["delays"] + 1)
+    fits &= kind != "DELAY" or window <= most["MOST_DELAYED"]
+    memory = sizes["hidden"] + sizes["inputs"] * sizes["delays"]
+    fits &= kind not in WITH_MEMORY or action.memory_size >= memory
     if kind not in known or "forward" in vars(action) or not fits:
         numbers = action.num_parameters
-        return {"kind": kinds["IN_PYTHON"], "inputs": 0, "hidden": 0, "outputs": numbers}
+        return {"kind": kinds["IN_PYTHON"], **dict.fromkeys(SIZES, 0), "outputs": numbers}
     return {"kind": kinds[kind], **sizes}
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import BranchingNN, ContinuousNN, RecurrentNN
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.robust_success import robust_success
@@ -18,7 +17,6 @@ from cgtorch.improvement.trial import first_percepts, try_skill
 PART = 250  # scenarios that are tried at once, between two signs of progress
 OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
 FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the members
-NETWORKS = ContinuousNN, BranchingNN, RecurrentNN
 
 
 @dataclass(frozen=True)
@@ -121,9 +119,10 @@ def check_percepts(skill: Skill, size: int, where: str) -> None:
     """SettingsError if networks of a skill, or in it, do not read percepts as long as they are."""
     for index in skill.graph.action[0].unique().tolist():
         action = skill.actions.actions[index] if index >= 0 else None
-        if isinstance(action, NETWORKS) and action.percept_size != size:
+        reads = getattr(action, "percept_size", size)
+        if reads != size:
             raise SettingsError(
-                f"skill {skill.name!r} reads percepts of {action.percept_size} numbers, those of "
+                f"skill {skill.name!r} reads percepts of {reads} numbers, those of "
                 f"{where} have {size}; use scenarios like those it was evolved on"
             )
     for inner in skill.sub_skills.values():

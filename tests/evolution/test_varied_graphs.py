@@ -7,13 +7,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, seeded
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, LinearNN, MoveBase, RecurrentNN
+from cgtorch.actions import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    DelayNN,
+    LinearNN,
+    MoveBase,
+    RecurrentNN,
+)
 from cgtorch.evolution.varied_graphs import looping, occurrence, varied_graphs
 from cgtorch.graphs import Graphs, to_networkx, valid
 
 REWARDED = ActionSet(
-    ("Linear", "Aim", "Recur", "Branch", "Step"),
-    (LinearNN(4, 2), ContinuousNN(4, 8, 2), RecurrentNN(4, outputs=2), BranchingNN(4), MoveBase(2)),
+    ("Linear", "Aim", "Delay", "Recur", "Branch", "Step"),
+    (
+        LinearNN(4, 2),
+        ContinuousNN(4, 8, 2),
+        DelayNN(4, outputs=2),
+        RecurrentNN(4, outputs=2),
+        BranchingNN(4),
+        MoveBase(2),
+    ),
 )
 
 
@@ -28,7 +43,7 @@ def test_small_populations_have_all_pairs_of_actions_and_all_of_them_loop() -> N
         assert looping(graphs).all()
         found = kinds(graphs)
         assert {kind for kind in found if len(kind) == 2} >= {
-            (a, b) for a in range(5) for b in range(a + 1, 5)
+            (a, b) for a in range(6) for b in range(a + 1, 6)
         }
         assert max(found.count(kind) for kind in set(found)) <= 4
 

@@ -15,7 +15,7 @@ from test_onnx_model import runtime
 from torch import Tensor
 from walking import chain
 
-from cgtorch.actions import Action, ActionSet, LinearNN, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN, paper_actions
 from cgtorch.export import (
     SkillStep,
     to_dot,
@@ -39,7 +39,8 @@ def remembering() -> Skill:
     An action with a memory comes before it, and one with two numbers between it and another one.
     """
     own = ["Visits", "RecurrentNN", "Smaller"], [Visits(), RecurrentNN(), RecurrentNN(7, 2)]
-    actions = paper_actions().extended(*own).extended(["LinearNN"], [LinearNN()])
+    linear = ["LinearNN", "DelayNN"], [LinearNN(), DelayNN(7, 2)]
+    actions = paper_actions().extended(*own).extended(*linear)
 
     def skill(name: str, seed: int, *nodes: str) -> Skill:
         graph = chain(actions, *nodes)
@@ -51,7 +52,18 @@ def remembering() -> Skill:
     inner = skill("S0", 1, "RecurrentNN", "MoveBase", "Visits", "Smaller", "MoveBase")
     actions = actions.extended(["S0"], [SubSkill(inner)])
     return skill(
-        "S1", 2, "Visits", "RecurrentNN", "MoveBase", "S0", "LinearNN", "Smaller", "MoveBase"
+        "S1",
+        2,
+        "Visits",
+        "RecurrentNN",
+        "MoveBase",
+        "S0",
+        "LinearNN",
+        "MoveBase",
+        "DelayNN",
+        "MoveBase",
+        "Smaller",
+        "MoveBase",
     )
 
 
@@ -83,7 +95,7 @@ def drives(step: Step, about: dict[str, Any], runs: list[Execution], within: flo
 def test_step_module_and_onnx(wanted: Wanted) -> None:
     runs, _ = wanted
     step = SkillStep(SKILL)
-    assert step.memory_size == 2 + 3 + 2
+    assert step.memory_size == 2 + 3 + 14 + 2
     drives(step, step.about(), runs, 0.0)
     extra = {ABOUT: ""}
     program = torch.export.load(io.BytesIO(to_module(SKILL)), extra_files=extra)
@@ -127,7 +139,7 @@ def test_a_state_machine_has_it_as_plain_python(tmp_path: Path, wanted: Wanted) 
                 count = userdata.memory[self.memory[0]] + userdata.message[3]
                 return "enough" if count > 3 else "again"
 
-        userdata = module.Userdata(PLACE.percepts[scenario].tolist(), [0.0] * 4, memory=[0.0] * 7)
+        userdata = module.Userdata(PLACE.percepts[scenario].tolist(), [0.0] * 4, memory=[0.0] * 21)
         machine = module.build({**states, "MoveBase": Drive, "Visits": Visit})
         assert machine.execute(userdata) == run.end
         assert userdata.steps == len(actions[scenario])

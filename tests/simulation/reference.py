@@ -3,6 +3,7 @@
 Slow and plain, in Python numbers; only what the environment does is asked of the environment.
 """
 
+import itertools
 import math
 import zlib
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from cgtorch.actions import (
     ActionSet,
     BranchingNN,
     ContinuousNN,
+    DelayNN,
     Detect,
     Grasp,
     LinearNN,
@@ -45,6 +47,7 @@ class Robot:
     message: list[float] = field(default_factory=lambda: [0.0] * 8)
     has_message: bool = False
     memory: list[float] = field(default_factory=lambda: [0.0] * 8)
+    earlier: list[list[float]] = field(default_factory=list)  # the latest first
     remembered: list[float] = field(default_factory=lambda: [0.0] * 4)
     visits: list[float] = field(default_factory=lambda: [0.0] * 2)
     tired: float = 0.0  # metres that Wander has sent the robot
@@ -156,6 +159,18 @@ def execute_primitive(action: Any, parameters: list[float], robot: Robot) -> str
         case LinearNN():
             robot.message[:3] = small_layer(percept[: action.inputs], parameters, 3)
             robot.has_message = True
+            return "success"
+        case DelayNN():
+            times = [percept, *robot.earlier][: action.delays + 1]
+            times += [[0.0] * len(percept)] * (action.delays + 1 - len(times))
+            changes = [
+                [10 * (x - y) for x, y in zip(*pair, strict=True)]
+                for pair in itertools.pairwise(times)
+            ]
+            seen = [x for numbers in [percept, *changes] for x in numbers]
+            robot.message[:3] = small_layer(seen, parameters, 3)
+            robot.has_message = True
+            robot.earlier.insert(0, percept)
             return "success"
         case RecurrentNN():
             robot.remembered, robot.message[:3] = remembering(percept, robot.remembered, parameters)

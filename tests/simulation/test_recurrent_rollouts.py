@@ -30,6 +30,7 @@ from cgtorch.actions import (
     ActionSet,
     BranchingNN,
     ContinuousNN,
+    DelayNN,
     Grasp,
     MoveBase,
     RecurrentNN,
@@ -50,7 +51,8 @@ SETS = [as_double_actions(actions) for actions in PLAIN_SETS]
 
 def using(graphs: Graphs, actions: ActionSet) -> torch.Tensor:
     """(P,) bool, which graphs have a node that remembers."""
-    return (graphs.action == actions.index("RecurrentNN")).any(1)
+    known = [i for i, each in enumerate(actions.actions) if isinstance(each, RecurrentNN | DelayNN)]
+    return torch.isin(graphs.action, torch.tensor(known)).any(1)
 
 
 def not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,6 +60,7 @@ def not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("Python is asked for what the network says")
 
     monkeypatch.setattr(RecurrentNN, "forward", asked)
+    monkeypatch.setattr(DelayNN, "forward", asked)
 
 
 @pytest.mark.parametrize("actions", SETS)
@@ -242,6 +245,30 @@ def test_what_is_too_large_is_pythons(sizes: tuple[int, int, int], compiled: boo
     assert known.only_resumable.tolist() == [1, 0]
 
 
+@pytest.mark.parametrize(
+    ("sizes", "compiled"),
+    [((7, 3, 16), True), ((64, 3, 3), True), ((64, 4, 3), False), ((65, 0, 3), False)],
+)
+def test_long_delays_are_pythons(sizes: tuple[int, int, int], compiled: bool) -> None:
+    actions = ActionSet(("DelayNN",), (DelayNN(*sizes),))
+    known = compiled_actions(actions, 70, torch.float32, (*NETWORKS, *WITH_MEMORY))
+    assert known is not None
+    assert known.in_python == (not compiled,)
+
+
+@pytest.mark.parametrize("delays", [0, 1, 3, 100])
+def test_whole_walks_by_changes(delays: int) -> None:
+    actions = ActionSet(("DelayNN", "Step"), (DelayNN(2, delays, 1), MoveBase(1)))
+    one = chain(actions, "DelayNN", "Step", "DelayNN", "Step")
+    graphs = one[torch.zeros(40, dtype=torch.long)]
+    values = torch.randn(graphs.parameters.shape, generator=seeded(delays)) / (1 + delays)
+    values[:, 1::2] = 0
+    given = replace(graphs, parameters=values), actions, Path(path(3, 30).scenarios), (60, 400)
+    found, wanted = waiting(*given), in_torch(*given)
+    assert found.executed == wanted.executed > 10_000
+    assert_same(found, wanted, 1e-3)
+
+
 @pytest.mark.parametrize("hidden", [30, 64, 65])
 def test_large_ones_say_the_same(hidden: int) -> None:
     actions, place = walk_back(hidden), Path(path(5, 9).scenarios)
@@ -262,7 +289,9 @@ def test_subclasses_and_changed_ones_run_in_python() -> None:
     changed.forward = changed.forward  # type: ignore[method-assign]
     short = RecurrentNN()
     short.memory_size = 2
-    for action in (Dimmed(), changed, short):
+    shallow = DelayNN()
+    shallow.memory_size -= 1
+    for action in (Dimmed(), changed, short, shallow):
         known = compiled_actions(ActionSet(("A",), (action,)), 7, torch.float32, WITH_MEMORY)
         assert known is not None
         assert known.in_python == (True,)

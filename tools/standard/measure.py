@@ -7,7 +7,7 @@ tried, and 100 fresh episodes decide whether the task is solved.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
@@ -140,7 +140,7 @@ class Trial:
         self._training = Generator().manual_seed(2 * seed)
         self._testing = Generator().manual_seed(2 * seed + 1)
         self._champion: Player | None = None
-        self._identity: object = None
+        self._tested_before: set[Hashable] = set()
         self._alike = alike(task)
 
     @property
@@ -197,16 +197,18 @@ class Trial:
         yield
         self.compile_seconds = (self.compile_seconds or 0.0) + time.process_time() - began
 
-    def offer(self, champion: Player, fitness: float, identity: object = None) -> None:
+    def offer(self, champion: Player, fitness: float, identity: Hashable = None) -> None:
         """Say which individual is the best, and its mean return in training.
 
-        Give its identity where it may be offered again; it is not tested twice.
+        Where all episodes begin alike, no individual is tested twice: give its identity.
         """
-        self._champion, before = champion, self._identity
-        self._identity = identity
-        if fitness >= self.task.solved and (identity is None or identity != before):
-            self.mean_return = self._tested()
-            self.solved = self.mean_return >= self.task.solved and self._passed()
+        self._champion = champion
+        if fitness < self.task.solved or (self._alike and identity in self._tested_before):
+            return
+        if identity is not None:
+            self._tested_before.add(identity)
+        self.mean_return = self._tested()
+        self.solved = self.mean_return >= self.task.solved and self._passed()
 
     def result(self, note: str = "") -> Result:
         """What has come out, at the end."""

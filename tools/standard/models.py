@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
+from cgtorch.actions import ActionSet, reward_actions
 from cgtorch.domains.posterior import Posterior
 from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
 from cgtorch.domains.transition import Grid, KernelTransitionModel
@@ -25,7 +25,7 @@ from cgtorch.graphs import Graphs
 from cgtorch.simulation import rollout
 from cgtorch.simulation.recording import Recording
 from standard.measure import CountedWorld, Trial
-from standard.ours import MOST, STARTS, actions_of, player_of
+from standard.ours import MOST, STARTS, player_of
 from standard.peers import UnsuitableError
 from standard.rewards import GIVEN
 from standard.task import Task
@@ -58,7 +58,7 @@ def search(trial: Trial) -> None:
     if task.name not in GIVEN:
         raise UnsuitableError("percepts do not tell what comes next, or rewards are not given")
     generator = Generator().manual_seed(trial.seed)
-    actions, known = actions_of(task), begun(trial, generator)
+    actions, known = reward_actions(task.inputs, task.outputs), begun(trial, generator)
     waited, patience = 0, PATIENCE
 
     def model(number: int) -> RewardedModel:

@@ -74,34 +74,59 @@ class RecurrentNN(State):
     def execute(self, userdata: Userdata) -> str:
         """Remember, and send."""
         seen = userdata.percept[: self.inputs] + [userdata.memory[i] for i in self.memory]
-        state = [math.tanh(x) for x in self.small_layer(self.parameters[: self.first], seen)]
+        state = [math.tanh(x) for x in light_layer(self.parameters[: self.first], seen)]
         for i, x in zip(self.memory, state, strict=True):
             userdata.memory[i] = x
-        userdata.message[: self.outputs] = self.small_layer(self.parameters[self.first :], state)
+        userdata.message[: self.outputs] = light_layer(self.parameters[self.first :], state)
         userdata.has_message = True
         return SUCCESS
 
-    def small_layer(self, parameters: Sequence[float], inputs: list[float]) -> list[float]:
-        """What a layer gives; weights are half of their parameters, biases a hundredth."""
-        weights = len(parameters) // (len(inputs) + 1) * len(inputs)
-        small = [x * (0.5 if i < weights else 0.01) for i, x in enumerate(parameters)]
-        return layer(small, inputs)
 
+class DelayNN(State):
+    """From the percept and its latest changes to a motion, sent as message.
 
-class LinearNN(RecurrentNN):
-    """From the percept to a motion, sent as message; the parameters are V row by row, then c."""
+    The parameters are V row by row, then c. Its own places in the memory hold earlier percepts.
+    """
+
+    outcomes = (SUCCESS,)
+
+    def __init__(
+        self,
+        parameters: Sequence[float],
+        inputs: int,
+        delays: int,
+        outputs: int,
+        memory: range = range(0),
+    ):
+        super().__init__(parameters)
+        self.inputs, self.outputs, self.memory = inputs, outputs, memory[: inputs * delays]
 
     def execute(self, userdata: Userdata) -> str:
-        """Send it."""
-        seen = userdata.percept[: self.inputs]
-        userdata.message[: self.outputs] = self.small_layer(self.parameters, seen)
+        """Send it, and remember the percept."""
+        n = self.inputs
+        window = userdata.percept[:n] + [userdata.memory[i] for i in self.memory]
+        changes = [10 * (x - y) for x, y in zip(window, window[n:], strict=False)]
+        userdata.message[: self.outputs] = light_layer(self.parameters, window[:n] + changes)
         userdata.has_message = True
+        for i, x in zip(self.memory, window, strict=False):
+            userdata.memory[i] = x
         return SUCCESS
+
+
+class LinearNN(DelayNN):
+    """From the percept to a motion, sent as message; the parameters are V row by row, then c."""
 
 
 def sigmoid(x: float) -> float:
     """The logistic function."""
     return 1 / (1 + math.exp(min(-x, 80)))
+
+
+def light_layer(parameters: Sequence[float], inputs: list[float]) -> list[float]:
+    """A layer whose weights are half of their parameters, and its biases a hundredth."""
+    weights = len(parameters) // (len(inputs) + 1) * len(inputs)
+    light = [x * (0.5 if i < weights else 0.01) for i, x in enumerate(parameters)]
+    return layer(light, inputs)
 
 
 def layer(weights: Sequence[float], inputs: Sequence[float]) -> list[float]:

@@ -12,7 +12,7 @@
 
 /* `outputs`: of an action that Python runs, its parameters. */
 typedef struct {
-  int64_t kind, inputs, hidden, outputs;
+  int64_t kind, inputs, hidden, delays, outputs;
 } Action;
 #ifdef INPUTS /* where all networks have the same sizes, which for a GPU is known */
 #define INPUTS_OF(action) INPUTS

@@ -3,7 +3,7 @@
 #include "actions.h"
 #include "columns.h"
 #include "library.h"
-#include "recurrent.h"
+#include "memory.h"
 #include "walk.h"
 
 /* Some lanes that go on together: those of a share's queue, the first of them to fill up. */
@@ -66,24 +66,44 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
   return MAKE(Done){every(0), changed};
 }
 
-INLINE Done recurrent_of(const Waiting *w, const Action *a, Together *t) {
-  vec x[MOST_PERCEPT + MOST_HIDDEN], state[MOST_HIDDEN], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
-  int inputs = (int)a->inputs, hidden = (int)a->hidden, outputs = (int)a->outputs;
+/* Percepts, and then the `count` first numbers of the action's part of the memory, where that lies. */
+INLINE real *read_memory(const Waiting *w, const Action *a, Together *t, int count, vec *x) {
   real *memory = w->common + w->memory[2 * (a - w->program->primitives)];
   rows_of(t, w->percept, w->percept_size);
-  into_columns_of(t->rows, inputs, x);
+  into_columns_of(t->rows, (int)a->inputs, x);
   rows_of(t, memory, w->memory_size);
-  into_columns_of(t->rows, hidden, x + inputs);
-  int count = recurrent_weights(inputs, hidden, outputs);
-  const real *weights = weights_for(w, t, count, columns);
-  if (weights) recurrent(x, weights, NULL, inputs, hidden, outputs, state, out);
-  else recurrent(x, NULL, columns, inputs, hidden, outputs, state, out);
+  into_columns_of(t->rows, count, x + a->inputs);
+  return memory;
+}
+/* Lanes are told what networks say, and remember `state`: those of which either is another one. */
+INLINE Done remembered(const Waiting *w, Together *t, const vec *out, int outputs, const vec *state,
+                       int count, real *memory) {
   vwhole changed = every(0);
   for (int i = 0; i < t->count; i++) {
     int other = tell(w, t->lane[i], out, i, outputs);
-    changed[i] = -(other | write_row(state, i, memory + t->lane[i] * w->memory_size, hidden));
+    changed[i] = -(other | write_row(state, i, memory + t->lane[i] * w->memory_size, count));
   }
   return MAKE(Done){every(0), changed};
+}
+
+INLINE Done recurrent_of(const Waiting *w, const Action *a, Together *t) {
+  vec x[MOST_PERCEPT + MOST_HIDDEN], state[MOST_HIDDEN], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  int inputs = (int)a->inputs, hidden = (int)a->hidden, outputs = (int)a->outputs;
+  real *memory = read_memory(w, a, t, hidden, x);
+  const real *weights = weights_for(w, t, recurrent_weights(inputs, hidden, outputs), columns);
+  if (weights) recurrent(x, weights, NULL, inputs, hidden, outputs, state, out);
+  else recurrent(x, NULL, columns, inputs, hidden, outputs, state, out);
+  return remembered(w, t, out, outputs, state, hidden, memory);
+}
+
+INLINE Done delay_of(const Waiting *w, const Action *a, Together *t) {
+  vec x[MOST_DELAYED], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  int inputs = (int)a->inputs, delays = (int)a->delays, outputs = (int)a->outputs;
+  real *memory = read_memory(w, a, t, inputs * delays, x);
+  const real *weights = weights_for(w, t, delay_weights(inputs, delays, outputs), columns);
+  if (weights) delayed(x, weights, NULL, inputs, delays, outputs, out);
+  else delayed(x, NULL, columns, inputs, delays, outputs, out);
+  return remembered(w, t, out, outputs, x, inputs * delays, memory);
 }
 
 INLINE real *state_of(const Waiting *w, int64_t lane) {
@@ -143,6 +163,7 @@ INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together 
   case GRASP: return grasp_of(w, layout, t);
   case DETECT: return MAKE(Done){every(0), every(0)};
   case RECURRENT: return recurrent_of(w, a, t);
+  case DELAY: return delay_of(w, a, t);
   default: return network_of(w, layout, a, t);
   }
 }

@@ -14,9 +14,9 @@ EXPORT_STRUCT(Groups)
 EXPORT_CONSTANTS(selection_limits, CANDIDATES)
 EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRONG, COUNTS)
 EXPORT_CONSTANTS(action_kinds, MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_WAY,
-                 EDGE_BRANCHING, RECURRENT, IN_PYTHON)
+                 EDGE_BRANCHING, RECURRENT, DELAY, IN_PYTHON)
 EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)
-EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_WEIGHTS, MOST_DEPTH)
+EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DELAYED, MOST_WEIGHTS, MOST_DEPTH)
 
 /* Whether any of `count` nodes has an action that is marked; what is no action has the last mark. */
 int any_marked(const int64_t *action, int64_t count, const int64_t *marks, int64_t actions) {

@@ -1,0 +1,83 @@
+"""Linear networks: of the percept, and of the percept with its latest changes."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.actions.action import Action
+from cgtorch.actions.light import light_layer
+from cgtorch.environment import Environment, Lanes
+
+CHANGE = 10.0
+"""The factor of changes from step to step; `native/engine/memory.h` has the same."""
+
+
+def percept_and_changes(x: Tensor, earlier: Tensor) -> Tensor:
+    """The inputs of a `DelayNN`, (n, (d + 1) * D): percepts, then ten times the latest changes.
+
+    Given are the percepts x (n, D) and d earlier ones (n, d * D), the latest first. The changes
+    follow in the same order.
+    """
+    window = torch.cat([x, earlier], -1).unflatten(-1, (-1, x.shape[-1]))
+    changes = CHANGE * (window[..., :-1, :] - window[..., 1:, :])
+    return torch.cat([x, changes.flatten(-2)], -1)
+
+
+class DelayNN(Action):
+    """A linear network of the percept and its latest changes, which sends its output as message.
+
+    It sends V s + c, where s is the percept x(t) with the changes x(t) - x(t-1), x(t-1) - x(t-2)
+    and so on, ten times each: a tapped delay line (Waibel et al., "Phoneme recognition using
+    time-delay neural networks", IEEE Trans. ASSP 37, 1989) in the basis of backward differences.
+    A change from step to step tends to be a tenth of a percept's spread, so that the factor makes
+    all inputs alike in size. Measured on double pole balancing without velocities, the factor is
+    what makes the network learnable.
+
+    The parameters of a node are V (outputs, (delays + 1) * inputs) row by row, then c. The earlier
+    percepts lie in the lane's memory, zero when a skill begins. They belong to the action: all
+    nodes of the same action share them, and time counts its executions.
+
+    Attributes:
+        delays: number of changes d; the memory has d * inputs numbers.
+    """
+
+    first_step = 2.0
+    native_kind = "DELAY"
+    plain_module = "cgtorch.export.plain.networks"
+
+    def __init__(self, inputs: int = 7, delays: int = 3, outputs: int = 3):
+        super().__init__()
+        self.inputs, self.delays, self.outputs = inputs, delays, outputs
+        self.percept_size = inputs
+        self.num_parameters = outputs * (inputs * (delays + 1) + 1)
+        self.message_size, self.memory_size = outputs, inputs * delays
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        """See `Action.forward`."""
+        message, memory = lanes.message.clone(), lanes.memory.clone()
+        x, earlier = lanes.percept[:, : self.inputs], memory[:, : self.memory_size].clone()
+        weights, biases = parameters[:, : self.num_parameters].split(
+            [self.num_parameters - self.outputs, self.outputs], -1
+        )
+        message[:, : self.outputs] = light_layer(percept_and_changes(x, earlier), weights, biases)
+        memory[:, : self.memory_size] = torch.cat([x, earlier], -1)[:, : self.memory_size]
+        has = torch.ones_like(lanes.has_message)
+        lanes = replace(lanes, message=message, has_message=has, memory=memory)
+        return lanes, lanes.step.new_zeros(len(lanes))
+
+
+class LinearNN(DelayNN):
+    """A linear network of the percept alone, V x + c, which sends its output as message.
+
+    It has the fewest parameters that a reaction to every number of a percept can have, and so it is
+    tuned in the fewest episodes where it is enough.
+    """
+
+    native_kind = "DELAY"
+    plain_module = "cgtorch.export.plain.networks"
+
+    def __init__(self, inputs: int = 7, outputs: int = 3):
+        super().__init__(inputs, 0, outputs)
