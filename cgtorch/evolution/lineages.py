@@ -10,7 +10,6 @@ later than others. The last one goes on until it stalls. What they have come to 
 structures that they came from as parents of the next population, tuned parameters included.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +30,8 @@ from cgtorch.graphs import Graphs, compacted
 
 RUNGS = (5, 40)
 """After how many generations the worse half of the lineages is given up."""
+SEVERAL = 8
+"""Individuals looked at for each lineage that is to be founded."""
 STALL = 40
 """Generations without progress after which a lineage is given up."""
 MOST_UPDATES = 120
@@ -91,9 +92,8 @@ def founded(
     fitness (P,) says that an individual has not finished, it founds none.
     """
     found: list[Lineage] = []
-    kinds: Counter[tuple[int, ...]] = Counter()
     for row in order.tolist():
-        if len(found) == count or float(fitness[row]) < WORTHLESS:
+        if len(found) == SEVERAL * count or float(fitness[row]) < WORTHLESS:
             break
         one = population[row : row + 1]
         one = slim(Population(compacted(one.graphs), one.strategy))
@@ -103,11 +103,14 @@ def founded(
         steps = torch.tensor([action.first_step for action in actions.actions])
         deviation = steps[one.graphs.action[0]][:, None].expand(where.shape)[where]
         distribution = initial_distribution(one.graphs.parameters[0][where], deviation)
-        lineage = Lineage(one, float(fitness[row]), scores[row].clone(), distribution)
-        if kinds[lineage.kind] < max(1, count // 2):
-            kinds[lineage.kind] += 1
-            found.append(lineage)
-    return tuple(found)
+        found.append(Lineage(one, float(fitness[row]), scores[row].clone(), distribution))
+    return tuple(one_of_each_kind_first(found)[:count])
+
+
+def one_of_each_kind_first(lineages: Sequence[Lineage]) -> list[Lineage]:
+    """The same lineages in the same order, but those that are the first of their kind come first."""
+    first = {each.kind: each for each in reversed(lineages)}.values()
+    return sorted(lineages, key=lambda each: all(each is not one for one in first))
 
 
 def tuned(graphs: Graphs, actions: ActionSet) -> Tensor:
@@ -172,8 +175,6 @@ def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Linea
     going = [each for each in lineages if not each.over]
     if going and max(each.distribution.updates for each in going) in RUNGS:
         best = sorted(going, key=lambda each: -each.standing)
-        first = {each.kind: each for each in reversed(best)}.values()  # the best of its kind
-        order = sorted(best, key=lambda each: all(each is not x for x in first))
-        stay = order[: -(-len(going) // 2)]
+        stay = one_of_each_kind_first(best)[: -(-len(going) // 2)]
         going = [each for each in going if any(each is x for x in stay)]
     return tuple(going), tuple(each for each in lineages if not any(each is x for x in going))
