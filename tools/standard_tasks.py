@@ -8,7 +8,8 @@ if their mean return passes the task's threshold, and further tests where a task
 (`tools/standard/`). Evaluations, episodes and world steps are those of the training until then, CPU
 seconds those of the process with all its tests. Each search has a process and a thread of its own.
 The peers are installed by `pip install -r tools/standard/peers.txt`; those that are not are left
-out, and the table says so.
+out, and the table says so. `--library` takes variants of this library, too, which have one part of
+its search changed (`tools/standard/components.py`).
 """
 
 import importlib
@@ -29,7 +30,7 @@ from typing import Any, TypeAlias
 
 import click
 from standard.measure import BUDGETS, Result, Trial
-from standard.peers import LIBRARIES, UnsuitableError
+from standard.peers import LIBRARIES, VARIANTS, UnsuitableError
 from standard.tasks import TASKS
 
 from cgtorch.ground.files import read_json, write_json
@@ -44,6 +45,8 @@ ONE_THREAD = {
 FAILED = "failed: "
 """How the note of a search begins that has to be made again."""
 
+EVERY = LIBRARIES | VARIANTS
+"""What can be measured; variants are if they are asked for."""
 NOT_INSTALLED = "not installed"
 COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
 HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
@@ -59,7 +62,7 @@ Summary: TypeAlias = dict[str, dict[str, dict[str, Any]]]
 
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these tasks only.")
-@click.option("--library", multiple=True, type=click.Choice([*LIBRARIES]), help="Of these only.")
+@click.option("--library", multiple=True, type=click.Choice([*EVERY]), help="Of these only.")
 @click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
@@ -75,7 +78,7 @@ def command(
     """Measure what is not kept yet, and print what has come out."""
     tasks, libraries = only or tuple(TASKS), library or tuple(LIBRARIES)
     numbers = range(*map(int, seeds.split(":")))
-    there = [name for name in libraries if importlib.util.find_spec(LIBRARIES[name].package)]
+    there = [name for name in libraries if importlib.util.find_spec(EVERY[name].package)]
     kept = _kept(output)
     work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
     for found in measured([each for each in work if each not in kept], jobs):
@@ -132,7 +135,7 @@ def _search(sender: Connection, task: str, library: str, seed: int) -> None:
 
     torch.set_num_threads(1)
     try:
-        module = importlib.import_module(LIBRARIES[library].module)
+        module = importlib.import_module(EVERY[library].module)
     except ImportError as error:
         sender.send(_failed(task, library, seed, f"cannot be imported ({error})"))
         return

@@ -10,7 +10,6 @@ from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import (
     Population,
     initial_strategy,
-    random_graphs,
     seeded_population,
     slim,
 )
@@ -18,7 +17,6 @@ from cgtorch.evolution.selection import ranking
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
 from cgtorch.evolution.turns import next_in_turn
-from cgtorch.evolution.varied_graphs import varied_graphs
 from cgtorch.ground.errors import DataError
 
 
@@ -35,8 +33,7 @@ def initial_state(
     """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
-        draw = varied_graphs if settings.lineages else random_graphs
-        graphs = draw(settings.population, actions, *sizes)
+        graphs = settings.first_graphs(settings.population, actions, *sizes)
         population = Population(graphs, initial_strategy(len(graphs)))
     else:
         population = seeded_population(settings.population, seeds, actions, *sizes)

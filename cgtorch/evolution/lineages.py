@@ -108,7 +108,7 @@ def founded(
 
 
 def one_of_each_kind_first(lineages: Sequence[Lineage]) -> list[Lineage]:
-    """The same lineages in the same order, but those that are the first of their kind come first."""
+    """The lineages in the same order, but the first of each kind come before the others."""
     first = {each.kind: each for each in reversed(lineages)}.values()
     return sorted(lineages, key=lambda each: all(each is not one for one in first))
 

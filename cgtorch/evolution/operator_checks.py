@@ -7,8 +7,14 @@ from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.environment.dry_run import ROWS, expect, kind, returned, two_rows
 from cgtorch.evolution.fitness import last_success
-from cgtorch.evolution.population import check_offspring, random_population
+from cgtorch.evolution.population import (
+    Population,
+    check_offspring,
+    initial_strategy,
+    random_population,
+)
 from cgtorch.evolution.settings import EvolutionSettings
+from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
 
@@ -19,12 +25,19 @@ def check_parts(
     environment: Environment,
     device: torch.device | str = "cpu",
 ) -> None:
-    """Try selection, fitness, crossover and mutation on two random individuals and scenarios.
+    """Try first graphs, selection, fitness, crossover and mutation on two of all.
 
     Their random numbers are not the evolution's. A SettingsError names the part and what is wrong.
     """
     generator, capacity = Generator().manual_seed(0), settings.capacity
     pair = random_population(ROWS, actions, capacity, settings.initial_nodes, generator)
+
+    who = _named("first_graphs", settings.first_graphs)
+    sizes = actions, capacity, settings.initial_nodes
+    first = returned(SettingsError, who, settings.first_graphs, ROWS, *sizes, generator)
+    if not isinstance(first, Graphs):
+        raise SettingsError(f"{who} returned {kind(first)}; return Graphs")
+    check_offspring(Population(first, initial_strategy(ROWS)), ROWS, capacity, actions, who)
 
     who = _named("fitness", settings.fitness)
     graphs, scenario = pair.graphs.to(device), two_rows(environment.num_scenarios, device)

@@ -80,6 +80,11 @@ Graphs come compacted, with one slot that is free in every graph; they may come 
 slots, up to the capacity. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
 To add to what the library does, call `cgtorch.evolution.mutate` first."""
 
+FirstGraphs: TypeAlias = Callable[[int, ActionSet, int, tuple[int, int], Generator], Graphs]
+"""From a number of graphs, what their nodes can do, the most nodes there may ever be, the fewest
+and the most nodes of a graph before pruning, and the generator of all random choices to so many
+valid graphs, pruned."""
+
 
 def slim(population: Population) -> Population:
     """The same individuals with no more slots than their largest graph has nodes."""

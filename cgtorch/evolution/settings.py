@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 from cgtorch.evolution.fitness import Fitness, chance_of_success, episode_return
 from cgtorch.evolution.offspring import crossover, mutate
-from cgtorch.evolution.population import TAU, Crossover, Mutation
+from cgtorch.evolution.population import TAU, Crossover, FirstGraphs, Mutation, random_graphs
 from cgtorch.evolution.selection import Selection, lexicase, tournament
+from cgtorch.evolution.varied_graphs import varied_graphs
 from cgtorch.ground.errors import SettingsError
 
 
@@ -13,8 +14,8 @@ from cgtorch.ground.errors import SettingsError
 class EvolutionSettings:
     """How a population evolves.
 
-    One can give one's own functions for `selection`, `fitness`, `crossover` and `mutation`. A value
-    that cannot work is a SettingsError.
+    One can give one's own functions for `selection`, `fitness`, `crossover`, `mutation` and
+    `first_graphs`. A value that cannot work is a SettingsError.
 
     Attributes:
         population: number of individuals, of each island.
@@ -25,6 +26,7 @@ class EvolutionSettings:
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
+        first_graphs: draws random graphs, `random_graphs` or `varied_graphs`.
         tau: variance of the drift of strategy parameters (eq. 2).
         islands: populations that evolve apart; see `cgtorch.evolution.islands`.
         migration: generations between two migrations.
@@ -40,6 +42,7 @@ class EvolutionSettings:
     elite: int = 1
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
+    first_graphs: FirstGraphs = random_graphs
     tau: float = TAU
     islands: int = 1
     migration: int = 5
@@ -72,6 +75,7 @@ REWARDS = EvolutionSettings(
     selection=tournament(),
     fitness=episode_return,
     initial_nodes=(2, 2),
+    first_graphs=varied_graphs,
     lineages=4,
 )
 """Settings for worlds with rewards, where every episode is one of the world itself."""

@@ -11,7 +11,6 @@ from cgtorch.evolution.population import Population, initial_strategy, slim
 from cgtorch.evolution.selection import ranking
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState, Parents
-from cgtorch.evolution.varied_graphs import varied_graphs
 
 
 def next_in_turn(
@@ -65,7 +64,7 @@ def _next_structures(
         about = order, parents.fitness, parents.scores, settings, actions, generator
         return replace(bred(known, *about), fresh=True)
     size = settings.capacity, settings.initial_nodes, generator
-    graphs = varied_graphs(settings.population, actions, *size)
+    graphs = settings.first_graphs(settings.population, actions, *size)
     best = int(order[0])
     return EvolutionState(
         population=slim(Population(graphs, initial_strategy(len(graphs)))),

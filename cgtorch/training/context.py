@@ -105,7 +105,12 @@ def evolution_settings(run: Run) -> EvolutionSettings:
     )
     if not rewarded or s.method == "paper" or s.islands > 1:
         return common
-    return replace(common, initial_nodes=REWARDS.initial_nodes, lineages=s.lineages)
+    return replace(
+        common,
+        initial_nodes=REWARDS.initial_nodes,
+        first_graphs=REWARDS.first_graphs,
+        lineages=s.lineages,
+    )
 
 
 def initial_progress(training: Training) -> Progress[Any]:

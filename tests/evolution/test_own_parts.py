@@ -22,8 +22,8 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.offspring import crossover
-from cgtorch.evolution.population import random_population
-from cgtorch.graphs import NO_NODE, pruned, widened
+from cgtorch.evolution.population import random_graphs, random_population
+from cgtorch.graphs import NO_NODE, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
 
@@ -227,3 +227,21 @@ def test_good_parts_pass_and_trying_them_draws_nothing() -> None:
     generation = next(evolve(model(0, 1), ACTIONS, settings, generator))
     expected = initial_state(settings, ACTIONS, seeded(3)).population
     assert same(generation.population.graphs, pruned(expected.graphs))
+
+
+def test_first_graphs_of_ones_own() -> None:
+    def one_node_each(
+        size: int, actions: ActionSet, capacity: int, nodes: tuple[int, int], generator: Generator
+    ) -> Graphs:
+        return random_graphs(size, actions, capacity, (1, 1), generator)
+
+    settings = replace(SMALL, first_graphs=one_node_each)
+    first = initial_state(settings, ACTIONS, seeded(0)).population
+    assert first.graphs.num_nodes.tolist() == [1] * settings.population
+    next(evolve(model(0, 5), ACTIONS, settings, seeded(0)))
+
+
+@pytest.mark.parametrize("wrong", [lambda *_: None, lambda size, *rest: random_graphs(1, *rest)])
+def test_first_graphs_that_cannot_be_used(wrong: Callable[..., Any]) -> None:
+    with pytest.raises(SettingsError, match="first_graphs"):
+        next(evolve(model(0, 5), ACTIONS, replace(SMALL, first_graphs=wrong), seeded(0)))

@@ -120,8 +120,6 @@ def test_a_champion_is_tried_once_it_is_good_in_training() -> None:
     assert not trial.solved
     assert trial.mean_return is not None
     assert trial.mean_return < 475
-    trial.offer(player(balancing), 475.0, "one")  # the same is not tried again
-    assert not trial.solved
     trial.offer(player(balancing), 475.0, "two")
     assert trial.solved
     assert not trial.open
@@ -129,6 +127,19 @@ def test_a_champion_is_tried_once_it_is_good_in_training() -> None:
     assert found.mean_return == 500
     assert (found.evaluations, found.episodes, found.world_steps) == (0, 0, 0)
     assert found.cpu_seconds > 0
+
+
+@pytest.mark.parametrize(("task", "times"), [("cartpole", 2), ("double_pole", 1)])
+def test_the_same_champion_is_tried_again_if_episodes_differ(task: str, times: int) -> None:
+    trial, worlds = Trial(TASKS[task], "none", 0, BUDGETS[task]), []
+
+    def failing(world: Any) -> Tensor:
+        worlds.append(world)
+        return torch.zeros(1)
+
+    for _ in range(2):
+        trial.offer(failing, trial.task.solved, "the same")
+    assert len(worlds) == times
 
 
 def test_who_has_not_solved_it_is_tried_in_the_end() -> None:

@@ -1,10 +1,12 @@
 """This library on the standard tasks, with one set of actions and settings for all of them."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet, reward_actions
-from cgtorch.evolution import REWARDS, evolve
+from cgtorch.evolution import REWARDS, EvolutionSettings, evolve
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import rollout
 from standard.measure import Player, Trial
@@ -15,12 +17,23 @@ MOST = 10**6
 """Transitions of a run at most: episodes end by themselves."""
 
 
+ACTIONS: Callable[[int, int], ActionSet] = reward_actions
+"""What graphs are made of, for percepts and controls of these lengths."""
+
+
 def search(trial: Trial) -> None:
     """Evolve graphs on random starts until one is good on fresh ones, too."""
-    actions = reward_actions(trial.task.inputs, trial.task.outputs)
+    searched(trial, REWARDS, ACTIONS)
+
+
+def searched(
+    trial: Trial, settings: EvolutionSettings, actions_for: Callable[[int, int], ActionSet]
+) -> None:
+    """`search` with these settings, and actions for percepts and controls of the task's lengths."""
+    actions = actions_for(trial.task.inputs, trial.task.outputs)
     generator, starts = Generator().manual_seed(trial.seed), trial.starts(STARTS)
     for generation in evolve(
-        lambda number: trial.world(starts), actions, REWARDS, generator, max_transitions=MOST
+        lambda number: trial.world(starts), actions, settings, generator, max_transitions=MOST
     ):
         trial.evaluated(len(generation.population))
         graphs = generation.champion.graphs

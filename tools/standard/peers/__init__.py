@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from standard.components import COMPONENTS
+
 NEEDS_MEMORY = frozenset(
     {"cartpole_no_velocities", "double_pole_no_velocities", "repeat_first", "repeat_previous"}
 )
@@ -39,3 +41,8 @@ LIBRARIES: dict[str, Library] = {
     "pytpg": Library("pytpg", "pytpg", "standard.peers.pytpg_graphs"),
 }
 """By the names that they go by, in the order of the table."""
+
+VARIANTS: dict[str, Library] = {
+    name: Library("cgtorch", "cgtorch", "standard.components", ("torch",)) for name in COMPONENTS
+}
+"""This library with one part of its search changed, measured only if asked for."""
