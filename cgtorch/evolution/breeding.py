@@ -3,6 +3,7 @@
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import Population, check_offspring, join, slim
 from cgtorch.evolution.selection import lexicase
@@ -11,17 +12,16 @@ from cgtorch.evolution.state import EvolutionState
 from cgtorch.graphs import compacted, resized
 
 
-def bred(
+def next_population(
     state: EvolutionState,
-    order: Tensor,
-    fitness: Tensor,
-    scores: Tensor,
+    evaluated: Evaluated,
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """The elite and children of the population."""
-    population, size = state.population, settings.population
+    """The elite and children of individuals that were evaluated."""
+    population, size = evaluated.population, settings.population
+    order, scores = evaluated.order, evaluated.scores
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
     home = scores.device
     if settings.selection is not lexicase:  # others choose on the CPU
@@ -38,7 +38,7 @@ def bred(
         population=following,
         generation=state.generation + 1,
         best=population[best : best + 1],
-        best_fitness=float(fitness[best]),
+        best_fitness=float(evaluated.fitness[best]),
         distinct_parents=len(parents.unique()),
     )
 

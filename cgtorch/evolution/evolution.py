@@ -5,7 +5,8 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
-from cgtorch.evolution.breeding import bred
+from cgtorch.evolution.breeding import next_population
+from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import (
     Population,
@@ -13,7 +14,6 @@ from cgtorch.evolution.population import (
     seeded_population,
     slim,
 )
-from cgtorch.evolution.selection import ranking
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
 from cgtorch.evolution.turns import next_in_turn
@@ -72,23 +72,20 @@ def tell(
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
     scores = fitness[:, None] if scores is None else scores
     scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
-    order = ranking(fitness, state.population.graphs)
-    return next_state(state, order, fitness, scores, settings, actions, generator)
+    evaluated = Evaluated(state.population, fitness, scores)
+    return next_state(state, evaluated, settings, actions, generator)
 
 
 def next_state(
     state: EvolutionState,
-    order: Tensor,
-    fitness: Tensor,
-    scores: Tensor,
+    evaluated: Evaluated,
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """`tell` unchecked: fitness (P,) and scores (P, B) have no NaN, `order` (P,) is best first."""
-    if settings.lineages:
-        return next_in_turn(state, order, fitness, scores, settings, actions, generator)
-    return bred(state, order, fitness, scores, settings, actions, generator)
+    """`tell` unchecked, of individuals whose fitness and scores have no NaN."""
+    how = next_in_turn if settings.lineages else next_population
+    return how(state, evaluated, settings, actions, generator)
 
 
 def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:

@@ -11,15 +11,14 @@ programming", Genetic Programming and Evolvable Machines 4, 2003).
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
+from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.evolution import initial_state, next_state
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.selection import ranking
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
 from cgtorch.graphs import Graphs, widened
@@ -41,18 +40,10 @@ class Island:
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
-class Tried:
-    """P individuals and what they achieved, as in `Evaluation`."""
+class Tried(Evaluated):
+    """The same, and what each of them has solved, as in `Evaluation`."""
 
-    population: Population
-    fitness: Tensor
-    scores: Tensor
     succeeded: Tensor
-
-    @cached_property
-    def order(self) -> Tensor:
-        """(P,) long, from best to worst; of equal fitness the smaller graph first."""
-        return ranking(self.fitness, self.population.graphs)
 
     def best(self, count: int) -> "Tried":
         """The best of them."""
@@ -123,7 +114,6 @@ def next_islands(
     """Each island's next generation, given how this one did; see `tell`."""
     made = []
     for island, each in zip(islands, tried, strict=True):
-        state, about = replace(island.state, population=each.population), (settings, actions)
-        found = each.order, each.fitness, each.scores
-        made.append(replace(island, state=next_state(state, *found, *about, island.generator)))
+        state = next_state(island.state, each, settings, actions, island.generator)
+        made.append(replace(island, state=state))
     return made

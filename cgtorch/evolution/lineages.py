@@ -24,6 +24,7 @@ from cgtorch.evolution.cma import (
     updated,
     usual_count,
 )
+from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import Population, join, slim
 from cgtorch.graphs import Graphs, compacted
@@ -82,17 +83,15 @@ class Lineage:
         return tuned or self.since >= STALL
 
 
-def founded(
-    population: Population, order: Tensor, fitness: Tensor, scores: Tensor, actions: ActionSet,
-    count: int,
-) -> tuple[Lineage, ...]:  # fmt: skip
-    """Up to `count` lineages of the best of P individuals, given in `order` (P,).
+def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:
+    """Up to `count` lineages of the best of P individuals, one of each kind before a second one.
 
-    At most half of them have the same actions in their nodes. Without parameters, or if its
-    fitness (P,) says that an individual has not finished, it founds none.
+    An individual without parameters founds none, and none does whose fitness says that it has not
+    finished.
     """
+    population, fitness, scores = evaluated.population, evaluated.fitness, evaluated.scores
     found: list[Lineage] = []
-    for row in order.tolist():
+    for row in evaluated.order.tolist():
         if len(found) == SEVERAL * count or float(fitness[row]) < WORTHLESS:
             break
         one = population[row : row + 1]
@@ -134,29 +133,22 @@ def samples(lineages: Sequence[Lineage], actions: ActionSet, generator: Generato
     return join(*parts)
 
 
-def told(
-    lineages: Sequence[Lineage],
-    population: Population,
-    fitness: Tensor,
-    scores: Tensor,
-    actions: ActionSet,
+def after_samples(
+    lineages: Sequence[Lineage], evaluated: Evaluated, actions: ActionSet
 ) -> tuple[Lineage, ...]:
-    """The lineages after their `samples` had a fitness (P,), which is the mean of scores (P, B)."""
+    """The lineages after their `samples` were evaluated, all of them in their order."""
     after, begin = [], 0
     for lineage in lineages:
         where = tuned(lineage.best.graphs, actions)
         end = begin + usual_count(int(where.sum()))
-        rows = slice(begin, end)
-        after.append(_told(lineage, population[rows], fitness[rows], scores[rows], where))
+        after.append(_after_samples(lineage, evaluated.rows(slice(begin, end)), where))
         begin = end
     return tuple(after)
 
 
-def _told(
-    lineage: Lineage, population: Population, fitness: Tensor, scores: Tensor, where: Tensor
-) -> Lineage:
-    nodes, k = where.shape
-    parameters = population.graphs.parameters[:, :nodes, :k]
+def _after_samples(lineage: Lineage, evaluated: Evaluated, where: Tensor) -> Lineage:
+    (nodes, k), fitness = where.shape, evaluated.fitness
+    parameters = evaluated.population.graphs.parameters[:, :nodes, :k]
     distribution = updated(lineage.distribution, parameters[:, where], fitness)
     better = fitness.sort(descending=True).values[: max(1, len(fitness) // 4)]
     recent = (*lineage.recent, float(better.double().mean()))[-RECENT:]
@@ -166,8 +158,18 @@ def _told(
     top = int(fitness.argmax())
     if float(fitness[top]) <= lineage.fitness:
         return lineage
-    best = slim(population[top : top + 1])
-    return replace(lineage, best=best, fitness=float(fitness[top]), scores=scores[top].clone())
+    best, scores = slim(evaluated.population[top : top + 1]), evaluated.scores[top].clone()
+    return replace(lineage, best=best, fitness=float(fitness[top]), scores=scores)
+
+
+def with_lineages(evaluated: Evaluated, lineages: Sequence[Lineage]) -> Evaluated:
+    """Individuals, and what lineages have come to after them."""
+    if not lineages:
+        return evaluated
+    best = join(*(each.best for each in lineages))
+    fitness = evaluated.fitness.new_tensor([each.fitness for each in lineages])
+    scores = torch.stack([each.scores for each in lineages]).to(evaluated.scores)
+    return evaluated.with_others(Evaluated(best, fitness, scores))
 
 
 def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:

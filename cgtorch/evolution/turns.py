@@ -2,44 +2,41 @@
 
 from dataclasses import replace
 
-from torch import Generator, Tensor
+from torch import Generator
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution.breeding import bred
-from cgtorch.evolution.lineages import founded, raced, samples, told
+from cgtorch.evolution.breeding import next_population
+from cgtorch.evolution.evaluated import Evaluated
+from cgtorch.evolution.lineages import after_samples, founded, raced, samples, with_lineages
 from cgtorch.evolution.population import Population, initial_strategy, slim
-from cgtorch.evolution.selection import ranking
 from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.evolution.state import EvolutionState, Parents
+from cgtorch.evolution.state import EvolutionState
 
 
 def next_in_turn(
     state: EvolutionState,
-    order: Tensor,
-    fitness: Tensor,
-    scores: Tensor,
+    evaluated: Evaluated,
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """Samples of lineages as long as there are any, else a population that is bred."""
-    best, found = int(order[0]), (fitness, scores, actions)
+    """Samples of lineages as long as there are any, else a population of structures."""
     if state.lineages:
-        after = told(state.lineages, state.population, *found)
-        lineages, ended = raced(after)
+        lineages, ended = raced(after_samples(state.lineages, evaluated, actions))
         assert state.parents is not None  # noqa: S101  they are there with lineages
-        parents = state.parents.with_lineages(ended)
+        parents = with_lineages(state.parents, ended)
     else:
-        lineages = founded(state.population, order, *found, settings.lineages)
-        parents = Parents(state.population, fitness, scores)
+        lineages = founded(evaluated, actions, settings.lineages)
+        parents = evaluated
         if state.parents is not None:
             parents = parents.with_others(state.parents)
     if lineages:
+        best = int(evaluated.order[0])
         return EvolutionState(
             population=samples(lineages, actions, generator),
             generation=state.generation + 1,
-            best=state.population[best : best + 1],
-            best_fitness=float(fitness[best]),
+            best=evaluated.population[best : best + 1],
+            best_fitness=float(evaluated.fitness[best]),
             lineages=lineages,
             parents=parents,
             fresh=state.fresh,
@@ -49,7 +46,7 @@ def next_in_turn(
 
 def _next_structures(
     state: EvolutionState,
-    parents: Parents,
+    parents: Evaluated,
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
@@ -58,11 +55,10 @@ def _next_structures(
 
     Children go on from where lineages have come to, and can be caught there; random ones are not.
     """
-    order = ranking(parents.fitness, parents.population.graphs)
     if not state.fresh:
-        known = replace(state, population=parents.population, lineages=(), parents=None)
-        about = order, parents.fitness, parents.scores, settings, actions, generator
-        return replace(bred(known, *about), fresh=True)
+        children = next_population(state, parents, settings, actions, generator)
+        return replace(children, fresh=True)
+    order = parents.order
     size = settings.capacity, settings.initial_nodes, generator
     graphs = settings.first_graphs(settings.population, actions, *size)
     best = int(order[0])

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from cgtorch.evolution import EvolutionState, Population
 from cgtorch.evolution.cma import Distribution
+from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.lineages import RECENT, Lineage
-from cgtorch.evolution.state import Parents
 
 VECTORS = ("mean", "covariance", "path", "step_path")
 """Tensors of a `Distribution`."""
@@ -54,7 +54,7 @@ def with_search(state: EvolutionState, tensors: dict[str, Tensor], read: Read) -
     count, fresh = tensors["turns"].tolist()
     parents = None
     if "parents.fitness" in tensors:
-        parents = Parents(
+        parents = Evaluated(
             read("parents", tensors), tensors["parents.fitness"], tensors["parents.scores"]
         )
         if not len(parents.population) == len(parents.fitness) == len(parents.scores):
