@@ -49,6 +49,7 @@ from cgtorch.tabletop.world import (
     PERCEPTS,
     ClearWay,
     Noise,
+    ObservedTabletop,
     Scenarios,
     TabletopWorld,
     draw_of,
@@ -175,7 +176,7 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.tests`: of an edge, five evenly spaced objects as in the paper."""
         return stage_scenarios(kind if kind in EDGES else "near", 5 if kind in EDGES else 0)
 
-    def world(self, scenarios: Scenarios) -> TabletopWorld:
+    def world(self, scenarios: Scenarios) -> ObservedTabletop:
         """See `Domain.world`."""
         footprint = self.robot.description.footprint
         noise = Noise(self.settings.position_noise, self.settings.heading_noise)

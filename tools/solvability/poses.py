@@ -8,10 +8,10 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import start_lanes
+from cgtorch.tabletop.world import TabletopWorld
 from cgtorch.tabletop.world.clear_way import motion_possible
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate
 from cgtorch.tabletop.world.scenarios import Scenarios
-from cgtorch.tabletop.world.tabletop import TabletopWorld
 
 DISTANCE = (0.4, 0.9)  # m between base and object
 TURNED = math.pi / 3  # rad to either side of facing the object

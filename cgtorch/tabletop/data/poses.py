@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.tabletop.world import PLACEMENTS, Scenarios, TabletopWorld, draw_of
+from cgtorch.tabletop.world import PLACEMENTS, ObservedTabletop, Scenarios, draw_of
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate
 from cgtorch.tabletop.world.percepts import present
 from cgtorch.tabletop.world.sweep import sweep_blocked
@@ -27,7 +27,7 @@ class Scenes:
             more where each costs a simulation.
     """
 
-    world: Callable[[Scenarios], TabletopWorld]
+    world: Callable[[Scenarios], ObservedTabletop]
     kind: str = "perimeter"
     thrift: int = 1
 

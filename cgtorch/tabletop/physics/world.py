@@ -10,9 +10,9 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.physics.questions import Physics, drives, grasps
 from cgtorch.tabletop.world.clear_way import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, wrap
+from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.percepts import TABLETOP
 from cgtorch.tabletop.world.scenarios import Scenarios
-from cgtorch.tabletop.world.tabletop import LAB_NOISE, Noise, TabletopWorld
 
 TOUCH = ("fails", "allowed")
 """Whether a grasp on whose way the arm touched table or robot has failed."""
@@ -21,7 +21,7 @@ EXTRA = 6
 where an arm has touched anything but the object, else 0."""
 
 
-class MujocoWorld(TabletopWorld):
+class MujocoWorld(ObservedTabletop):
     """The same robot, scenarios, percepts and noise, with masses, friction, servos and contact.
 
     A motion is refused where its way is not clear, as in `TabletopWorld`; else the base drives it,
@@ -39,11 +39,11 @@ class MujocoWorld(TabletopWorld):
         percept: str = "box",
         touch: str = "fails",
     ):
-        """Set up the world of B scenarios; see `TabletopWorld`, and `TOUCH`."""
+        """Set up the world of B scenarios; see `ObservedTabletop`, and `TOUCH`."""
         if touch not in TOUCH:
             raise SettingsError(f"touch is {touch!r}; use one of {', '.join(TOUCH)}")
         footprint = physics.robot.description.footprint
-        super().__init__(scenarios, _nowhere, footprint, noise, looks, percept)
+        super().__init__(scenarios, footprint, noise, looks, percept)
         self.physics, self.touch = physics, touch
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
@@ -56,7 +56,7 @@ class MujocoWorld(TabletopWorld):
         return self._perceive(torch.cat(parts, 1), scenario)
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """Drive straight by dx, dy (m) and turn by dθ (rad); see `TabletopWorld.step`.
+        """Drive straight by dx, dy (m) and turn by dθ (rad); see `ObservedTabletop.step`.
 
         A lane that has met something has moved, and yet has failed.
         """
@@ -88,12 +88,12 @@ class MujocoWorld(TabletopWorld):
         return replace(lanes, state=after), good.to(lanes.percept.dtype)
 
     def placed(self, state: Tensor) -> Tensor:
-        """See `TabletopWorld.placed`; of an object that lies it is as far below its centre."""
+        """See `ObservedTabletop.placed`; of an object that lies it is as far below its centre."""
         foot = state[:, -EXTRA, None] - self.physics.thing.half_height
         return torch.cat([super().placed(state)[:, :2], foot], 1)
 
     def exact(self, state: Tensor) -> Tensor:
-        """See `TabletopWorld.exact`; the object's z is that of `placed`."""
+        """See `ObservedTabletop.exact`; the object's z is that of `placed`."""
         seen = super().exact(state)[:, : TABLETOP - 1]
         return torch.cat([seen, self.placed(state)[:, 2:]], 1)
 
@@ -107,7 +107,3 @@ class MujocoWorld(TabletopWorld):
         """States with the object's pose (n, 7)."""
         middle = state[:, 11 : state.shape[1] - EXTRA]
         return torch.cat([state[:, :9], thing[:, :2], middle, thing[:, 2:], state[:, -1:]], 1)
-
-
-def _nowhere(position: Tensor, table: Tensor) -> Tensor:
-    raise NotImplementedError("whether a grasp succeeds is found out by `MujocoWorld.success`")

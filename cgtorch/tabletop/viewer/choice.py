@@ -7,7 +7,7 @@ from torch import Generator, Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.tabletop.domain import Tabletop
-from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of
+from cgtorch.tabletop.world import ObservedTabletop, Scenarios, draw_of
 from cgtorch.tabletop.world.geometry import rotate
 from cgtorch.training.evaluate import check_percepts
 
@@ -21,7 +21,7 @@ class Candidate:
     skill: Skill
     domain: Tabletop
 
-    def world(self, scenarios: Scenarios) -> TabletopWorld:
+    def world(self, scenarios: Scenarios) -> ObservedTabletop:
         """The world that it acts in; SettingsError if the skill is for other percepts."""
         world = self.domain.world(scenarios)
         check_percepts(self.skill, world.percept_size, "such scenarios")

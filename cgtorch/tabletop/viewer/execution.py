@@ -13,7 +13,7 @@ from cgtorch.simulation import most_steps
 from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
-from cgtorch.tabletop.world import Scenarios, TabletopWorld
+from cgtorch.tabletop.world import ObservedTabletop, Scenarios
 
 Place: TypeAlias = tuple[Skill, int]
 """A node: the skill it belongs to and its slot in that skill's graph."""
@@ -51,7 +51,7 @@ class Execution:
     message: Tensor
 
 
-def execute(skill: Skill, world: TabletopWorld, scenario: int = 0) -> Execution:
+def execute(skill: Skill, world: ObservedTabletop, scenario: int = 0) -> Execution:
     """Run a skill on one scenario of a world, whose percepts must be those that the skill reads."""
     program, which = compile_graphs(skill.graph, skill.actions), torch.tensor([scenario])
     frames = first_frames(program, 1, skill.max_transitions)

@@ -18,7 +18,7 @@ from cgtorch.tabletop.models.success_quality import (
     success_quality,
 )
 from cgtorch.tabletop.world import Noise, Scenarios, TabletopWorld
-from cgtorch.tabletop.world.tabletop import percept_of
+from cgtorch.tabletop.world.percepts import percept_of
 
 BLUR = 0.03
 

@@ -1,0 +1,157 @@
+"""What robots of all tabletop worlds see and where things are, whatever moves them."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.environment import Lanes
+from cgtorch.ground.errors import SettingsError
+from cgtorch.tabletop.world.percepts import (
+    BOX,
+    PERCEPTS,
+    TABLETOP,
+    obstacles_seen,
+    percept_of,
+    present,
+    side_seen,
+)
+from cgtorch.tabletop.world.scenarios import Scenarios
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what the robot does and sees.
+
+    Attributes:
+        position: m, of each coordinate after a motion and of each number of a percept.
+        heading: rad, of the heading after a motion.
+    """
+
+    position: float
+    heading: float
+
+
+LAB_NOISE = Noise(0.005, torch.pi / 360)
+"""A good lab robot: 5 mm and 0.5°."""
+
+
+def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
+    """(B, looks, size) standard normal numbers that depend on each scenario's own seed only.
+
+    Sizes are drawn in turn, so what comes first does not depend on what comes after.
+    """
+    generator = Generator()
+    out = [torch.zeros(len(seed), looks, size) for size in sizes]
+    for row, value in enumerate(seed.tolist()):
+        generator.manual_seed(value)
+        for noise in out:
+            noise[row] = torch.randn(looks, noise.shape[2], generator=generator)
+    return out
+
+
+class ObservedTabletop(ABC):
+    """An `Environment` of B scenarios whose subclass says how motions and grasps come out.
+
+    A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A
+    lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has
+    perceived, and K obstacles; subclasses may keep more after these. The noise of a lane depends on
+    its scenario's seed and on that count alone, so it depends neither on what else runs beside it
+    nor on how the skill is nested in another one.
+    """
+
+    control_size = 3
+
+    def __init__(
+        self,
+        scenarios: Scenarios,
+        footprint: tuple[float, float, float, float],
+        noise: Noise,
+        looks: int,
+        percept: str,
+    ):
+        """Set up what is seen of B scenarios.
+
+        The base's footprint is x min, x max, y min, y max (m). Noise is drawn for so many looks;
+        later ones use it again. The percept is a name in `PERCEPTS`, else a SettingsError.
+        """
+        if percept not in PERCEPTS:
+            raise SettingsError(f"percept is {percept!r}; use one of {', '.join(PERCEPTS)}")
+        self.tabletop = PERCEPTS[percept]
+        self.scenarios, self.looks = scenarios, looks
+        self.footprint = torch.tensor(footprint)
+        self.num_obstacles = scenarios.obstacles.shape[1]
+        sizes = (3 + TABLETOP, self.tabletop - TABLETOP, BOX * self.num_obstacles)
+        drawn, *more = draw_noise(scenarios.seed, looks, *sizes)
+        scale = torch.tensor([noise.position, noise.position, noise.heading])
+        self.drift = drawn[..., :3] * scale
+        self.blur = torch.cat([drawn[..., 3:], *more], 2) * noise.position
+
+    @property
+    def num_scenarios(self) -> int:
+        """B."""
+        return len(self.scenarios)
+
+    @property
+    def seeds(self) -> Tensor:
+        """See `cgtorch.environment.Seeded.seeds`; those of the noise."""
+        return self.scenarios.seed
+
+    @property
+    def percept_size(self) -> int:
+        """7 or 9, and 4 for each obstacle that a scenario of this batch may have."""
+        return self.tabletop + BOX * self.num_obstacles
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Environment.start`."""
+        s = self.scenarios[scenario]
+        looks = s.pose.new_zeros(len(scenario), 1)
+        state = torch.cat([s.pose, s.table, s.object, looks, s.obstacles.flatten(1)], 1)
+        return self._perceive(state, scenario)
+
+    @abstractmethod
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        """Drive straight by dx, dy (m) and turn by dθ (rad).
+
+        The control (n, 3) is in the robot's frame; also (n,) bool, which lanes have moved.
+        """
+
+    @abstractmethod
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """The lanes after a grasp, and (n,) 1 where it succeeds, 0 elsewhere."""
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        """Detect table, object and obstacles again, with fresh noise."""
+        state, percept = self._perceive(lanes.state, lanes.scenario)
+        return replace(lanes, state=state, percept=percept)
+
+    def _parts(self, state: Tensor) -> tuple[Tensor, ...]:
+        """Pose (n, 3), table (n, 6), object (n, 2), whose noise (n,), obstacles (n, K, 5)."""
+        boxes = 5 * self.num_obstacles
+        pose, table, placed, count, obstacles = state[:, : 12 + boxes].split([3, 6, 2, 1, boxes], 1)
+        look = count[:, 0].long() % self.looks
+        return pose, table, placed, look, obstacles.unflatten(1, (self.num_obstacles, 5))
+
+    def placed(self, state: Tensor) -> Tensor:
+        """(n, 3) where the object stands, m."""
+        _, table, placed, _, _ = self._parts(state)
+        return torch.cat([placed, table[:, 5:6]], 1)
+
+    def exact(self, state: Tensor) -> Tensor:
+        """The percepts (n, 7) without noise, of table and object alone."""
+        pose, table, placed, _, _ = self._parts(state)
+        return percept_of(pose, table, placed)
+
+    def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """The states after one more look, and what is seen (n, D)."""
+        pose, table, _, look, obstacles = self._parts(state)
+        exact = self.exact(state)
+        if self.tabletop > TABLETOP:
+            exact = torch.cat([exact, side_seen(pose, table)], 1)
+        blur = self.blur[scenario, look]
+        percept = exact + blur[:, : self.tabletop]
+        if self.num_obstacles:
+            noise = blur[:, self.tabletop :] * present(obstacles).repeat_interleave(BOX, 1)
+            percept = torch.cat([percept, obstacles_seen(pose, obstacles) + noise], 1)
+        return torch.cat([state[:, :11], state[:, 11:12] + 1, state[:, 12:]], 1), percept
