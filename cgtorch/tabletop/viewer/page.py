@@ -7,21 +7,17 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
 import viser
-from torch import Tensor
 
 from cgtorch.ground.errors import CgtorchError, SettingsError
-from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.panel import headline, levels_html, readings_html
-from cgtorch.tabletop.viewer.postures import rest_postures
 from cgtorch.tabletop.viewer.scene import Scene
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios
@@ -122,8 +118,7 @@ class Page:
         names = [n for n in (self.skill.value, self.against.value) if n != NONE]
         chosen = [self.candidates[name] for name in names]
         timelines = [
-            timeline_of(execute(c.skill, c.world(scenario)), c.domain.robot, _rest(c.domain))
-            for c in chosen
+            timeline_of(execute(c.skill, c.world(scenario)), c.domain.robot) for c in chosen
         ]
         self.scenario = scenario
         with self.server.atomic():
@@ -237,12 +232,6 @@ class Page:
         with self.lock:
             at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
             self.run(put_object(self.scenario, at), play=True)
-
-
-@cache
-def _rest(domain: Tabletop) -> tuple[Tensor, ...]:
-    """The postures of a robot's arms at rest, which take a while to find."""
-    return rest_postures(domain.robot)
 
 
 def open_page(

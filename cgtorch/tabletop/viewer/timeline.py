@@ -1,22 +1,22 @@
 """From the steps of an execution to pictures in time: where base, arms and object are when."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
 
 from cgtorch.actions import Detect, Grasp
-from cgtorch.tabletop.kinematics import Robot, grasp_solution
+from cgtorch.tabletop.kinematics import Robot, arm_ways
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT
 from cgtorch.tabletop.viewer.execution import Execution
-from cgtorch.tabletop.viewer.postures import way_to
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, to_frame, wrap
 
 FPS = 20
 DRIVE, TURN, SWING = 0.6, 1.2, 1.2
 """Speeds of the base (m/s, rad/s) and of an arm's fastest joint (rad/s)."""
-NEAR = 0.4
-"""How long a hand takes at least between waypoints of a grasp, which are 0.05 m apart (s)."""
+NEAR = 0.05
+"""How long a hand takes at least between two waypoints of its line to the object and up (s)."""
 THINK, LOOK, REST = 0.4, 0.8, 1.0
 """How long a step lasts that moves nothing, one that looks, and the end (s)."""
 
@@ -55,14 +55,14 @@ def joint_names(robot: Robot) -> tuple[str, ...]:
     return tuple(name for arm in robot.arms for name in arm.joint_names)
 
 
-def timeline_of(execution: Execution, robot: Robot, rest: tuple[Tensor, ...]) -> Timeline:
+def timeline_of(execution: Execution, robot: Robot) -> Timeline:
     """Lay an execution out in time; the base drives straight and then turns, as in the world.
 
-    Where a grasp succeeds, the arm that the world's answer is about moves from rest to the
-    pre-grasp, grasps and lifts the object.
+    Where a grasp succeeds, an arm goes its way from home to the pre-grasp, grasps and lifts the
+    object (`cgtorch.tabletop.kinematics.arm_ways`).
     """
     scene = execution.scenario
-    joints = torch.cat(rest).double()[None]
+    joints = torch.cat(robot.home).double()[None]
     thing = torch.cat([scene.object[0], scene.table[0, 5:6]]).double()[None]
     pieces: list[list[Tensor]] = []
     for k, step in enumerate(execution.steps):
@@ -121,26 +121,21 @@ def _grasp(
     pose, scene = execution.pose[k : k + 1], execution.scenario
     at = torch.cat([to_frame(pose, scene.object), scene.table[:, 5:6]], 1)
     table = torch.cat([rectangle_in_frame(pose, scene.table[:, :5]), scene.table[:, 5:6]], 1)
-    solution = grasp_solution(robot, at, table)
-    if not solution.found[0]:
+    ways = arm_ways(robot, at, table)
+    if not ways.found[0]:
         return joints[None], thing[None]
-    which = int(solution.arm[0])
+    which, pre_grasp = int(ways.arm[0]), int(ways.pre_grasp[0])
     arm = robot.arms[which]
-    first = sum(len(a.joint_names) for a in robot.arms[:which])
-    mine = slice(first, first + len(arm.joint_names))
-    grasp = solution.joints[0, :, : len(arm.joint_names)].double()
-    there = way_to(robot, arm, joints[mine], grasp[0], table[0])
-    moving = [there[:1]]
-    for i, goal in enumerate((*there[1:], *grasp[1:]), 1):
-        here, near = moving[-1][-1], i >= len(there)
-        if near:  # the short way round, which may not be free before the grasp
-            goal = here + arm.difference(goal, here)
+    first, count = sum(len(a.joint_names) for a in robot.arms[:which]), len(arm.joint_names)
+    way = ways.joints[0, : int(ways.lifted[0]) + 1, :count].double()
+    moving = [way[:1]]
+    for i, (here, goal) in enumerate(pairwise(way)):
         seconds = float((goal - here).abs().max()) / SWING
-        moving.append(_line(here, goal, max(seconds, NEAR) if near else seconds))
+        moving.append(_line(here, goal, seconds if i < pre_grasp else max(seconds, NEAR)))
     path = torch.cat(moving)
-    grasped = sum(len(part) for part in moving[: len(there) + 2])  # until the grasp is reached
+    grasped = sum(len(part) for part in moving[: int(ways.grasp[0]) + 1])
     all_joints = joints.expand(len(path), -1).clone()
-    all_joints[:, mine] = path
+    all_joints[:, first : first + count] = path
     things = thing.expand(len(path), 3).clone()
     things[grasped:, 2] = arm.frames(path[grasped:])[-1][:, 2, 3] - GRASP_HEIGHT
     return all_joints, things

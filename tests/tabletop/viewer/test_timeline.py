@@ -13,7 +13,6 @@ from cgtorch.runs.skills import last_skill
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.viewer.execution import execute
-from cgtorch.tabletop.viewer.postures import rest_postures
 from cgtorch.tabletop.viewer.timeline import (
     DRIVE,
     FPS,
@@ -36,16 +35,11 @@ def opened() -> tuple[Run, Skill]:
 
 
 @cache
-def rest() -> tuple[Tensor, ...]:
-    return rest_postures(opened()[0].domain.robot)
-
-
-@cache
 def timeline(number: int) -> Timeline:
     run, skill = opened()
     scenarios = draw_of("perimeter")(COUNT, torch.Generator().manual_seed(0))
     execution = execute(skill, run.domain.world(scenarios), number)
-    return timeline_of(execution, run.domain.robot, rest())
+    return timeline_of(execution, run.domain.robot)
 
 
 @pytest.mark.parametrize("number", range(COUNT))
@@ -141,6 +135,6 @@ def test_what_fails_moves_no_arm() -> None:
     failed = execute(grasping_on_and_on(), run.domain.world(scenarios), 0)
     assert failed.end != "success"
     assert any(step.name == "Grasp" for step in failed.steps)
-    one = timeline_of(failed, run.domain.robot, rest())
+    one = timeline_of(failed, run.domain.robot)
     assert torch.equal(one.joints, one.joints[:1].expand_as(one.joints))
     assert torch.equal(one.object, one.object[:1].expand_as(one.object))
