@@ -1,6 +1,7 @@
 """An animated picture of a skill in physics, as MuJoCo's renderer sees it."""
 
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,22 +19,27 @@ WIDTH, HEIGHT = 480, 360  # px
 EVERY = 0.16  # s of the simulation between two pictures
 LASTS = 80  # ms that each is shown
 END = 1200  # ms that the last one is
-DISTANCE, BEHIND, DOWN = 4.2, 30.0, -32.0  # m, and degrees, of the camera
+DISTANCE, BEHIND, DOWN = 3.5, 35.0, -35.0  # m, and degrees, of the camera
+CONTACT = 0.02  # m, about the size of the mark of a contact
 
 
 class Camera:
     """Takes pictures of what is simulated."""
 
     def __init__(self, scenario: Scenarios) -> None:
-        """A camera that looks at the table and the robot from behind it."""
+        """A camera behind the robot that looks over its shoulder to where the object stands."""
         mj = mujoco()
         self.view, self.pictures, self.renderers = mj.MjvCamera(), list[Any](), dict[int, Any]()
         start, table = scenario.pose[0], scenario.table[0]
-        middle = (start[:2] + 2 * table[:2]) / 3
-        self.view.lookat[:] = [float(middle[0]), float(middle[1]), 0.7]
+        middle = (start[:2] + 3 * table[:2]) / 4
+        self.view.lookat[:] = [float(middle[0]), float(middle[1]), 0.65]
+        self.shown = mj.MjvOption()
+        self.shown.flags[mj.mjtVisFlag.mjVIS_CONTACTPOINT] = True
         away = table[:2] - start[:2]
         heading = float(numpy.degrees(numpy.arctan2(float(away[1]), float(away[0]))))
-        self.view.distance, self.view.azimuth = DISTANCE, heading + BEHIND
+        thing = scenario.object[0] - start[:2]
+        side = 1.0 if float(away[0] * thing[1] - away[1] * thing[0]) > 0 else -1.0
+        self.view.distance, self.view.azimuth = DISTANCE, heading + side * BEHIND
         self.view.elevation = DOWN
         self.last = -1
 
@@ -46,7 +52,7 @@ class Camera:
         key = id(model.model)
         if key not in self.renderers:
             self.renderers[key] = _renderer(model)
-        self.renderers[key].update_scene(model.data, self.view)
+        self.renderers[key].update_scene(model.data, self.view, self.shown)
         self.pictures.append(self.renderers[key].render().copy())
 
     def close(self) -> None:
@@ -56,6 +62,8 @@ class Camera:
 
 
 def _renderer(model: Model) -> Any:
+    scale, size = model.model.vis.scale, CONTACT / model.model.stat.meansize
+    scale.contactwidth, scale.contactheight = size, size / 4
     try:
         return mujoco().Renderer(model.model, HEIGHT, WIDTH)
     except Exception as e:  # whatever a graphics library raises
@@ -66,12 +74,19 @@ def _renderer(model: Model) -> Any:
 
 
 def film_of(skill: Skill, domain: Tabletop, scenario: Scenarios, kind: str) -> tuple[str, bytes]:
-    """How a skill ends on the first scenario, and a picture of a kind, gif or webp.
+    """How a skill ends on the first scenario, and an animated picture of a kind, gif or webp.
 
     SettingsError if nothing can be drawn on this machine.
     """
-    from PIL import Image
+    end, pictures = pictures_of(skill, domain, scenario)
+    return end, animated([pictures], kind)
 
+
+def pictures_of(skill: Skill, domain: Tabletop, scenario: Scenarios) -> tuple[str, list[Any]]:
+    """How a skill ends on the first scenario, and pictures of `WIDTH` and `HEIGHT`.
+
+    Points at which bodies touch are marked. SettingsError if nothing can be drawn on this machine.
+    """
     camera = Camera(scenario)
     physics = replace(domain.physics, watch=camera, memo={}, models={})
     watched = domain.watched(physics)
@@ -81,13 +96,20 @@ def film_of(skill: Skill, domain: Tabletop, scenario: Scenarios, kind: str) -> t
         camera.close()
     if not camera.pictures:
         raise SettingsError(f"skill {skill.name!r} moves nothing on this scenario; try --seed 1")
-    pictures = [Image.fromarray(picture) for picture in camera.pictures]
+    return end, camera.pictures
+
+
+def animated(films: Sequence[Sequence[Any]], kind: str) -> bytes:
+    """Films one after the other, each with its last picture shown longer, as a gif or webp."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(picture) for film in films for picture in film]
     if kind == "gif":
         pictures = [p.quantize(96, dither=Image.Dither.NONE) for p in pictures]
     out = io.BytesIO()
-    lasts = [LASTS] * (len(pictures) - 1) + [END]
+    lasts = [time for film in films for time in (*[LASTS] * (len(film) - 1), END)]
     how = {"quality": 60, "method": 4} if kind == "webp" else {"optimize": True}
     pictures[0].save(
         out, kind.upper(), save_all=True, append_images=pictures[1:], duration=lasts, loop=0, **how
     )
-    return end, out.getvalue()
+    return out.getvalue()
