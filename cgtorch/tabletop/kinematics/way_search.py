@@ -151,10 +151,11 @@ def _lines(
     arm, scene = robot.arms[which], robot.scenes[which]
     home = robot.home[which].to(places.table)
     state = torch.zeros(len(path), dtype=torch.long, device=path.device)
+    solved = state == STRAIGHT
     line = home.new_zeros(len(path), LINE, len(home))
     held = (torch.linalg.inv(path[:, 2].double()) @ _square(places.object))[:, :3]
     places = replace(places, held=held)
-    for part in postures_in_turn(arm, path, state == STRAIGHT):
+    for part in postures_in_turn(arm, path, solved):
         every, joints = _near_home(arm, *followed(arm, path, slab, body, *part), home)
         kept = ways_clear(arm, scene, places[every], _all(APPROACH, every), joints[:, 2:3])
         every, joints = every[kept], joints[kept]
@@ -172,6 +173,7 @@ def _lines(
             better = straight | (state[row] == NONE)
             row, straight = row[better], straight[better]
             line[row], state[row] = dense[better], torch.where(straight, STRAIGHT, BLOCKED)
+            solved[row] = straight
     return state, line, held
 
 
