@@ -154,14 +154,19 @@ def postures_in_turn(
 
     First some of each row, then all others of rows that are not `solved` (B,) by then.
     """
-    row, q = arm.candidates(path[:, 2])
-    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
-    soon = few | (nth % _SPARSE == 0)
+    row, q, soon = postures_at(arm, path)
     for part in (soon, ~soon):
         part = part & ~solved[row]
         if part.any():
             yield row[part], q[part]
+
+
+def postures_at(arm: ArmModel, path: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Ascending rows (M,), postures (M, n) at grasps, and which of them are tried first (M,)."""
+    row, q = arm.candidates(path[:, 2])
+    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
+    return row, q, few | (nth % _SPARSE == 0)
 
 
 def followed(
