@@ -101,15 +101,15 @@ static int64_t chosen(Search *s, int soon) {
 
 /* Whether the places can be followed in a posture, and nothing touches table or body there. */
 static int followed(const Search *s, const real *q, real joints[PLACES][FORM_JOINTS]) {
-  static const int ORDER[] = {0, 4, 1, 3};
+  static const int ORDER[] = {0, 4, 1, 3}; /* those come first that touch most often */
   const Grasps *g = s->grasps;
   const int64_t row = g->at[s->line];
   const real *branch = branch_of(&g->form, q), pan = q[0] * g->form.signs[0];
-  if (arm_touches(&g->arms, row, q)) return 0;
   for (int i = 0; i < PLACES; i++)
     if (!solved(&g->form, branch, pan, s->wrist[i], joints[i]) ||
         (i && farthest_joint(g, joints[i], joints[i - 1]) >= (real)g->most_step))
       return 0;
+  if (arm_touches(&g->arms, row, q)) return 0;
   for (int i = 0; i < 4; i++)
     if (arm_touches(&g->arms, row, joints[ORDER[i]])) return 0;
   return 1;
