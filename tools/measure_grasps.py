@@ -38,7 +38,7 @@ def main(robot: str, count: int, seed: int) -> None:
     usual = ArmModel.candidates
     with (
         patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, 36 * FINER)),
-        patch.multiple(grasp_lines, NEAR=64, TRIED=16),
+        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=36 * FINER),
         patch.object(way_search, "PLANNED", 20),
         patch.object(rrt_connect, "ROUNDS", 1000),
     ):

@@ -1,7 +1,7 @@
 /* Inverse kinematics of arms with a spherical wrist, in closed form: what an arm does in one posture at
    one pan angle (cgtorch.tabletop.kinematics.inverse_kinematics, where the formulas are explained). */
 #pragma once
-#include "real.h"
+#include "tabletop/solids.h"
 
 #define FORM_JOINTS 7
 #define FULL_TURN (real)6.28318530717958647693
@@ -11,23 +11,11 @@ typedef struct {
   const real *before, *after;           /* (4, 4): before tool after is the wrist in the pan frame */
   const real *shoulder;                 /* (3,) */
   const real *signs, *lower, *upper;    /* (7,) */
-  const real *branches;                 /* (S, 3) */
-  int64_t count;                        /* S */
+  const real *branches, *pans;          /* (S, 3), (P,) angles that are tried */
+  int64_t count, samples;               /* S, P */
   double upper_arm, forearm;
+  double least, most;                   /* cosines of the elbow that the limits allow */
 } ClosedForm;
-
-/* The branch in which a posture is. */
-static const real *branch_of(const ClosedForm *form, const real *q) {
-  const real *best = form->branches, *signs = form->signs;
-  const real has[3] = {FN(sin)(q[3] * signs[3]), FN(cos)(q[2]), FN(sin)(q[5] * signs[5])};
-  int most = -1;
-  for (int64_t s = 0; s < form->count; s++) {
-    const real *branch = form->branches + s * 3;
-    int same = (has[0] * branch[0] > 0) + (has[1] * branch[1] > 0) + (has[2] * branch[2] > 0);
-    if (same > most) most = same, best = branch;
-  }
-  return best;
-}
 
 /* A turn of two coordinates. */
 static inline void turned(real cosine, real sine, real *a, real *b) {
@@ -46,13 +34,20 @@ static int within_limits(const ClosedForm *form, real *q) {
   return 1;
 }
 
+/* The cosine of the elbow; and where the wrist's centre is, seen from the lift axis. */
+static real elbow_of(const ClosedForm *form, real cosine, real sine, const real *wrist, real *at) {
+  const real a = (real)form->upper_arm, b = (real)form->forearm;
+  for (int i = 0; i < 3; i++) at[i] = wrist[i * 4 + 3];
+  turned(cosine, -sine, at, at + 1);
+  minus(at, form->shoulder, at);
+  return (dot(at, at) - (a * a + b * b)) / (2 * a * b);
+}
+
 /* Whether a pan angle leads to a pose of the wrist's last frame (3, 4) in the pan frame, and how. */
 static int solved(const ClosedForm *form, const real *branch, real pan, const real *wrist, real *q) {
-  const real a = (real)form->upper_arm, b = (real)form->forearm, *shoulder = form->shoulder;
-  real cos1 = FN(cos)(pan), sin1 = FN(sin)(pan), x = wrist[3], y = wrist[7], z = wrist[11];
-  turned(cos1, -sin1, &x, &y);
-  x -= shoulder[0], y -= shoulder[1], z -= shoulder[2];
-  real cos4 = (x * x + y * y + z * z - (a * a + b * b)) / (2 * a * b);
+  const real a = (real)form->upper_arm, b = (real)form->forearm;
+  real cos1 = FN(cos)(pan), sin1 = FN(sin)(pan), at[3];
+  real cos4 = elbow_of(form, cos1, sin1, wrist, at), x = at[0], y = at[1], z = at[2];
   if (!(FN(fabs)(cos4) <= 1)) return 0;
   real sin4 = branch[0] * FN(sqrt)(1 - cos4 * cos4), along = a + b * cos4, drop = -b * sin4;
   real sin3 = -y / drop;

@@ -16,32 +16,32 @@ enum { NONE, BLOCKED, STRAIGHT };
 
 typedef struct {
   Ways ways;       /* tables and objects of rows (B,) */
-  Arms arms;       /* tables (B,), and body; postures (N,) at grasps */
+  Arms arms;       /* tables (B,), and body */
   ClosedForm form;
-  const real *path;                     /* (M, PLACES, 4, 4) of the tool */
-  const real *home;                     /* (joints,) */
-  const int64_t *at, *first;            /* (M,) row of each line; (M + 1,) its first posture */
-  const unsigned char *soon;            /* (N,) whether a posture is tried before those that are not */
-  const unsigned char *continuous;      /* (joints,) */
-  real *line, *held;                    /* (M, steps, joints), (M, 3, 4) */
-  int64_t *state;                       /* (M,) */
+  const real *path, *home;         /* (M, PLACES, 4, 4) of the tool; (joints,) */
+  const int64_t *at;               /* (M,) row of each line */
+  const unsigned char *continuous; /* (joints,) */
+  real *line, *held;               /* (M, steps, joints), (M, 3, 4) */
+  int64_t *state;                  /* (M,) */
   int64_t lines, steps, near, tried;
-  double most_step, most_turn;          /* rad or m between places, and between steps */
+  int64_t few, sparse;             /* of more postures than a few every so many is tried first */
+  double most_step, most_turn;     /* rad or m between places, and between steps */
 } Grasps;
 EXPORT_STRUCT(ClosedForm)
 EXPORT_STRUCT(Grasps)
 EXPORT_CONSTANTS(grasp_limits, MOST_POSTURES, MOST_LINE, FORM_JOINTS)
 
 typedef struct {
-  real away; /* from home at the pre-grasp */
-  int64_t posture;
-} Choice;
+  const real *branch;
+  real pan, away;  /* from home at the pre-grasp */
+  real q[FORM_JOINTS];
+} Posture;
 
 typedef struct {
   const Grasps *grasps;
-  int64_t line;
+  int64_t line, count;
   real wrist[PLACES][12], held[12];
-  Choice choices[MOST_POSTURES];
+  Posture postures[MOST_POSTURES], *chosen[MOST_POSTURES];
   Way way;
 } Search;
 
@@ -75,57 +75,71 @@ static void begin_line(Search *s, int64_t line) {
       for (int k = 0; k < 3; k++)
         s->held[i * 4 + j] += grasp[k * 4 + i] * (object[k * 4 + j] - (j == 3 ? grasp[k * 4 + 3] : 0));
     }
-  placed_in_scene(&g->ways, g->at[line], &s->way);
+}
+
+/* The postures at the grasp, at all pan angles and in all branches. */
+static void find_postures(Search *s) {
+  const ClosedForm *form = &s->grasps->form;
+  const real *grasp = s->wrist[2];
+  s->count = 0;
+  for (int64_t i = 0; i < form->samples; i++) {
+    real pan = form->pans[i], at[3], elbow = elbow_of(form, FN(cos)(pan), FN(sin)(pan), grasp, at);
+    if (elbow < (real)form->least || elbow > (real)form->most) continue;
+    for (int64_t k = 0; k < form->count; k++) {
+      Posture *next = s->postures + s->count;
+      next->branch = form->branches + k * 3, next->pan = pan;
+      s->count += solved(form, next->branch, pan, grasp, next->q);
+    }
+  }
 }
 
 static int nearer_home(const void *a, const void *b) {
-  const Choice *one = a, *other = b;
+  const Posture *one = *(Posture *const *)a, *other = *(Posture *const *)b;
   if (one->away != other->away) return one->away < other->away ? -1 : 1;
-  return one->posture < other->posture ? -1 : 1;
+  return one < other ? -1 : 1;
 }
 
 /* The postures that reach the pre-grasp, those nearest to home first, and their number. */
-static int64_t chosen(Search *s, int soon) {
+static int64_t choose(Search *s, int soon) {
   const Grasps *g = s->grasps;
   int64_t count = 0;
-  for (int64_t i = g->first[s->line]; i < g->first[s->line + 1]; i++) {
-    const real *q = g->arms.q + i * FORM_JOINTS;
+  for (int64_t i = 0; i < s->count; i++) {
+    Posture *p = s->postures + i;
     real before[FORM_JOINTS];
-    if (g->soon[i] == soon &&
-        solved(&g->form, branch_of(&g->form, q), q[0] * g->form.signs[0], s->wrist[0], before))
-      s->choices[count++] = (Choice){farthest_joint(g, before, g->home), i};
+    if ((s->count <= g->few || i % g->sparse == 0) != soon ||
+        !solved(&g->form, p->branch, p->pan, s->wrist[0], before))
+      continue;
+    p->away = farthest_joint(g, before, g->home), s->chosen[count++] = p;
   }
-  qsort(s->choices, (size_t)count, sizeof *s->choices, nearer_home);
+  qsort(s->chosen, (size_t)count, sizeof *s->chosen, nearer_home);
   return count;
 }
 
 /* Whether the places can be followed in a posture, and nothing touches table or body there. */
-static int followed(const Search *s, const real *q, real joints[PLACES][FORM_JOINTS]) {
+static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
   static const int ORDER[] = {0, 4, 1, 3}; /* those come first that touch most often */
   const Grasps *g = s->grasps;
   const int64_t row = g->at[s->line];
-  const real *branch = branch_of(&g->form, q), pan = q[0] * g->form.signs[0];
   for (int i = 0; i < PLACES; i++)
-    if (!solved(&g->form, branch, pan, s->wrist[i], joints[i]) ||
+    if (!solved(&g->form, p->branch, p->pan, s->wrist[i], joints[i]) ||
         (i && farthest_joint(g, joints[i], joints[i - 1]) >= (real)g->most_step))
       return 0;
-  if (arm_touches(&g->arms, row, q)) return 0;
+  if (arm_touches(&g->arms, row, p->q)) return 0;
   for (int i = 0; i < 4; i++)
     if (arm_touches(&g->arms, row, joints[ORDER[i]])) return 0;
   return 1;
 }
 
 /* Whether the tool keeps to its line, on which no joint may have to turn too fast; and the joints. */
-static int on_line(const Search *s, const real *q, real *line) {
+static int on_line(const Search *s, const Posture *p, real *line) {
   const Grasps *g = s->grasps;
   const int64_t half = g->steps / 2;
-  const real *branch = branch_of(&g->form, q), pan = q[0] * g->form.signs[0];
   for (int64_t step = 0; step < g->steps; step++) {
     const int up = step > half;
     const real *a = s->wrist[up ? 2 : 0], *b = s->wrist[up ? 4 : 2];
     real share = (real)(step - up * half) / (real)half, wrist[12], here[FORM_JOINTS];
     for (int i = 0; i < 12; i++) wrist[i] = a[i] + share * (b[i] - a[i]);
-    if (!solved(&g->form, branch, pan, wrist, here)) return 0;
+    if (!solved(&g->form, p->branch, p->pan, wrist, here)) return 0;
     for (int j = 0; j < FORM_JOINTS; j++) {
       real before = step ? line[(step - 1) * FORM_JOINTS + j] : g->home[j];
       real turn = difference(g, j, here[j], before);
@@ -137,11 +151,11 @@ static int on_line(const Search *s, const real *q, real *line) {
 }
 
 /* Whether there is a way along the line, and from home to it, in a posture that can be followed. */
-static int64_t state_of(Search *s, const real *q, real *line) {
+static int64_t state_of(Search *s, const Posture *p, real *line) {
   const Grasps *g = s->grasps;
   const int64_t half = g->steps / 2;
   real reach[2 * FORM_JOINTS];
-  if (!on_line(s, q, line) || !is_clear(&s->way, APPROACH, s->held, line, half + 1) ||
+  if (!on_line(s, p, line) || !is_clear(&s->way, APPROACH, s->held, line, half + 1) ||
       !is_clear(&s->way, LIFT, s->held, line + half * FORM_JOINTS, g->steps - half))
     return NONE;
   memcpy(reach, g->home, sizeof reach / 2), memcpy(reach + FORM_JOINTS, line, sizeof reach / 2);
@@ -151,14 +165,14 @@ static int64_t state_of(Search *s, const real *q, real *line) {
 /* Tries the postures nearest to home and keeps the first with a straight way, else the first. */
 static int64_t tried(Search *s, int soon, int64_t state) {
   const Grasps *g = s->grasps;
-  const int64_t size = g->steps * FORM_JOINTS, count = chosen(s, soon);
+  const int64_t size = g->steps * FORM_JOINTS, count = choose(s, soon);
   real line[MOST_LINE * FORM_JOINTS], joints[PLACES][FORM_JOINTS];
   for (int64_t i = 0, near = 0, looks = 0; i < count && near < g->near && looks < g->tried; i++) {
-    if (!followed(s, g->arms.q + s->choices[i].posture * FORM_JOINTS, joints)) continue;
+    if (!followed(s, s->chosen[i], joints)) continue;
     near++;
     if (!is_clear(&s->way, APPROACH, s->held, joints[2], 1)) continue;
     looks++;
-    int64_t found = state_of(s, joints[2], line);
+    int64_t found = state_of(s, s->chosen[i], line);
     if (found > state) {
       memcpy(g->line + s->line * size, line, (size_t)size * sizeof(real));
       memcpy(g->held + s->line * 12, s->held, sizeof s->held);
@@ -174,9 +188,11 @@ static void some_lines(void *what, int64_t begin, int64_t end) {
   Search *s = malloc(sizeof *s);
   for (int64_t line = begin; line < end; line++) {
     g->state[line] = s ? NONE : -1;
-    if (!s || g->first[line] == g->first[line + 1]) continue;
+    if (!s) continue;
     s->grasps = g;
-    begin_line(s, line);
+    begin_line(s, line), find_postures(s);
+    if (!s->count) continue;
+    placed_in_scene(&g->ways, g->at[line], &s->way);
     g->state[line] = tried(s, 1, NONE);
     if (g->state[line] != STRAIGHT) g->state[line] = tried(s, 0, g->state[line]);
   }

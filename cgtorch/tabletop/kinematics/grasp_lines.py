@@ -15,12 +15,14 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.clear_ways import Places, ways_clear, ways_task
 from cgtorch.tabletop.kinematics.collision import Boxes, Tensors
 from cgtorch.tabletop.kinematics.grasping import (
+    FEW,
     MAX_STEP,
+    SPARSE,
     first_of_each,
     followed,
-    postures_at,
     postures_in_turn,
 )
+from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES, pan_grid
 from cgtorch.tabletop.kinematics.robot import Robot
 from cgtorch.tabletop.kinematics.scene import APPROACH, LIFT, REACH, Scene
 from cgtorch.tabletop.kinematics.touching import touch_task
@@ -173,25 +175,21 @@ def _grasps_compiled(
 
     It computes with numbers of double precision and needs arms with a closed form.
     """
-    arm, most = robot.arms[which], constants("grasp_limits", torch.float64)
-    if not most or arm.closed_form is None or not suits(lines.path):
+    if not (suits(lines.path) and constants("grasp_limits", torch.float64)):
         return None
-    row, q, soon = postures_at(arm, lines.path)
-    first = torch.searchsorted(row, torch.arange(len(lines.path) + 1))
-    if len(row) and int(first.diff().max()) > most["MOST_POSTURES"]:
-        return None
-    task = _task(arm, robot.scenes[which], lines, q, slab, body, places)
+    task = _task(robot.arms[which], robot.scenes[which], lines, slab, body, places)
     if task is None:
         return None
-    line = places.table.new_empty(len(lines.path), LINE, q.shape[1])
-    held, state = line.new_empty(len(line), 3, 4), torch.empty(len(line), dtype=torch.long)
+    home, count = robot.home[which].double(), len(lines.path)
+    line, held = home.new_empty(count, LINE, len(home)), home.new_empty(count, 3, 4)
+    state = torch.empty(count, dtype=torch.long)
     call = structure("Grasps", torch.float64)(
-        **task, home=robot.home[which].double(), at=lines.row, first=first, soon=soon,
-        line=line, held=held, state=state,
+        **task, home=home, at=lines.row, line=line, held=held, state=state, lines=count,
+        steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,
+        most_turn=MAX_TURN,
     )  # fmt: skip
-    if function("grasps_found", torch.float64)(
-        call, max(1, min(threads(), len(line) // WORTH_SHARING))
-    ):
+    shared = max(1, min(threads(), count // WORTH_SHARING))
+    if function("grasps_found", torch.float64)(call, shared):
         raise MemoryError("no memory to look for grasps; give the process more")
     kept = state.nonzero()[:, 0]
     straight = state[kept] == STRAIGHT
@@ -199,22 +197,26 @@ def _grasps_compiled(
 
 
 def _task(
-    arm: ArmModel, scene: Scene, lines: Lines, q: Tensor, slab: Boxes, body: Boxes, places: Places
+    arm: ArmModel, scene: Scene, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> dict[str, Any] | None:
-    """Fields of what compiled code is asked about an arm; None where it can't be."""
-    form, like = arm.closed_form, places.table
-    ways = ways_task(arm, scene, places, lines.row[:0], like.new_empty(0, LINE, q.shape[1]))
-    arms = touch_task(arm, q.to(like), slab.to(like), body.to(like))
+    """Structures that compiled code is asked about an arm; None where it can't be."""
+    form, like, most = arm.closed_form, places.table, constants("grasp_limits", torch.float64)
+    none = like.new_empty(0, LINE, len(arm.joint_names))
+    ways = ways_task(arm, scene, places, lines.row[:0], none)
+    arms = touch_task(arm, none[:, 0], slab.to(like), body.to(like))
     if form is None or ways is None or arms is None:
         return None
+    if PAN_SAMPLES * len(form.branches) > most["MOST_POSTURES"]:
+        return None
     before, after = torch.linalg.inv(arm.mount @ form.base), torch.linalg.inv(form.tool)
+    (least, greatest), pans = form.elbow_cosines, pan_grid(form, PAN_SAMPLES)
     closed = structure("ClosedForm", torch.float64)(
         before=before, after=after, shoulder=form.shoulder, signs=form.signs, lower=form.lower,
-        upper=form.upper, branches=form.branches, count=len(form.branches),
-        upper_arm=form.upper_arm, forearm=form.forearm,
+        upper=form.upper, branches=form.branches, pans=pans, count=len(form.branches),
+        samples=len(pans), upper_arm=form.upper_arm, forearm=form.forearm, least=least,
+        most=greatest,
     )  # fmt: skip
+    path = lines.path.to(like)
     return {
-        "ways": ways, "arms": arms, "form": closed, "path": lines.path.to(like),
-        "continuous": arm.continuous, "lines": len(lines.path), "steps": LINE, "near": NEAR,
-        "tried": TRIED, "most_step": MAX_STEP, "most_turn": MAX_TURN,
+        "ways": ways, "arms": arms, "form": closed, "path": path, "continuous": arm.continuous,
     }  # fmt: skip

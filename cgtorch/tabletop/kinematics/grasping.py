@@ -27,7 +27,7 @@ TABLE_THICKNESS = 0.04  # m, of the table's slab
 MAX_STEP = 0.6  # rad or m that a joint may move between waypoints 0.05 m apart
 CHUNK = 2048
 _GROUP = 256
-_FEW, _SPARSE = 16, 8
+FEW, SPARSE = 16, 8
 """Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
 
 SIDES = tuple(
@@ -154,19 +154,14 @@ def postures_in_turn(
 
     First some of each row, then all others of rows that are not `solved` (B,) by then.
     """
-    row, q, soon = postures_at(arm, path)
+    row, q = arm.candidates(path[:, 2])
+    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    few = torch.bincount(row, minlength=len(path))[row] <= FEW
+    soon = few | (nth % SPARSE == 0)
     for part in (soon, ~soon):
         part = part & ~solved[row]
         if part.any():
             yield row[part], q[part]
-
-
-def postures_at(arm: ArmModel, path: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Ascending rows (M,), postures (M, n) at grasps, and which of them are tried first (M,)."""
-    row, q = arm.candidates(path[:, 2])
-    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
-    return row, q, few | (nth % _SPARSE == 0)
 
 
 def followed(
