@@ -117,7 +117,7 @@ static int64_t choose(Search *s, int soon) {
 
 /* Whether the places can be followed in a posture, and nothing touches table or body there. */
 static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
-  static const int ORDER[] = {0, 4, 1, 3}; /* those come first that touch most often */
+  static const int ORDER[] = {0, 4, 1, 3}; /* after the grasp, as in torch */
   const Grasps *g = s->grasps;
   const int64_t row = g->at[s->line];
   for (int i = 0; i < PLACES; i++)
