@@ -12,7 +12,14 @@ import click
 import torch
 from benchmarks.grasps import objects
 
-from cgtorch.tabletop.kinematics import graspable, has_posture, load_robot, rrt_connect, way_search
+from cgtorch.tabletop.kinematics import (
+    grasp_lines,
+    graspable,
+    has_posture,
+    load_robot,
+    rrt_connect,
+    way_search,
+)
 from cgtorch.tabletop.kinematics.arm import ArmModel
 
 FINER = 4
@@ -31,7 +38,8 @@ def main(robot: str, count: int, seed: int) -> None:
     usual = ArmModel.candidates
     with (
         patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, 36 * FINER)),
-        patch.multiple(way_search, NEAR=64, TRIED=16, PLANNED=20),
+        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=36 * FINER),
+        patch.object(way_search, "PLANNED", 20),
         patch.object(rrt_connect, "ROUNDS", 1000),
     ):
         finer = graspable(loaded, position[~found], table[~found])

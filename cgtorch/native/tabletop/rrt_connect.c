@@ -37,7 +37,8 @@ static int edge_clear(Search *s, const real *a, const real *b) {
   real both[2 * MOST_JOINTS];
   memcpy(both, a, (size_t)s->joints * sizeof(real));
   memcpy(both + s->joints, b, (size_t)s->joints * sizeof(real));
-  return is_clear(&s->plans->ways, s->row, &s->way, both, 2);
+  const Ways *ways = &s->plans->ways;
+  return is_clear(&s->way, ways->kind[s->row], ways->held + s->row * 12, both, 2);
 }
 
 static real apart(const Search *s, const real *a, const real *b) {

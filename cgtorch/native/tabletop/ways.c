@@ -12,7 +12,8 @@ static void some_ways(void *what, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; row++) {
     int64_t first = ways->first[row], count = ways->first[row + 1] - first;
     placed_in_scene(ways, row, &way);
-    ways->clear[row] = (unsigned char)is_clear(ways, row, &way, ways->q + first * joints, count);
+    ways->clear[row] = (unsigned char)is_clear(&way, ways->kind[row], ways->held + row * 12,
+                                               ways->q + first * joints, count);
   }
 }
 

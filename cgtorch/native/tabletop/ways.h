@@ -130,7 +130,7 @@ static int clear_between(Way *way, const real *held, real begin, real end, const
 }
 
 /* Whether the way through waypoints (W, joints) is clear; `placed_in_scene` comes first. */
-static int is_clear(const Ways *ways, int64_t row, Way *way, const real *q, int64_t waypoints) {
+static int is_clear(Way *way, int64_t kind, const real *held, const real *q, int64_t waypoints) {
   const Scene *scene = way->scene;
   int64_t joints = scene->chain.joints, count = 0;
   way->q = q, way->waypoints = waypoints;
@@ -139,7 +139,6 @@ static int is_clear(const Ways *ways, int64_t row, Way *way, const real *q, int6
     for (int64_t j = 0; j < joints; j++)
       way->gone[w][j] = way->gone[w - 1][j] + FN(fabs)(q[w * joints + j] - q[(w - 1) * joints + j]);
   for (int64_t k = 0; k < scene->count; k++)
-    if (scene->pairs[k * 3 + 2] & ways->kind[row]) way->todo[count++] = (int32_t)k;
-  return clear_between(way, ways->held + row * 12, 0, (real)(waypoints - 1), way->todo, count,
-                       way->todo + count, 0);
+    if (scene->pairs[k * 3 + 2] & kind) way->todo[count++] = (int32_t)k;
+  return clear_between(way, held, 0, (real)(waypoints - 1), way->todo, count, way->todo + count, 0);
 }

@@ -7,18 +7,12 @@ from torch import Tensor
 
 from cgtorch.ground.counter_rng import words
 from cgtorch.tabletop.kinematics.clear_ways import ways_clear
+from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, table_slab
 from cgtorch.tabletop.kinematics.robot import Robot
 from cgtorch.tabletop.kinematics.rrt_connect import VIAS, ways_planned
 from cgtorch.tabletop.kinematics.scene import CARRY
-from cgtorch.tabletop.kinematics.way_search import (
-    HALF,
-    LINE,
-    FoundWays,
-    found_ways,
-    places_of,
-    row_keys,
-)
+from cgtorch.tabletop.kinematics.way_search import FoundWays, found_ways, places_of, row_keys
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ TABLE_THICKNESS = 0.04  # m, of the table's slab
 MAX_STEP = 0.6  # rad or m that a joint may move between waypoints 0.05 m apart
 CHUNK = 2048
 _GROUP = 256
-_FEW, _SPARSE = 16, 8
+FEW, SPARSE = 16, 8
 """Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
 
 SIDES = tuple(
@@ -156,8 +156,8 @@ def postures_in_turn(
     """
     row, q = arm.candidates(path[:, 2])
     nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-    few = torch.bincount(row, minlength=len(path))[row] <= _FEW
-    soon = few | (nth % _SPARSE == 0)
+    few = torch.bincount(row, minlength=len(path))[row] <= FEW
+    soon = few | (nth % SPARSE == 0)
     for part in (soon, ~soon):
         part = part & ~solved[row]
         if part.any():

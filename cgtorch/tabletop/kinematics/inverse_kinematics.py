@@ -127,7 +127,7 @@ def _branches(limits: list[tuple[float, float]]) -> Tensor:
     )
 
 
-def _pan_grid(arm: SphericalArm, samples: int) -> Tensor:
+def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
     """(samples,) pan angles over the joint's range, at most one turn of it, rad."""
     lower, upper = float(arm.lower[0]), float(arm.upper[0])
     if upper - lower > math.tau:
@@ -139,7 +139,7 @@ def _pan_grid(arm: SphericalArm, samples: int) -> Tensor:
 def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tuple[Tensor, Tensor]:
     """As `ArmModel.candidates`, of poses (B, 4, 4) of the tool frame in the arm's base link."""
     wrist, rotation = _wrist(arm, pose)
-    pan = _pan_grid(arm, samples)
+    pan = pan_grid(arm, samples)
     elbow = _cos_elbow(arm, *_from_shoulder(arm, wrist[:, None], pan))
     least, most = arm.elbow_cosines
     row, sample = ((elbow >= least) & (elbow <= most)).nonzero(as_tuple=True)

@@ -1,5 +1,7 @@
 """Whether postures of an arm touch the table or the robot's own body."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -40,25 +42,32 @@ def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tens
 
 def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor | None:
     """The same, posture after posture with all frames of one in the cache, where it is compiled."""
-    call, most = function("arms_touch", torch.float32), constants("arm_limits")
+    call = function("arms_touch", torch.float32)
     boxes = [*vars(slab).values(), *vars(body).values()]
     if call is None or q.dtype != torch.float32 or not suits(q, *boxes):
         return None
-    capsules, chain = arm.capsules.to(q), arm.chain(q)[1]
-    count, frames = len(capsules.radius), len(chain.kind)
-    if frames > most["MOST_FRAMES"] or count > most["MOST_CAPSULES"]:
+    if len(slab.half) not in (1, len(q)) or q.shape[1] != len(arm.joint_names):
         return None
-    one = len(slab.half) == 1
-    if not (one or len(slab.half) == len(q)) or q.shape[1] != len(arm.joint_names):
+    task, hit = touch_task(arm, q, slab, body), torch.empty(len(q), dtype=torch.bool)
+    if task is None:
         return None
-    hit, several = torch.empty(len(q), dtype=torch.bool), structure("Boxes", torch.float32)
-    task = structure("Arms", torch.float32)(
-        chain=structure("Chain", torch.float32)(**vars(chain), frames=frames, joints=q.shape[1]),
-        table=several(**vars(slab), count=slab.half.shape[-2], same=one),
-        body=several(**vars(body), count=body.half.shape[-2], same=True),
-        q=q, start=capsules.start, end=capsules.end, radius=capsules.radius, frame=capsules.frame,
-        loose=capsules.joints > SHOULDER_JOINTS, hit=hit, postures=len(q), capsules=count,
-        bisections=BISECTIONS, rounding=ROUNDING,
-    )  # fmt: skip
+    task.hit = hit.data_ptr()
     call(task, max(1, min(threads(), len(q) // WORTH_SHARING)))
     return hit
+
+
+def touch_task(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Any | None:
+    """What compiled code is asked, without what it fills in; None where it can't be."""
+    most, capsules, chain = constants("arm_limits", q.dtype), arm.capsules.to(q), arm.chain(q)[1]
+    count, frames = len(capsules.radius), len(chain.kind)
+    if not most or frames > most["MOST_FRAMES"] or count > most["MOST_CAPSULES"]:
+        return None
+    several, same = structure("Boxes", q.dtype), len(slab.half) == 1
+    return structure("Arms", q.dtype)(
+        chain=structure("Chain", q.dtype)(**vars(chain), frames=frames, joints=q.shape[1]),
+        table=several(**vars(slab), count=slab.half.shape[-2], same=same),
+        body=several(**vars(body), count=body.half.shape[-2], same=True),
+        q=q, start=capsules.start, end=capsules.end, radius=capsules.radius, frame=capsules.frame,
+        loose=capsules.joints > SHOULDER_JOINTS, hit=None, postures=len(q), capsules=count,
+        bisections=BISECTIONS, rounding=ROUNDING,
+    )  # fmt: skip

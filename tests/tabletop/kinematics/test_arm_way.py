@@ -10,9 +10,9 @@ from test_grasping import random_scene
 
 from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
 from cgtorch.tabletop.kinematics.clear_ways import MARGIN
+from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, GRASP_HEIGHT, waypoints
 from cgtorch.tabletop.kinematics.scene import OBJECT_RADIUS
-from cgtorch.tabletop.kinematics.way_search import HALF, LINE
 
 OFF_LINE = 0.002  # m
 STEP = 0.05  # rad: how finely a way is looked at by the slow reference

@@ -1,0 +1,222 @@
+"""The best grasp by each line of the tool: along the line to the object, and up with it.
+
+Of an arm's postures those nearest to home are looked at closely: whether the arm is clear of
+everything along the line, and on the straight way from home to where it begins.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cgtorch.native import constants, function, structure, suits, threads
+from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.clear_ways import Places, ways_clear, ways_task
+from cgtorch.tabletop.kinematics.collision import Boxes, Tensors
+from cgtorch.tabletop.kinematics.grasping import (
+    FEW,
+    MAX_STEP,
+    SPARSE,
+    first_of_each,
+    followed,
+    postures_in_turn,
+)
+from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES, pan_grid
+from cgtorch.tabletop.kinematics.robot import Robot
+from cgtorch.tabletop.kinematics.scene import APPROACH, LIFT, REACH, Scene
+from cgtorch.tabletop.kinematics.touching import touch_task
+
+LINE = 41
+"""Waypoints from the pre-grasp over the grasp to where the object is lifted, 5 mm apart."""
+HALF = LINE // 2
+MAX_TURN = 0.15
+"""Rad or m that a joint may move between two of them, so that the tool keeps to its line."""
+NEAR, TRIED = 4, 2
+"""Postures of each arm at each approach that are looked at closely, those nearest to home, and of
+them those whose ways are."""
+WORTH_SHARING = 64  # lines that are worth one more thread
+STRAIGHT = 2  # what compiled code says of lines with a straight way from home; 0 where there's none
+
+
+@dataclass(frozen=True)
+class Lines(Tensors):
+    """Lines of the tool to objects, and up with them.
+
+    Attributes:
+        path: (M, 5, 4, 4) waypoints of the tool; see `waypoints`.
+        row: (M,) long, ascending, the object that each leads to.
+        rank: (M,) long, what each is called; see `FoundWays`.
+    """
+
+    path: Tensor
+    row: Tensor
+    rank: Tensor
+
+
+@dataclass(frozen=True)
+class Grasps(Tensors):
+    """Grasps by lines that an arm gets along; see `Lines` and `FoundWays`.
+
+    Attributes:
+        straight: (M,) whether the pre-grasp is reached straight from home.
+    """
+
+    row: Tensor
+    rank: Tensor
+    straight: Tensor
+    line: Tensor
+    held: Tensor
+
+    def __getitem__(self, which: Tensor) -> "Grasps":
+        """Some of them."""
+        return Grasps(*(each[which] for each in vars(self).values()))
+
+
+def grasps(
+    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
+) -> Grasps:
+    """The best grasp by each line that an arm gets along: one with a straight way, else the first.
+
+    Tables and places are (B, ...) of objects; `which` is the arm's number.
+    """
+    found = _grasps_compiled(robot, which, lines, slab, body, places)
+    if found is None:
+        return grasps_in_torch(robot, which, lines, slab, body, places)
+    return found
+
+
+def grasps_in_torch(
+    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
+) -> Grasps:
+    """What `grasps` says, on any device: all lines at once, posture after posture."""
+    arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
+    home = robot.home[which].to(path.device).double()
+    solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
+    found = [(lines.row[:0], solved[:0], home.new_zeros(0, LINE, len(home)))]
+    for part in postures_in_turn(arm, path, solved):
+        near = _near_home(arm, *followed(arm, path, slab[lines.row], body, *part), home)
+        every, joints = near
+        here = _held(places[lines.row[every]], path[every, 2])
+        kept = ways_clear(arm, scene, here, _all(APPROACH, every), joints[:, 2:3])
+        every, joints, here = every[kept], joints[kept], here[kept]
+        nth = nth_of_each(every)
+        for turn in range(TRIED):
+            mine = ((nth == turn) & ~solved[every]).nonzero()[:, 0]
+            row, q = every[mine], joints[mine, 2]
+            found.append(_along(arm, scene, here[mine], path[row], row, q, home))
+            row, straight, _ = found[-1]
+            solved[row] = straight
+    row, straight, line = (torch.cat(each) for each in zip(*found, strict=True))
+    order = (2 * row + ~straight).argsort(stable=True)
+    best = order[first_of_each(row[order])]
+    row = row[best]
+    held = _held(places[lines.row[row]], path[row, 2]).held
+    return Grasps(lines.row[row], lines.rank[row], straight[best], line[best], held)
+
+
+def _held(places: Places, grasp: Tensor) -> Places:
+    """Places with objects as they are held where the tool frame has poses (M, 4, 4)."""
+    turn, shift = grasp[:, :3, :3].double(), grasp[:, :3, 3:].double()
+    from_tool = torch.cat([places.object[..., :3], places.object[..., 3:] - shift], -1)
+    return replace(places, held=turn.transpose(1, 2) @ from_tool)
+
+
+def _near_home(arm: ArmModel, row: Tensor, joints: Tensor, home: Tensor) -> tuple[Tensor, Tensor]:
+    """Of postures (M, 5, n) of ascending rows (M,) the few of each that are nearest to home."""
+    away = arm.difference(joints[:, 0].double(), home).abs().amax(1)
+    order = away.argsort(stable=True)
+    order = order[row[order].argsort(stable=True)]
+    order = order[nth_of_each(row[order]) < NEAR]
+    return row[order], joints[order]
+
+
+def nth_of_each(row: Tensor) -> Tensor:
+    """(M,) how many of ascending rows (M,) before each are the same."""
+    return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+
+
+def _along(
+    arm: ArmModel, scene: Scene, places: Places, path: Tensor, row: Tensor, q: Tensor, home: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows, whether they are reached straight, and lines (K, LINE, n), in postures q (M, n)."""
+    kept, line = _on_line(arm, path, q, home)
+    for kind, stretch in ((APPROACH, slice(HALF + 1)), (LIFT, slice(HALF, LINE))):
+        clear = ways_clear(arm, scene, places[kept], _all(kind, kept), line[:, stretch])
+        kept, line = kept[clear], line[clear]
+    reach = torch.stack([home.expand_as(line[:, 0]), line[:, 0]], 1)
+    return row[kept], ways_clear(arm, scene, places[kept], _all(REACH, kept), reach), line
+
+
+def _on_line(arm: ArmModel, path: Tensor, q: Tensor, home: Tensor) -> tuple[Tensor, Tensor]:
+    """Which of waypoints (M, 5, 4, 4) are kept to, in postures q (M, n), and lines (K, LINE, n).
+
+    Without those in which a joint would have to turn too fast for the tool to keep to its line.
+    """
+    ends, share = path[:, :, None], torch.linspace(0, 1, HALF + 1).to(path)[:, None, None]
+    there = [ends[:, i] + share * (ends[:, i + 2] - ends[:, i]) for i in (0, 2)]
+    line, reached = arm.follow(q, torch.cat([there[0], there[1][:, 1:]], 1))
+    line = line.double()
+    first = home + arm.difference(line[:, :1], home)
+    steps = arm.difference(line[:, 1:], line[:, :-1])
+    smooth = reached.all(1) & (steps.abs().amax((1, 2)) < MAX_TURN)
+    line = torch.cat([first, first + steps.cumsum(1)], 1)
+    return smooth.nonzero()[:, 0], line[smooth]
+
+
+def _all(kind: int, like: Tensor) -> Tensor:
+    return torch.full_like(like, kind)
+
+
+def _grasps_compiled(
+    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
+) -> Grasps | None:
+    """The same, line after line and no more postures than needed, where it is compiled.
+
+    It computes with numbers of double precision and needs arms with a closed form.
+    """
+    if not (suits(lines.path) and constants("grasp_limits", torch.float64)):
+        return None
+    task = _task(robot.arms[which], robot.scenes[which], lines, slab, body, places)
+    if task is None:
+        return None
+    home, count = robot.home[which].double(), len(lines.path)
+    line, held = home.new_empty(count, LINE, len(home)), home.new_empty(count, 3, 4)
+    state = torch.empty(count, dtype=torch.long)
+    call = structure("Grasps", torch.float64)(
+        **task, home=home, at=lines.row, line=line, held=held, state=state, lines=count,
+        steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,
+        most_turn=MAX_TURN,
+    )  # fmt: skip
+    shared = max(1, min(threads(), count // WORTH_SHARING))
+    if function("grasps_found", torch.float64)(call, shared):
+        raise MemoryError("no memory to look for grasps; give the process more")
+    kept = state.nonzero()[:, 0]
+    straight = state[kept] == STRAIGHT
+    return Grasps(lines.row[kept], lines.rank[kept], straight, line[kept], held[kept])
+
+
+def _task(
+    arm: ArmModel, scene: Scene, lines: Lines, slab: Boxes, body: Boxes, places: Places
+) -> dict[str, Any] | None:
+    """Structures that compiled code is asked about an arm; None where it can't be."""
+    form, like, most = arm.closed_form, places.table, constants("grasp_limits", torch.float64)
+    none = like.new_empty(0, LINE, len(arm.joint_names))
+    ways = ways_task(arm, scene, places, lines.row[:0], none)
+    arms = touch_task(arm, none[:, 0], slab.to(like), body.to(like))
+    if form is None or ways is None or arms is None:
+        return None
+    if PAN_SAMPLES * len(form.branches) > most["MOST_POSTURES"]:
+        return None
+    before, after = torch.linalg.inv(arm.mount @ form.base), torch.linalg.inv(form.tool)
+    (least, greatest), pans = form.elbow_cosines, pan_grid(form, PAN_SAMPLES)
+    closed = structure("ClosedForm", torch.float64)(
+        before=before, after=after, shoulder=form.shoulder, signs=form.signs, lower=form.lower,
+        upper=form.upper, branches=form.branches, pans=pans, count=len(form.branches),
+        samples=len(pans), upper_arm=form.upper_arm, forearm=form.forearm, least=least,
+        most=greatest,
+    )  # fmt: skip
+    path = lines.path.to(like)
+    return {
+        "ways": ways, "arms": arms, "form": closed, "path": path, "continuous": arm.continuous,
+    }  # fmt: skip
