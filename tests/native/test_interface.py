@@ -31,7 +31,7 @@ def test_functions_structures_and_constants_are_those_of_the_sources(dtype: torc
     assert len(function("rbf_values", dtype).argtypes) == 6
     assert constants("strategy") == {name.upper(): i for i, name in enumerate(STRATEGY)}
     assert constants("ends") == {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "TIMEOUT": TIMEOUT}
-    assert list(constants("action_kinds").values()) == list(range(10))
+    assert list(constants("action_kinds").values()) == list(range(11))
 
 
 @pytest.mark.parametrize(
