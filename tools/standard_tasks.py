@@ -19,6 +19,7 @@ import json
 import multiprocessing
 import os
 import platform
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict
@@ -45,9 +46,11 @@ ONE_THREAD = {
 FAILED = "failed: "
 """How the note of a search begins that has to be made again."""
 
-EVERY = LIBRARIES | VARIANTS
+EVERY = ChainMap(LIBRARIES, VARIANTS)
 """What can be measured; variants are if they are asked for."""
 NOT_INSTALLED = "not installed"
+SHOWN = ("evaluations", "episodes", "cpu_seconds")
+"""Costs that the figure of the documentation has."""
 COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
 HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
 
@@ -67,6 +70,7 @@ Summary: TypeAlias = dict[str, dict[str, dict[str, Any]]]
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
+@click.option("--figure", type=click.Path(path_type=Path), help="Whose rows are replaced.")
 def command(
     only: tuple[str, ...],
     library: tuple[str, ...],
@@ -74,6 +78,7 @@ def command(
     jobs: int,
     as_json: bool,
     output: Path | None,
+    figure: Path | None,
 ) -> None:
     """Measure what is not kept yet, and print what has come out."""
     tasks, libraries = only or tuple(TASKS), library or tuple(LIBRARIES)
@@ -94,7 +99,9 @@ def command(
         whole = {"tasks": about, "machine": machine(), "versions": versions()}
         click.echo(json.dumps(whole, indent=1))
     else:
-        click.echo(markdown(about, {name: TASKS[name].title for name in tasks}))
+        click.echo(markdown(about))
+    if figure:
+        write_json(figure, read_json(figure) | {"rows": figure_rows(about)})
 
 
 def measured(work: list[Work], jobs: int) -> Iterator[Result]:
@@ -212,21 +219,35 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, Any]:
     return {f"{name}_median": median(values), f"{name}_range": [min(values), max(values)]}
 
 
-def markdown(about: Summary, titles: Mapping[str, str]) -> str:
+def figure_rows(about: Summary) -> list[list[str]]:
+    """The table without what was not tried, world steps and notes, as `docs/figures` has it."""
+    return [
+        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in SHOWN)]
+        for task, found in about.items()
+        for library, each in found.items()
+        if each["seeds"]
+    ]
+
+
+def markdown(about: Summary) -> str:
     """One row for each task and library."""
     rows = [HEADINGS, ("---",) * len(HEADINGS)]
     for task, found in about.items():
-        rows += [_row(titles[task], library, each) for library, each in found.items()]
+        rows += [_row(TASKS[task].title, library, each) for library, each in found.items()]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def _row(title: str, library: str, about: Mapping[str, Any]) -> tuple[str, ...]:
     """A task and a library."""
-    solved = f"{about['solved']} of {about['seeds']}" if about["seeds"] else "–"
     costs = [_costs(about, name) for name in COSTS]
     if about["compile_seconds_median"] is not None:
         costs[-1] += f", {about['compile_seconds_median']:.1f} of them compiling"
-    return title, library, solved, *costs, about["note"]
+    return title, library, _solved(about), *costs, about["note"]
+
+
+def _solved(about: Mapping[str, Any]) -> str:
+    """How many seeds of those that were tried."""
+    return f"{about['solved']} of {about['seeds']}" if about["seeds"] else "–"
 
 
 def _costs(about: Mapping[str, Any], name: str) -> str:
