@@ -22,7 +22,6 @@ from cgtorch.tabletop.viewer.panel import (
     percept_rows,
     readings_html,
 )
-from cgtorch.tabletop.viewer.postures import rest_postures
 from cgtorch.tabletop.viewer.timeline import timeline_of
 
 REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
@@ -116,10 +115,9 @@ def test_messages() -> None:
 
 def test_what_is_shown_is_of_the_step_and_safe_as_html() -> None:
     robot = load_robot()
-    rest = tuple(torch.zeros_like(q) for q in rest_postures(robot))
     skill = random_skill(3, "<b>", custom_actions())
     run = execute(skill, world(3, 1))
-    line = timeline_of(run, robot, rest)
+    line = timeline_of(run, robot)
     for k, step in enumerate(run.steps):
         frame = line.start_of(k)
         slot = step.places[-1][1]

@@ -12,7 +12,6 @@ from viser.transforms import SE3
 
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
 from cgtorch.tabletop.viewer.execution import execute
-from cgtorch.tabletop.viewer.postures import rest_postures
 from cgtorch.tabletop.viewer.scene import Scene
 from cgtorch.tabletop.viewer.timeline import Timeline, joint_names, timeline_of
 
@@ -37,7 +36,7 @@ def shapeless(folder: Path) -> Robot:
 
 def some_timeline(robot: Robot) -> Timeline:
     run = execute(random_skill(3, "some", custom_actions()), world(3, 1))
-    return timeline_of(run, robot, rest_postures(robot))
+    return timeline_of(run, robot)
 
 
 @pytest.mark.parametrize("seen", [True, False])
@@ -58,7 +57,7 @@ def test_base_object_and_links_are_where_they_should_be(
         tops = timeline.object[at].numpy() + np.array([0, 0, 0.05])
         np.testing.assert_allclose(scene.object.position, tops, atol=1e-6)
     for which, arm in enumerate(robot.arms):
-        q = rest_postures(robot)[which]
+        q = robot.home[which]
         wanted = tool_pose(arm, q).numpy()
         tool = robot.description.arms[which].tool_frame
         np.testing.assert_allclose(drawn_pose(scene, tool), wanted, atol=1e-6)
