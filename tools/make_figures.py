@@ -25,6 +25,9 @@ MARKED = re.compile(r"(<!-- figure: (\w+) -->\n).*?(<!-- /figure -->)", re.DOTAL
 
 COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 
+UNSOLVED = "–"
+"""The cost of what no seed has solved."""
+
 Figure: TypeAlias = dict[str, Any]
 """A figure as its JSON file holds it: command, commit, machine, code, columns, rows, keys."""
 
@@ -167,7 +170,7 @@ def plots(figures: dict[str, Figure]) -> dict[str, str]:
         drawing = Drawing(figsize=(7, 3.4), layout="constrained")
         axes = drawing.subplots()
         for library, marker in zip(libraries, "osD^v", strict=False):
-            rows = [row for row in figure["rows"] if row[1] == library]
+            rows = [r for r in figure["rows"] if r[1] == library and r[-1] != UNSOLVED]
             seconds = [float(row[-1].split()[0]) for row in rows]
             where = [tasks.index(row[0]) for row in rows]
             axes.scatter(seconds, where, marker=marker, label=library)

@@ -26,7 +26,8 @@ class EvolutionSettings:
         elite: best individuals that go on unchanged.
         capacity: the most nodes a graph can have.
         initial_nodes: fewest and most nodes of a first graph, before pruning.
-        first_graphs: draws random graphs, `random_graphs` or `varied_graphs`.
+        first_graphs: draws populations of random graphs, `random_graphs` or `varied_graphs`. Beside
+            seeds, the random half of a first population is always of `random_graphs`.
         tau: variance of the drift of strategy parameters (eq. 2).
         islands: populations that evolve apart; see `cgtorch.evolution.islands`.
         migration: generations between two migrations.
