@@ -16,8 +16,8 @@ def summary_of(knowledge: Knowledge) -> ModelSummary:
         return ModelSummary(f"{said}; now from {rows}", {"models/rows": _moves(knowledge)})
     classifier = knowledge.classifier_report
     text = (
-        f"Γ errs by {_errors(knowledge.gamma_report)}, "
-        f"C is right on {100 * classifier.balanced_accuracy:.1f} %; {rows}"
+        f"Γ has an error of {_errors(knowledge.gamma_report)}; "
+        f"C has a balanced accuracy of {100 * classifier.balanced_accuracy:.1f} %; {rows}"
     )
     curves = {
         "gamma": knowledge.gamma_report.learning_curve,
@@ -59,7 +59,7 @@ def _errors(report: TransitionReport) -> str:
 def _learned(name: str, acceptance: Acceptance) -> str:
     """What was decided about a model that learned on."""
     if acceptance.accepted:
-        return f"{name} has learned on"
+        return f"{name} was trained on more data"
     return (
         f"{name} stays as it was, since its error on earlier data would be "
         f"{acceptance.after:.4f} instead of {acceptance.before:.4f}"

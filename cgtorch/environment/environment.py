@@ -78,9 +78,9 @@ class Lanes:
         """(n,) bool, whether anything but the step count differs from lanes of the same rows."""
         changed = torch.zeros(len(self), dtype=torch.bool, device=self.percept.device)
         for f in fields(self):
-            mine, theirs = getattr(self, f.name), getattr(other, f.name)
-            if mine is not theirs and f.name not in ("scenario", "step"):
-                changed |= (mine != theirs).view(len(self), -1).any(1)
+            one, two = getattr(self, f.name), getattr(other, f.name)
+            if one is not two and f.name not in ("scenario", "step"):
+                changed |= (one != two).view(len(self), -1).any(1)
         return changed
 
     def with_memory(self, part: slice) -> Self:

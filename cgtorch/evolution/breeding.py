@@ -30,12 +30,12 @@ def next_population(
     elite, best = elite.to(home), int(order[0])
     if settings.crossover is crossover and settings.mutation is mutate:
         sizes = settings.capacity, settings.tau, size
-        following = offspring(population, elite, parents, actions, generator, *sizes)
+        individuals = offspring(population, elite, parents, actions, generator, *sizes)
     else:
         children = _children(population, parents, settings, actions, generator)
-        following = join(slim(population[elite]), children)[:size]
+        individuals = join(slim(population[elite]), children)[:size]
     return EvolutionState(
-        population=following,
+        population=individuals,
         generation=state.generation + 1,
         best=population[best : best + 1],
         best_fitness=float(evaluated.fitness[best]),

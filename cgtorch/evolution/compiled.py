@@ -24,8 +24,8 @@ def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
     """Whether graphs, parameters of such a type, and so many slots are for compiled operators."""
     _, n, o = graphs.edges.shape
     return (
-        function("changed", parameters.dtype) is not None
-        and function("bred", torch.float32) is not None
+        function("perturb_parameters", parameters.dtype) is not None
+        and function("breed", torch.float32) is not None
         and within_limits(max(n, slots), o)
         and all(is_whole(x) for x in (graphs.action, graphs.edges, graphs.start))
     )
@@ -47,7 +47,7 @@ def takes_scores(scores: Tensor) -> bool:
     return scores.device.type == "cpu" and function("lexicase", scores.dtype) is not None
 
 
-def bred(
+def breed(
     population: Population,
     elite: Tensor,
     parents: Tensor,
@@ -55,7 +55,7 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """See `cgtorch.evolution.offspring.bred`."""
+    """See `cgtorch.evolution.offspring.breed`."""
     count, (_, n, o) = len(elite) + len(parents), population.graphs.edges.shape
     size, kinds = (count, min(n + 1, capacity)), 0 if actions is None else len(actions)
     sizes = size, (*size, o), (*size, 1), size[:1]
@@ -70,11 +70,11 @@ def bred(
         individuals=len(population), elites=len(elite), pairs=len(parents) // 2, actions=kinds,
         pair_key=keys[0], key=keys[1], width=0,
     )  # fmt: skip
-    _call("bred", torch.float32, breeding, threads())
+    _call("breed", torch.float32, breeding, threads())
     return _in_slots(room, breeding.made.nodes), strategy, first.tolist()
 
 
-def changed(
+def perturb_parameters(
     graphs: Graphs,
     old: Tensor,
     fresh: Tensor,
@@ -84,7 +84,7 @@ def changed(
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
-    """See `cgtorch.evolution.parameters.changed_in_torch`."""
+    """See `cgtorch.evolution.parameters.perturb_parameters_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
     made, drifted = old.new_empty(p, n, k), torch.empty(p, len(STRATEGY))
     children = structure("Children", old.dtype)(
@@ -93,7 +93,7 @@ def changed(
         quantiles=quantiles(), parameters=made, drifted=drifted, rows=p, nodes=n, most=k,
         actions=len(actions), same=same, key=key, spread=spread(tau),
     )  # fmt: skip
-    _call("changed", old.dtype, children, threads())
+    _call("perturb_parameters", old.dtype, children, threads())
     return made, drifted
 
 
@@ -137,7 +137,7 @@ def _limits() -> Mapping[str, int]:
 def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
     failure = function(name, dtype)(*arguments)
     if failure == NO_PARENT:
-        raise IndexError("a parent is none of the individuals; choose indices from 0 on")
+        raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
     if failure:
         raise MemoryError(f"no memory to run {name}")
 

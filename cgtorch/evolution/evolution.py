@@ -5,6 +5,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
+from cgtorch.evolution.alternating import next_alternating
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
@@ -16,7 +17,6 @@ from cgtorch.evolution.population import (
 )
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
-from cgtorch.evolution.turns import next_in_turn
 from cgtorch.ground.errors import DataError
 
 
@@ -84,13 +84,17 @@ def next_state(
     generator: Generator,
 ) -> EvolutionState:
     """`tell` unchecked, of individuals whose fitness and scores have no NaN."""
-    how = next_in_turn if settings.lineages else next_population
+    how = next_alternating if settings.lineages else next_population
     return how(state, evaluated, settings, actions, generator)
 
 
 def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
     """DataError unless both are about a population of that size."""
     if not isinstance(fitness, Tensor) or fitness.shape != (size,):
-        raise DataError(f"fitness is {kind(fitness)}; give a tensor ({size},), one of each")
+        raise DataError(
+            f"fitness is {kind(fitness)}; give a tensor ({size},), one number for each individual"
+        )
     if scores is not None and (scores.dim() != 2 or len(scores) != size or not scores.shape[1]):
-        raise DataError(f"scores are {kind(scores)}; give a tensor ({size}, B), B at least 1")
+        raise DataError(
+            f"scores are {kind(scores)}; give a tensor ({size}, B) with B of at least 1"
+        )

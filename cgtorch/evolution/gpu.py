@@ -30,7 +30,7 @@ WARPS = 32
 """Warps of a multiprocessor that choose parents at once."""
 
 
-def bred(
+def breed(
     gpu: Launcher,
     population: Population,
     elite: Tensor,
@@ -39,13 +39,13 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor]:
-    """See `cgtorch.evolution.offspring.bred`; new nodes are not numbered yet."""
+    """See `cgtorch.evolution.offspring.breed`; new nodes are not numbered yet."""
     graphs, rows = population.graphs, torch.cat([elite, parents])
     count, (_, n, o) = len(rows), graphs.edges.shape
     sizes = graphs.num_nodes.index_select(0, rows.clamp(0, len(graphs) - 1))
     low, high, width = torch.stack([rows.min(), rows.max(), sizes.max()]).tolist()
     if low < 0 or high >= len(graphs):
-        raise IndexError("a parent is none of the individuals; choose indices from 0 on")
+        raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
     slots = capacity if actions is None else min(width + 1, capacity)
     like = graphs.action
     made = Graphs(
@@ -67,7 +67,7 @@ def bred(
     return made, strategy
 
 
-def changed(
+def perturb_parameters(
     gpu: Launcher,
     graphs: Graphs,
     old: Tensor,
@@ -78,7 +78,7 @@ def changed(
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
-    """See `cgtorch.evolution.parameters.changed_in_torch`."""
+    """See `cgtorch.evolution.parameters.perturb_parameters_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
     made, drifted = old.new_empty(p, n, k), strategy.new_empty(p, len(STRATEGY))
     tables = _tables(actions, gpu.device)
@@ -119,7 +119,7 @@ def lexicase(
         scores=inside, epsilon=epsilon, members=members,
         keys=torch.tensor(list(keys)).to(gpu.device), cases=scores.new_empty(groups, b, most),
         ordered=places[0], leader=places[1],
-        turns=torch.empty(warps, b, dtype=torch.int32, device=gpu.device), chosen=chosen,
+        case_order=torch.empty(warps, b, dtype=torch.int32, device=gpu.device), chosen=chosen,
         scenarios=b, groups=groups, smaller=smaller, larger=larger, count=count, warps=warps,
     )  # fmt: skip
     module = SELECTION(dtype)

@@ -68,7 +68,7 @@ class Tried(Evaluated):
         return Tried(Population(Graphs(*graphs), strategy), fitness, scores, succeeded)
 
 
-def generator_of(generator: Generator, number: int) -> Generator:
+def derived_generator(generator: Generator, number: int) -> Generator:
     """The random numbers of an island: the first one's are those given, others derive from them.
 
     Nothing is drawn for it, so with one island all is as it would be without islands.
@@ -88,7 +88,7 @@ def first_islands(
     seeds: Population | None = None,
 ) -> list[Island]:
     """Those of the islands, counted from 0, whose numbers are given; see `initial_state`."""
-    own = [generator_of(generator, number) for number in numbers]
+    own = [derived_generator(generator, number) for number in numbers]
     return [Island(initial_state(settings, actions, each, seeds), each) for each in own]
 
 

@@ -67,7 +67,7 @@ class Lineage:
     since: int = 0
 
     @property
-    def standing(self) -> float:
+    def recent_fitness(self) -> float:
         """How good samples have been lately."""
         return sum(self.recent) / len(self.recent) if self.recent else self.fitness
 
@@ -153,8 +153,8 @@ def _after_samples(lineage: Lineage, evaluated: Evaluated, where: Tensor) -> Lin
     better = fitness.sort(descending=True).values[: max(1, len(fitness) // 4)]
     recent = (*lineage.recent, float(better.double().mean()))[-RECENT:]
     lineage = replace(lineage, distribution=distribution, recent=recent, since=lineage.since + 1)
-    if lineage.standing > lineage.level + LEAST_PROGRESS * min(abs(lineage.level), 1e9):
-        lineage = replace(lineage, level=lineage.standing, since=0)
+    if lineage.recent_fitness > lineage.level + LEAST_PROGRESS * min(abs(lineage.level), 1e9):
+        lineage = replace(lineage, level=lineage.recent_fitness, since=0)
     top = int(fitness.argmax())
     if float(fitness[top]) <= lineage.fitness:
         return lineage
@@ -176,7 +176,7 @@ def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Linea
     """Which lineages go on, and which are given up."""
     going = [each for each in lineages if not each.over]
     if going and max(each.distribution.updates for each in going) in RUNGS:
-        best = sorted(going, key=lambda each: -each.standing)
+        best = sorted(going, key=lambda each: -each.recent_fitness)
         stay = one_of_each_kind_first(best)[: -(-len(going) // 2)]
         going = [each for each in going if any(each is x for x in stay)]
     return tuple(going), tuple(each for each in lineages if not any(each is x for x in going))

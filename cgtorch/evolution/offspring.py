@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled, gpu
 from cgtorch.evolution.crossover import swapped
-from cgtorch.evolution.parameters import changed, copied, with_new_origins, with_origins
+from cgtorch.evolution.parameters import copied, perturb_parameters, with_new_origins, with_origins
 from cgtorch.evolution.population import STRATEGY, TAU, Population
 from cgtorch.evolution.structure import restructured
 from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
@@ -31,7 +31,7 @@ def crossover(first: Population, second: Population, generator: Generator) -> Po
     graphs = concatenate([first.graphs, second.graphs])
     parents = Population(graphs, torch.cat([first.strategy, second.strategy]))
     every, keys = torch.arange(len(graphs)), (random_key(generator), 0)
-    children = bred(parents, every[:0], every, keys, None, graphs.capacity)[0]
+    children = breed(parents, every[:0], every, keys, None, graphs.capacity)[0]
     return Population(copied(children, graphs.parameters), parents.strategy)
 
 
@@ -50,10 +50,10 @@ def mutate(
         graphs, rates = concatenate([graphs, graphs[:1]]), pad(rates, (0, 0, 0, 1))
     every, keys = torch.arange(len(graphs)), (0, random_key(generator))
     alone = Population(graphs, rates)
-    made, _, first = bred(alone, every[:0], every, keys, actions, graphs.capacity)
+    made, _, first = breed(alone, every[:0], every, keys, actions, graphs.capacity)
     made = widened(made[:p], graphs.capacity)
     old = population.graphs.parameters
-    return changed(made, first, old, actions, strategy, 0, generator, tau)
+    return perturb_parameters(made, first, old, actions, strategy, 0, generator, tau)
 
 
 def offspring(
@@ -74,11 +74,13 @@ def offspring(
     nodes that remain. IndexError if one of the elite or of the parents is none of the population.
     """
     keys, old = (random_key(generator), random_key(generator)), population.graphs.parameters
-    made, strategy, first = bred(population, elite, parents, keys, actions, capacity)
-    return changed(made[:size], first, old, actions, strategy, len(elite), generator, tau)
+    made, strategy, first = breed(population, elite, parents, keys, actions, capacity)
+    return perturb_parameters(
+        made[:size], first, old, actions, strategy, len(elite), generator, tau
+    )
 
 
-def bred(
+def breed(
     population: Population,
     elite: Tensor,
     parents: Tensor,
@@ -93,11 +95,11 @@ def bred(
     """
     graphs, slots = population.graphs, min(population.graphs.capacity + 1, capacity)
     if launcher := launcher_of(graphs.start.device):
-        made, strategy = gpu.bred(launcher, population, elite, parents, keys, actions, capacity)
+        made, strategy = gpu.breed(launcher, population, elite, parents, keys, actions, capacity)
         made, begins = with_new_origins(made, _standard(actions))
         return made, strategy, begins
     if compiled.takes(graphs, graphs.parameters, slots):
-        return compiled.bred(population, elite, parents, keys, actions, capacity)
+        return compiled.breed(population, elite, parents, keys, actions, capacity)
     rows = torch.cat([elite, parents])
     strategy = population.strategy.index_select(0, rows)
     width = int(graphs.num_nodes[rows].max()) if len(rows) else 0

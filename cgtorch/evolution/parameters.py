@@ -60,7 +60,7 @@ def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int
     return made, [0, *numbers.cumsum(0).tolist()]
 
 
-def changed(
+def perturb_parameters(
     graphs: Graphs,
     first: list[int],
     old: Tensor,
@@ -82,14 +82,16 @@ def changed(
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     key = random_key(generator)
-    way = compiled.changed if compiled.takes(graphs, old) else changed_in_torch
+    perturb = (
+        compiled.perturb_parameters if compiled.takes(graphs, old) else perturb_parameters_in_torch
+    )
     if launcher := launcher_of(old.device):
-        way = partial(gpu.changed, launcher)
-    made, after = way(graphs, old, fresh, actions, strategy, tau, same, key)
+        perturb = partial(gpu.perturb_parameters, launcher)
+    made, after = perturb(graphs, old, fresh, actions, strategy, tau, same, key)
     return Population(replace(graphs, parameters=made), after)
 
 
-def changed_in_torch(
+def perturb_parameters_in_torch(
     graphs: Graphs,
     old: Tensor,
     fresh: Tensor,

@@ -104,15 +104,15 @@ def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     """
     rows, row_of, size = _distinct(scores)
     cases, own = rows.T.contiguous(), keys(key, count)
-    stands = torch.ones(count, len(rows), dtype=torch.bool)
-    for case in _turns(own, scores.shape[1]):
-        score = cases[case].masked_fill_(~stands, float("-inf"))
-        stands &= score >= (score.amax(1) - epsilon[case])[:, None]
-        if stands.sum() == count:  # one for each parent
+    survives = torch.ones(count, len(rows), dtype=torch.bool)
+    for case in _case_order(own, scores.shape[1]):
+        score = cases[case].masked_fill_(~survives, float("-inf"))
+        survives &= score >= (score.amax(1) - epsilon[case])[:, None]
+        if survives.sum() == count:  # one for each parent
             break
     # A random individual: of a parent's rows each counts as often as there are of its kind.
     last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
-    ends = (stands * size).cumsum(1)
+    ends = (survives * size).cumsum(1)
     place = (last * ends[:, -1]).long()
     row = (ends <= place[:, None]).sum(1)
     within = place - ends.gather(1, row[:, None])[:, 0] + size[row]
@@ -120,15 +120,15 @@ def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     return row_of.argsort(stable=True)[first[row] + within]
 
 
-def _turns(own: Tensor, scenarios: int) -> Tensor:
+def _case_order(own: Tensor, scenarios: int) -> Tensor:
     """(B, count) in what order the scenarios come for keys (count,): Fisher and Yates' shuffle."""
-    turns = torch.arange(scenarios)[:, None].repeat(1, len(own))
-    for turn in range(scenarios):
-        at = turn + pick(uniform_from(words(own, torch.tensor(turn))), scenarios - turn)
-        found = turns.gather(0, at[None])
-        turns.scatter_(0, at[None], turns[turn : turn + 1].clone())
-        turns[turn] = found[0]
-    return turns
+    order = torch.arange(scenarios)[:, None].repeat(1, len(own))
+    for place in range(scenarios):
+        at = place + pick(uniform_from(words(own, torch.tensor(place))), scenarios - place)
+        found = order.gather(0, at[None])
+        order.scatter_(0, at[None], order[place : place + 1].clone())
+        order[place] = found[0]
+    return order
 
 
 def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:

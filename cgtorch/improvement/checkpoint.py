@@ -117,7 +117,7 @@ def islands_from(
     """
     if len(checkpoint.parts) != count:
         raise RunError(
-            f"the state of an evolution is one of {len(checkpoint.parts)} islands, not {count}; "
+            f"the checkpoint of an evolution has {len(checkpoint.parts)} islands, not {count}; "
             "remove it"
         )
     done = int(checkpoint.about["generations"])
@@ -152,7 +152,7 @@ def _damage() -> Iterator[None]:
         yield
     except (KeyError, ValueError, TypeError, RuntimeError) as e:
         reason = " ".join(str(e).split())[:200]
-        raise RunError(f"the state of an evolution is damaged ({reason}); remove it") from e
+        raise RunError(f"the checkpoint of an evolution is damaged ({reason}); remove it") from e
 
 
 def _population(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:

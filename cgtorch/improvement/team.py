@@ -116,9 +116,9 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
     group, champion, solved = _evolved(stage, state, name, missed)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, state.scenarios)
-    kept, promised = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
+    kept, predicted = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
     counts = solved_of(rate == 1, state.keep)
-    stage.watch(WorldTested(stage.name, name, *counts, kept, promised))
+    stage.watch(WorldTested(stage.name, name, *counts, kept, predicted))
     state = replace(state, hints=None, tried=tried)
     if (rate[missed] == 1).any():
         state = replace(

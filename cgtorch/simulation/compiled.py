@@ -156,6 +156,6 @@ def compiled_models(e: ModelEnvironment) -> tuple[CompiledModels, Any] | None:
         return None
     return models, structure("ModelEnvironment", models.dtype)(
         models=models.structure, percepts=e.percepts, state=e.first_state, errors=errors,
-        size=e.percept_size, turns=1 if errors is None else errors.shape[1],
+        size=e.percept_size, error_draws=1 if errors is None else errors.shape[1],
         controls=e.control_size, most_novel=e.most_novel,
     )  # fmt: skip

@@ -71,12 +71,12 @@ class CompiledActions:
         """Whether any of the graphs uses an action that only resumable rollouts can run."""
         if not self.some_only_resumable:
             return False
-        marks, action = self.only_resumable, graphs.action.contiguous()
+        flags, action = self.only_resumable, graphs.action.contiguous()
         if not action.is_cpu:
-            outside = (action < 0) | (action >= len(marks) - 1)
-            return bool(marks[torch.where(outside, len(marks) - 1, action)].any())
-        call = function("any_marked", self.dtype)
-        return bool(call(action, action.numel(), marks, len(marks) - 1))
+            outside = (action < 0) | (action >= len(flags) - 1)
+            return bool(flags[torch.where(outside, len(flags) - 1, action)].any())
+        call = function("any_flagged", self.dtype)
+        return bool(call(action, action.numel(), flags, len(flags) - 1))
 
     def to(self, device: torch.device) -> "CompiledActions":
         """The same with all tables of `program`, and `only_resumable`, on a device."""
@@ -127,13 +127,13 @@ def compiled_actions(
     numbers = constants("action_kinds", dtype)
     apart = [numbers[name] for name in (*WITH_MEMORY, "IN_PYTHON")]
     only = [each["kind"] in apart for each in fields]
-    marks = [int(_uses_any(each, table, only)) for each in actions.actions]
+    flags = [int(_uses_any(each, table, only)) for each in actions.actions]
     return CompiledActions(
         table=table,
         dtype=dtype,
         in_python=tuple(each["kind"] == numbers["IN_PYTHON"] for each in fields),
-        only_resumable=torch.tensor([*marks, 0]),
-        some_only_resumable=any(marks),
+        only_resumable=torch.tensor([*flags, 0]),
+        some_only_resumable=any(flags),
         longest=max([0, *table.limits]),
         program=program,
         memory=torch.tensor([[part.start, part.stop - part.start] for part in table.memory]),

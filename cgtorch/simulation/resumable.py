@@ -103,7 +103,7 @@ def _run(
     """Run all lanes to their ends."""
     table, waiting, count = known.table, rollouts.waiting, threads()
     asked = [_asked(rollouts, part, i) for i, part in enumerate(table.memory)]
-    told: AbstractSet[str] = set()
+    sent: AbstractSet[str] = set()
     resume(waiting, count)
     while (kind := waiting.kind) >= 0:
         given, parameters = asked[kind](waiting.asked)
@@ -113,11 +113,11 @@ def _run(
         news[what] = (outcome.long() if what == "outcome" else outcome).contiguous()
         if rewards is not None and after.state is not given.state:
             news["over"] = _over(environment, rewards, after)
-        for name in told - news.keys():
+        for name in sent - news.keys():
             setattr(waiting, name, None)
         for name, value in news.items():
             setattr(waiting, name, value.data_ptr())
-        told = news.keys()
+        sent = news.keys()
         resume(waiting, count)
         if waiting.num_wrong:
             raise ActionError(

@@ -117,7 +117,7 @@ def laid_out(
         state_bytes=lanes.state.shape[1] * lanes.state.element_size(),
         state_is_real=int(lanes.state.dtype == known.dtype),
         kinds=torch.empty(nodes, dtype=torch.int32),
-        ways=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
+        successors=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
         places=torch.empty(total * PLACE, dtype=torch.int32), caller=caller, outer=outer,
         outer_first=outer_first, queue=torch.empty(count * total, dtype=torch.int32),
         waiting=torch.zeros(shares * count, dtype=torch.long), executed=executed,

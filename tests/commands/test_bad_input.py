@@ -244,7 +244,10 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
         ),
         (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
         (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
-        (["percept=yaw"], "--percept auto of run .* as the data and models of the run have it"),
+        (
+            ["percept=yaw"],
+            "--percept auto of run .* as the data and models of the run depend on it",
+        ),
         (["method=paper"], "neither method can continue the other's skills"),
         (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),

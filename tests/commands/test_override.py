@@ -44,7 +44,7 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     assert ended.code == 0, ended
     assert "population is 30 in place of 60; S1 begins again" in said
     assert "max_transitions is 15 in place of 20; S1 begins again" in said
-    assert f"what S1 had come to is in {folder / 'set-aside' / '1'}" in said
+    assert f"the unfinished work on S1 is in {folder / 'set-aside' / '1'}" in said
     assert {p.name: p.read_bytes() for p in (folder / "set-aside/1/S1").iterdir()} == half
 
     settings = replace(SMALL, population=30, max_transitions=15)

@@ -165,6 +165,6 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     assert kept in ("S1", "auto-1")  # so few attempts may improve nothing
     assert json.loads(ended.out)["skill"] == kept
     assert shell(EVALUATE, folder / "auto-1", "--count", 5, "--json").out == ended.out
-    assert "can have no further stage" in shell.refuses(
+    assert "cannot make a single stage any more" in shell.refuses(
         TRAIN, "--resume", folder, "--stage", "S2", "--quiet"
     )

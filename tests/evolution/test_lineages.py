@@ -117,7 +117,7 @@ def test_random_populations_and_children_take_turns_and_nothing_good_is_lost() -
             assert max(known) == pytest.approx(best)
     assert len(turns) >= 3
     assert {size for _, size in turns} == {SETTINGS.population}
-    assert [bred for bred, _ in turns][:3] == [False, False, True]
+    assert [is_bred for is_bred, _ in turns][:3] == [False, False, True]
 
 
 @pytest.mark.parametrize("cut", [0, 1, 4, 8, 30])

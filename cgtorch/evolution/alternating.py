@@ -13,7 +13,7 @@ from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
 
 
-def next_in_turn(
+def next_alternating(
     state: EvolutionState,
     evaluated: Evaluated,
     settings: EvolutionSettings,
