@@ -217,4 +217,4 @@ def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
     if len(gamma.machine.centres) <= SWIFT_CENTRES:
         return gamma
     with torch.no_grad():
-        return gamma.compacted(SWIFT_CENTRES, dataset.percept, dataset.control)
+        return gamma.with_fewer_centres(SWIFT_CENTRES, dataset.percept, dataset.control)

@@ -7,7 +7,13 @@ from torch import Generator
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
-from cgtorch.evolution.lineages import after_samples, founded, raced, samples, with_lineages
+from cgtorch.evolution.lineages import (
+    after_samples,
+    new_lineages,
+    samples,
+    successive_halving,
+    with_lineages,
+)
 from cgtorch.evolution.population import Population, initial_strategy, slim
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
@@ -22,11 +28,11 @@ def next_alternating(
 ) -> EvolutionState:
     """Samples of lineages as long as there are any, else a population of structures."""
     if state.lineages:
-        lineages, ended = raced(after_samples(state.lineages, evaluated, actions))
+        lineages, ended = successive_halving(after_samples(state.lineages, evaluated, actions))
         assert state.parents is not None  # noqa: S101  they are there with lineages
         parents = with_lineages(state.parents, ended)
     else:
-        lineages = founded(evaluated, actions, settings.lineages)
+        lineages = new_lineages(evaluated, actions, settings.lineages)
         parents = evaluated
         if state.parents is not None:
             parents = parents.with_others(state.parents)

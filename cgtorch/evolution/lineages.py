@@ -83,7 +83,7 @@ class Lineage:
         return tuned or self.since >= STALL
 
 
-def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:
+def new_lineages(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:
     """Up to `count` lineages of the best of P individuals, one of each kind before a second one.
 
     An individual without parameters founds none, and none does whose fitness says that it has not
@@ -96,7 +96,7 @@ def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Linea
             break
         one = population[row : row + 1]
         one = slim(Population(compacted(one.graphs), one.strategy))
-        where = tuned(one.graphs, actions)
+        where = tunable(one.graphs, actions)
         if not where.any():
             continue
         steps = torch.tensor([action.first_step for action in actions.actions])
@@ -112,7 +112,7 @@ def one_of_each_kind_first(lineages: Sequence[Lineage]) -> list[Lineage]:
     return sorted(lineages, key=lambda each: all(each is not one for one in first))
 
 
-def tuned(graphs: Graphs, actions: ActionSet) -> Tensor:
+def tunable(graphs: Graphs, actions: ActionSet) -> Tensor:
     """(N, K) bool, which parameters of a single graph its nodes have."""
     action = graphs.action[0]
     count = actions.num_parameters[action.clamp_min(0)] * (action >= 0)
@@ -123,7 +123,7 @@ def samples(lineages: Sequence[Lineage], actions: ActionSet, generator: Generato
     """Samples of all lineages, one lineage after the other."""
     parts = []
     for lineage in lineages:
-        where = tuned(lineage.best.graphs, actions)
+        where = tunable(lineage.best.graphs, actions)
         count = usual_count(int(where.sum()))
         copies = lineage.best[torch.zeros(count, dtype=torch.long)]
         parameters = copies.graphs.parameters.clone()
@@ -139,7 +139,7 @@ def after_samples(
     """The lineages after their `samples` were evaluated, all of them in their order."""
     after, begin = [], 0
     for lineage in lineages:
-        where = tuned(lineage.best.graphs, actions)
+        where = tunable(lineage.best.graphs, actions)
         end = begin + usual_count(int(where.sum()))
         after.append(_after_samples(lineage, evaluated.rows(slice(begin, end)), where))
         begin = end
@@ -172,7 +172,9 @@ def with_lineages(evaluated: Evaluated, lineages: Sequence[Lineage]) -> Evaluate
     return evaluated.with_others(Evaluated(best, fitness, scores))
 
 
-def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:
+def successive_halving(
+    lineages: Sequence[Lineage],
+) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:
     """Which lineages go on, and which are given up."""
     going = [each for each in lineages if not each.over]
     if going and max(each.distribution.updates for each in going) in RUNGS:

@@ -14,7 +14,7 @@ RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0
 
 
-def train_branches(
+def train_gating(
     branch: BranchingNN, percepts: Tensor, solves: Tensor, weight: Tensor, generator: Generator
 ) -> tuple[Tensor, Tensor]:
     """(M - 1, K) parameters of branches, and (B,) long, the member that each scenario is sent to.

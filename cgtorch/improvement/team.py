@@ -13,7 +13,7 @@ from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, WorldTested, solved_of
-from cgtorch.improvement.gating import train_branches
+from cgtorch.improvement.gating import train_gating
 from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.shrink import shrunk
@@ -203,7 +203,7 @@ def _composed(
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.keep | state.targets, 3.0, 1.0)
     for _ in range(TRIES):
-        parameters, _ = train_branches(
+        parameters, _ = train_gating(
             branch, state.percepts, state.rates[:, chosen], weight, stage.generator
         )
         skill = compose(stage.name, members, parameters, setup.actions, setup.max_transitions)
