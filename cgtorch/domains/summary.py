@@ -16,8 +16,8 @@ def summary_of(knowledge: Knowledge) -> ModelSummary:
         return ModelSummary(f"{said}; now from {rows}", {"models/rows": _moves(knowledge)})
     classifier = knowledge.classifier_report
     text = (
-        f"Γ has an error of {_errors(knowledge.gamma_report)}; "
-        f"C has a balanced accuracy of {100 * classifier.balanced_accuracy:.1f} %; {rows}"
+        f"Γ errs by {_errors(knowledge.gamma_report)}, "
+        f"C is right on {100 * classifier.balanced_accuracy:.1f} %; {rows}"
     )
     curves = {
         "gamma": knowledge.gamma_report.learning_curve,

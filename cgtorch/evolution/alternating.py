@@ -1,4 +1,4 @@
-"""Search in turns: a population of structures, then lineages of the best ones."""
+"""Alternating search: a population of new structures, then lineages of its best structures."""
 
 from dataclasses import replace
 
@@ -26,7 +26,11 @@ def next_alternating(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """Samples of lineages as long as there are any, else a population of structures."""
+    """The next population, given how the last one did.
+
+    While lineages are running, the population consists of samples of them. Otherwise it consists of
+    new structures. See `cgtorch.evolution.lineages`.
+    """
     if state.lineages:
         lineages, ended = successive_halving(after_samples(state.lineages, evaluated, actions))
         assert state.parents is not None  # noqa: S101  they are there with lineages
@@ -57,9 +61,10 @@ def _next_structures(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """A population of new structures: random ones, or children of all parents, in turn.
+    """A population of new structures: alternately random graphs, and children of all parents.
 
-    Children go on from where lineages have come to, and can be caught there; random ones are not.
+    Children inherit what lineages have tuned, so they may inherit a local optimum as well. Random
+    graphs do not.
     """
     if not state.fresh:
         children = next_population(state, parents, settings, actions, generator)

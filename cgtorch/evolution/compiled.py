@@ -1,7 +1,7 @@
-"""Operators in C (`cgtorch/native/engine`), one individual after the other, as they are in torch.
+"""The genetic operators in C (`cgtorch/native/engine`), one individual at a time.
 
-Those in torch run where there is no compiler, or graphs are not of a size or type that the sources
-take. Both give the same children to the last bit.
+The operators in torch run instead if there is no compiler, or if the sizes or types of the graphs
+are not supported in C. Both give the same children, bit for bit.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from cgtorch.native.interface import agree
 
 
 def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
-    """Whether graphs, parameters of such a type, and so many slots are for compiled operators."""
+    """Whether the compiled operators support these graphs, parameter types and numbers of slots."""
     _, n, o = graphs.edges.shape
     return (
         function("perturb_parameters", parameters.dtype) is not None
@@ -32,18 +32,18 @@ def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
 
 
 def within_limits(nodes: int, outcomes: int) -> bool:
-    """Whether compiled operators have room for graphs of so many nodes and outcomes."""
+    """Whether the compiled operators support graphs with so many nodes and outcomes."""
     limits = _limits()
     return nodes <= limits["MOST_NODES"] and outcomes <= limits["MOST_OUTCOMES"]
 
 
 def is_whole(numbers: Tensor) -> bool:
-    """Whether numbers are of the type that compiled code takes for indices."""
+    """Whether a tensor has the type of indices in compiled code: long, on the CPU."""
     return numbers.is_cpu and numbers.dtype == torch.long
 
 
 def takes_scores(scores: Tensor) -> bool:
-    """Whether parents are chosen by compiled code from scores."""
+    """Whether compiled code can select parents by these scores."""
     return scores.device.type == "cpu" and function("lexicase", scores.dtype) is not None
 
 
@@ -113,7 +113,7 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
 
 
 def shuffled(count: int, key: int) -> Tensor:
-    """See `cgtorch.ground.counter_rng.shuffled`, which does it where nothing is compiled."""
+    """A shuffled order, compiled if possible; see `cgtorch.ground.counter_rng.shuffled`."""
     if function("shuffled_order", torch.float32) is None:
         return counter_rng.shuffled(count, key)
     order = torch.empty(count, dtype=torch.long)
@@ -143,7 +143,7 @@ def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
 
 
 def graphs_structure(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
-    """A `Graphs` of graph.h, of graphs with so many slots, whose nodes carry `origins` or none."""
+    """The `Graphs` of graph.h, with `nodes` slots per graph and `origins` at the nodes if given."""
     action, edges, start = (x.contiguous() for x in (graphs.action, graphs.edges, graphs.start))
     kind = structure("Graphs", torch.float32)
     sizes = {"nodes": nodes, "outcomes": edges.shape[2]}
@@ -151,7 +151,7 @@ def graphs_structure(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
 
 
 def _in_slots(room: Graphs, slots: int) -> Graphs:
-    """The graphs that lie in this room with fewer slots each than there is room for."""
+    """The graphs with only their first `slots` slots, as views of the same memory."""
     if slots == room.capacity:
         return room
     p, _, o = room.edges.shape

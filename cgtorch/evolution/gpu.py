@@ -1,6 +1,6 @@
-"""Operators and selection on a GPU, from the C sources (`native/cuda/breeding.cu`, `selection.cu`).
+"""Operators and selection on a GPU, from C sources (`native/cuda/breeding.cu`, `selection.cu`).
 
-They are those of `cgtorch.evolution.compiled`, bit for bit; tensors are on the GPU all the time.
+They give the same bits as `cgtorch.evolution.compiled`. All tensors stay on the GPU.
 """
 
 import ctypes
@@ -21,13 +21,13 @@ from cgtorch.native.gpu import Launcher, Module
 
 BREEDING = partial(Module, "breeding", kernels=("elite", "pairs", "children"))
 SELECTION = partial(Module, "selection", kernels=("order", "sort_groups", "parents"))
-"""Kernels for numbers of a type."""
+"""The kernels for one type of numbers."""
 
 THREADS, WARP = 128, 32
 PAIRS = 64
-"""Threads of a block that crosses pairs: each needs much memory of its own."""
+"""Threads per block of the crossover kernel, where each thread needs much memory."""
 WARPS = 32
-"""Warps of a multiprocessor that choose parents at once."""
+"""Warps per multiprocessor that select parents at once."""
 
 
 def breed(
@@ -103,9 +103,9 @@ def shuffled(gpu: Launcher, count: int, key: int) -> Tensor:
 def lexicase(
     gpu: Launcher, scores: Tensor, members: Tensor, keys: Sequence[int], count: int
 ) -> Tensor:
-    """Parents (count,) of individuals in groups, one for each key, that are chosen one by one.
+    """Parents (count,) by lexicase selection within groups of individuals, one group per key.
 
-    `members` (P,) are all individuals, group after group, of scores (P, B).
+    `members` (P,) lists the individuals, group after group; they have scores (P, B).
     """
     dtype, (p, b), groups = scores.dtype, scores.shape, len(keys)
     most = constants("selection_limits", dtype)["CANDIDATES"]
@@ -129,7 +129,7 @@ def lexicase(
 
 
 def _deviations(scores: Tensor, groups: int) -> Tensor:
-    """(G, B) `selection.deviation` of the scores (P, B) of each group."""
+    """(G, B) `selection.deviation` of the scores (P, B) in each group."""
     smaller, larger = divmod(len(scores), groups)
     end, b = larger * (smaller + 1), scores.shape[1]
     parts = scores[:end].view(larger, smaller + 1, b), scores[end:].view(-1, smaller, b)
@@ -143,7 +143,7 @@ def _deviations(scores: Tensor, groups: int) -> Tensor:
 
 @cache
 def _tables(actions: ActionSet, device: torch.device) -> tuple[Tensor, ...]:
-    """What kernels look up: of actions, of strategies, and of normal numbers."""
+    """Lookup tables of the kernels: actions, bounds of strategies, and normal quantiles."""
     tables = actions.num_parameters, actions.standard, bounds(), quantiles()
     return tuple(table.to(device) for table in tables)
 

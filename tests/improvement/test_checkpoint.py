@@ -85,7 +85,7 @@ def test_what_is_kept_when_a_step_is_interrupted_is_where_it_stood(
 
 
 def test_another_count_of_islands_is_refused() -> None:
-    with pytest.raises(RunError, match="is one of 3 islands, not 2; remove it"):
+    with pytest.raises(RunError, match="has 3 islands, not 2; remove it"):
         islands_from(stands(second_generation(3)), ACTIONS, seeded(0), 2)
 
 
