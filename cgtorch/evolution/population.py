@@ -173,7 +173,10 @@ def seeded_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Half copies of seeds in turn, half random (section IV-B); GraphError if one is too large."""
+    """Half copies of the seeds in turn, half random (section IV-B).
+
+    GraphError if a seed has more nodes than `capacity`.
+    """
     half = size // 2
     fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)

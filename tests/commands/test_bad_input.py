@@ -47,7 +47,7 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["--stage", "S1", "--rounds", "3"], "--rounds are for --stage auto; add that or leave"),
         (
             ["--scenarios", "general"],
-            "about perimeter scenarios, not general; use --stage auto",
+            "use perimeter scenarios, not general; use --stage auto",
         ),
         (["--stage", "S0", "--scenarios", "general-clutter"], "use --stage auto"),
         (["--scenarios", "near"], "scenarios is 'near'; use one of perimeter, general, general-"),
@@ -252,7 +252,7 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
         (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),
         (["colour=red"], "--override 'colour=red' names no setting"),
-        (["actions=x:Y"], "--actions .* as the graphs of the run are made of them"),
+        (["actions=x:Y"], "--actions .* as the graphs of the run contain them"),
         (["population=many"], "'many' is not a valid integer"),
         (["population=0"], "population is 0; give a whole number of at least 2"),
         (["tournament="], "'' is not a valid integer"),
