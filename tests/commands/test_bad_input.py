@@ -210,7 +210,7 @@ def test_a_run_with_an_unknown_setting(shell: Shell, run_folder: Path) -> None:
 
 def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     folder = copied(trained, tmp_path / "run", ())
-    assert "has no finished stage; go on with --resume" in shell.refuses(EVALUATE, folder)
+    assert "has no finished stage; continue with --resume" in shell.refuses(EVALUATE, folder)
 
 
 def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
