@@ -61,6 +61,7 @@ class TabletopSettings(DomainSettings):
         "it, or mujoco, where it is carried out in physics (pip install 'cgtorch[physics]').",
         "data, models, W and M are of it",
         choices=WORLDS,
+        when="Use mujoco if contacts decide whether a grasp succeeds; it takes far longer.",
         before="kinematic",
     )
     touch: str = option(
@@ -69,6 +70,7 @@ class TabletopSettings(DomainSettings):
         "allowed.",
         "the data and models that are there have it",
         choices=("fails", "allowed"),
+        when="Use allowed if your robot may touch the table or itself.",
         before="fails",
     )
     grasp: str = option(
@@ -77,6 +79,7 @@ class TabletopSettings(DomainSettings):
         "nothing, posture for a posture at the object alone.",
         "it says what success means, for labels and W",
         choices=("way", "posture"),
+        when="Use posture to compare with runs of earlier versions.",
         before="posture",
     )
     networks: str = option(
