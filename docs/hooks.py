@@ -18,7 +18,7 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.settings import MOST
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import RunSettings
-from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.settings import PHYSICS_DEFAULTS, TabletopSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in (ROOT / "cgtorch").glob("*/__init__.py"))
@@ -28,6 +28,12 @@ REFERENCE = {
     "reference/cgtorch.md": ("cgtorch", [f"cgtorch.{name}" for name in MODULES]),
 }
 """Each page of the reference: its title, and the modules that it shows."""
+OTHER_DEFAULTS = {
+    "tabletop": TabletopSettings.run_defaults,
+    "tabletop with `--world mujoco`": PHYSICS_DEFAULTS,
+    "Gymnasium": GymnasiumSettings.run_defaults,
+}
+"""Defaults of settings of a run where they are others than usual, by domain."""
 HELPS, SETTINGS = "<!-- every command -->", "<!-- every setting -->"
 
 
@@ -73,11 +79,19 @@ def _settings(kind: type) -> str:
     ]
     for f in fields(kind):
         about = f.metadata
-        default = f"`{f.default:.4g}`" if isinstance(f.default, float) else f"`{f.default!r}`"
         fixed = "yes" if about["fixed"] else "no"
-        cells = f"`{f.name}`", about["help"], default, _values(f), about["when"], fixed
+        cells = f"`{f.name}`", about["help"], _default(kind, f), _values(f), about["when"], fixed
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
+
+
+def _default(kind: type, f: Field[Any]) -> str:
+    """The usual default, and the others that domains have."""
+    if isinstance(f.default, str | tuple) and not f.default:
+        return "none"
+    usual = f"`{f.default:.4g}`" if isinstance(f.default, float) else f"`{f.default}`"
+    others = OTHER_DEFAULTS.items() if kind is RunSettings else ()
+    return "; ".join([usual, *(f"{who}: `{own[f.name]}`" for who, own in others if f.name in own)])
 
 
 def _values(f: Field[Any]) -> str:

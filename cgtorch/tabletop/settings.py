@@ -62,6 +62,7 @@ class TabletopSettings(DomainSettings):
         "'cgtorch[physics]').",
         "its data, models, W and M come from that world",
         choices=WORLDS,
+        when="Use mujoco if contacts decide whether a grasp succeeds; it takes far longer.",
         before="kinematic",
     )
     touch: str = option(
@@ -69,6 +70,7 @@ class TabletopSettings(DomainSettings):
         "In physics, what a touch of table or robot by the arm does to a grasp: fails, or allowed.",
         "its data and models depend on it",
         choices=("fails", "allowed"),
+        when="Use allowed if your robot may touch the table or itself.",
         before="fails",
     )
     grasp: str = option(
@@ -77,6 +79,7 @@ class TabletopSettings(DomainSettings):
         "nothing, posture for a posture at the object alone.",
         "it says what success means, for labels and W",
         choices=("way", "posture"),
+        when="Use posture to compare with runs of earlier versions.",
         before="posture",
     )
     networks: str = option(

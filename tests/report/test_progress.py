@@ -50,8 +50,9 @@ def test_models_are_told_with_what_no_model_can_better(events: list[Event], mode
     told = models.summary(replace(models.fresh, quality=QUALITY))
     line = message_of(replace(fitted, summary=told))
     assert line.startswith(
-        "S1: on 2000 fresh transitions Γ errs by 1.06 cm on the object (floor 1.07; without the "
-        "noise of the motion 0.40) and 2.11 cm on the table (floor 1.97 ± 0.05), C's balanced "
+        "S1: the mean error of Γ on 2000 fresh transitions is 1.06 cm for the object (at best 1.07 "
+        "cm because of noise; 0.40 cm without noise) and 2.11 cm for the sides of the table (at "
+        "best 1.97 ± 0.05 cm); the balanced accuracy of C on fresh labels is "
     )
     said = Acceptance(True, 20, 0.02, 0.01, 0.001), Acceptance(False, 20, 0.03, 0.04, 0.001)
     learned = replace(models.knowledge, acceptances=said)
@@ -71,10 +72,11 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     assert len(lines) == sum(not isinstance(e, GenerationDone) for e in events) + 1
     assert lines[0] == "S1: stage 2 of 3, 6 scenarios to keep (W), 5 to solve"
     assert re.fullmatch(
-        r"S1: on 40 fresh transitions Γ errs by \d+\.\d\d cm on the object \(floor .*\) and "
-        r"\d+\.\d\d cm on the table \(floor .*\), C's balanced "
-        r"accuracy on fresh labels is \d+\.\d % near the object \(possible \d+\.\d\) and "
-        r"\d+\.\d % overall \(possible \d+\.\d\); "
+        r"S1: the mean error of Γ on 40 fresh transitions is \d+\.\d\d cm for the object "
+        r"\(at best .* cm because of noise; .* cm without noise\) and \d+\.\d\d cm for the sides "
+        r"of the table \(at best .* cm\); the balanced accuracy of C on fresh labels is "
+        r"\d+\.\d % near the object \(at best \d+\.\d %\) and "
+        r"\d+\.\d % overall \(at best \d+\.\d %\); "
         r"120 transitions and \d+ labels, 1\.5 s",
         lines[1],
     )
@@ -189,7 +191,7 @@ def test_how_good_the_first_models_are_stays_above_the_live_lines(
         for event in (replace(later, stage="start", summary=told), replace(later, summary=learned)):
             display(event)
     shown = text_of(display)
-    assert "start: on 2000 fresh transitions" in shown
+    assert "start: the mean error of Γ on 2000 fresh transitions" in shown
     assert "S1: " not in shown
 
 

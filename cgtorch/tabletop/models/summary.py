@@ -58,7 +58,7 @@ def tabletop_summary(
     for name in ("near", "overall", "beside"):
         scalars[f"classifier/{name}_accuracy"] = getattr(judged, name).balanced
         scalars[f"classifier/{name}_possible"] = getattr(judged, name).possible_balanced
-    text = f"{_on_fresh(fresh.quality)}, {_on_labels(judged)}; {rows_of(knowledge)}"
+    text = f"{_on_fresh(fresh.quality)}; {_on_labels(judged)}; {rows_of(knowledge)}"
     basic = summary_of(knowledge)
     return replace(basic, text=text, scalars=scalars, reliability=judged.reliability)
 
@@ -67,17 +67,18 @@ def _on_labels(quality: SuccessQuality) -> str:
     """How good C is on fresh labels, beside the most that is possible."""
     draws = (("near the object", quality.near), ("overall", quality.overall))
     said = (
-        f"{100 * one.balanced:.1f} % {where} (possible {100 * one.possible_balanced:.1f})"
+        f"{100 * one.balanced:.1f} % {where} (at best {100 * one.possible_balanced:.1f} %)"
         for where, one in draws
     )
-    return f"C's balanced accuracy on fresh labels is {' and '.join(said)}"
+    return f"the balanced accuracy of C on fresh labels is {' and '.join(said)}"
 
 
 def _on_fresh(quality: TransitionQuality) -> str:
     """Γ's errors on fresh transitions, each beside what no model can better."""
     return (
-        f"on {quality.rows} fresh transitions Γ errs by {100 * quality.object_error:.2f} cm on the "
-        f"object (floor {100 * quality.object_floor:.2f}; without the noise of the motion "
-        f"{100 * quality.object_offset:.2f}) and {100 * quality.table_error:.2f} cm on the table "
-        f"(floor {100 * quality.table_floor:.2f} ± {100 * quality.table_floor_error:.2f})"
+        f"the mean error of Γ on {quality.rows} fresh transitions is "
+        f"{100 * quality.object_error:.2f} cm for the object (at best "
+        f"{100 * quality.object_floor:.2f} cm because of noise; {100 * quality.object_offset:.2f} "
+        f"cm without noise) and {100 * quality.table_error:.2f} cm for the sides of the table "
+        f"(at best {100 * quality.table_floor:.2f} ± {100 * quality.table_floor_error:.2f} cm)"
     )
