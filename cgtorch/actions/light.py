@@ -1,9 +1,9 @@
-"""Layers of the networks that CMA-ES tunes: small weights, and biases that are smaller still."""
+"""Network layers for CMA-ES, with scaled-down weights and, even more so, biases."""
 
 from torch import Tensor
 
 WEIGHT, BIAS = 0.5, 0.01
-"""The factors of weight and bias parameters; `native/engine/memory.h` has the same."""
+"""The factors of weights and biases; `native/engine/memory.h` has the same."""
 
 
 def light_layer(x: Tensor, weights: Tensor, biases: Tensor) -> Tensor:

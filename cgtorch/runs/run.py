@@ -1,15 +1,17 @@
 """A run: a folder with everything it was made with and everything it produced.
 
-run.json            format, versions, domain, settings, goal, history of changes
-robot/ …            files of the domain, such as the tabletop's robot
-start/              the state before the first stage: data, Γ, C
-S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
-auto-1/ auto-2/ …   each finished round of --stage auto: the same
-journal/            the results so far of an unfinished stage or round
-set-aside/          journals of stages that were repeated with other settings or versions
-ledger/             every accepted skill, with the evidence for eq. 1
-summary.json        the final table
-events.out.…        TensorBoard
+The folder contains:
+
+    run.json            format, versions, domain, settings, goal, history of changes
+    robot/ …            files of the domain, such as the tabletop's robot
+    start/              the state before the first stage: data, Γ, C
+    S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+    auto-1/ auto-2/ …   each finished round of --stage auto: the same
+    journal/            the results so far of an unfinished stage or round
+    set-aside/          journals of stages that were repeated with other settings or versions
+    ledger/             every accepted skill, with the evidence for eq. 1
+    summary.json        the final table
+    events.out.…        TensorBoard
 """
 
 import itertools
