@@ -133,7 +133,7 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
 
 
 def paper_actions(percept_size: int = 7) -> ActionSet:
-    """The five actions of section VI, with networks that read percepts of that length."""
+    """The five actions of section VI, with networks for percepts of `percept_size` numbers."""
     return named_actions(ContinuousNN(percept_size), BranchingNN(percept_size))
 
 

@@ -50,7 +50,7 @@ class _Network(Action):
 
 
 class ContinuousNN(_Network):
-    """From the percept to a motion: 7-3-3, sigmoid hidden layer, linear output, sent as message."""
+    """Maps the percept to a motion: 7-3-3, sigmoid hidden layer, linear output, sent as message."""
 
     native_kind = "CONTINUOUS"
     plain_module = "cgtorch.export.plain.networks"

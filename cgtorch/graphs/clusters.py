@@ -1,4 +1,4 @@
-"""A skill as what is drawn of it: one cluster of nodes, edges and ends for every skill in it."""
+"""The structure of a skill for drawings: nodes, edges and ends, in a cluster for every skill."""
 
 from dataclasses import dataclass
 

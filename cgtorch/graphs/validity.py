@@ -16,7 +16,7 @@ from cgtorch.ground.errors import GraphError
 
 
 def reachable(graphs: Graphs) -> Tensor:
-    """(P, N) bool, slots the start leads to, itself included. Breadth first, all graphs at once."""
+    """(P, N) bool, the start and all slots that it leads to, by breadth-first search."""
     p, n, o = graphs.edges.shape
     seen = torch.zeros(p, n + 1, dtype=torch.bool, device=graphs.start.device)
     seen.scatter_(1, graphs.start[:, None], True)
