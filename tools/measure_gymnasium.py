@@ -83,8 +83,8 @@ def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
     made = len(read_json(run / "summary.json")["stages"])
-    about = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
-    return {**about, "solved": solved, **found}
+    origin = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    return {**origin, "solved": solved, **found}
 
 
 def _ended(run: Path, rounds: int) -> bool:
