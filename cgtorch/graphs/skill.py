@@ -75,7 +75,7 @@ class SubSkill(Action):
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
-        """Always an ActionError, as `rollout` runs the skill's own nodes."""
+        """See `Action.forward`; always an ActionError, as `rollout` runs the skill's own nodes."""
         raise ActionError(
             f"sub-skill {self.skill.name!r} cannot run as one step; run it with rollout()"
         )
