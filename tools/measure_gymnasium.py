@@ -96,7 +96,7 @@ def _ended(run: Path, rounds: int) -> bool:
 
 
 def counted(training: Callable[[], Any]) -> dict[str, float]:
-    """What a training in this process costs: episodes that ended, steps, and CPU seconds."""
+    """The cost of a training in this process: finished episodes, steps, and CPU seconds."""
     counts = Counts()
     plain_play, plain_step = Episode.play, VectorSteps.step
 
@@ -136,7 +136,7 @@ class Counts:
 
 
 def _tried(run: Path) -> dict[str, Any]:
-    """What the last skill does on fresh episodes."""
+    """The result of the last skill on fresh episodes."""
     program = str(Path(sys.executable).with_name("cgtorch-evaluate"))
     test = ["--count", str(EPISODES), "--seed", str(FRESH_SEED), "--json"]
     words = [program, str(run), *test]
