@@ -84,7 +84,7 @@ def _solve(
     tolerance: float,
     most: int,
 ) -> tuple[float, float]:
-    """Solve one problem in place; the bias, in the middle of what is optimal, and the violation."""
+    """Solve one problem in place; the bias, in the middle of optimal ones, and the violation."""
     diagonal = matrix.diagonal()
     for step_number in range(most + 1):
         # What a step up of each coefficient gains, and what a step down costs.

@@ -1,4 +1,4 @@
-"""What a robot description could say of a URDF: base, footprint, torso, arms, hands and body."""
+"""Proposing a robot description from a URDF: base, footprint, torso, arms, hands and body."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from cgtorch.tabletop.robot_folder.structure import LEAST_JOINTS, Array, Structu
 
 FLOOR_LINK = "base_footprint"
 PLACES = ("world", "map", "odom")
-"""Root links of other names than these belong to the robot."""
+"""Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: what ends below is where no arm comes
@@ -28,14 +28,14 @@ UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a person says of a robot; what is None or empty is proposed.
+    """The user's part of a description; what is None or empty is proposed.
 
     Attributes:
-        name: What the robot is called.
+        name: The name of the robot.
         base_frame, footprint, torso_position, arms, body: As in `RobotDescription`.
         torso_joint: As there; an empty text for none.
-        held: Where joints outside the arms stay, rad or m.
-        home: Where joints of the arms are while the robot drives, rad or m.
+        held: Positions of joints outside the arms, rad or m.
+        home: Positions of the arms' joints while the robot drives, rad or m.
     """
 
     name: str | None = None
