@@ -1,7 +1,7 @@
 """cgtorch: evolving robot skills as computational graphs in PyTorch.
 
-The names that most programs need are here, as in `from cgtorch import Action, evolve`. All other
-names are in the folders that they belong to.
+The most common names can be imported from here, as in `from cgtorch import Action, evolve`. All
+other names are in their own packages.
 """
 
 from importlib import import_module
@@ -66,12 +66,12 @@ __all__ = ["__version__", *_HOME]
 
 
 def __getattr__(name: str) -> Any:
-    """One of the names above, from its folder (PEP 562)."""
+    """One of the names above, imported from its package on first use (PEP 562)."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    """What there is, for whoever looks around."""
+    """All public names."""
     return sorted({*globals(), *_HOME})

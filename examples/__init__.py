@@ -1,1 +1,1 @@
-"""Domains of one's own, made with nothing but the public interface of cgtorch."""
+"""Example domains, made with the public interface of cgtorch only."""

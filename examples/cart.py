@@ -1,6 +1,8 @@
-"""A cart on a rail is to stop within 20 cm of the middle, and wind moves it, too.
+"""A cart on a rail must stop within 20 cm of the middle; wind moves it, too.
 
-cgtorch-train --domain examples.cart:Cart --run-dir runs/cart
+    cgtorch-train --domain examples.cart:Cart --run-dir runs/cart
+
+A push moves the cart by the control. The domain shows the least that a domain of your own needs.
 """
 
 from dataclasses import dataclass
@@ -13,14 +15,14 @@ from cgtorch import Domain, Field, ScenarioBatch, World
 
 @dataclass(frozen=True)
 class Carts(ScenarioBatch):
-    """Where B carts stand, and the wind there."""
+    """The positions of B carts, and the wind there."""
 
     place: Tensor  # (B,) m from the middle
     wind: Tensor  # (B,) m that a cart is moved by during a push
 
 
 class Rail(World):
-    """A state (n, 2) is place and wind; both are seen."""
+    """A state (n, 2) is position and wind; both are perceived."""
 
     control_size = 1
 

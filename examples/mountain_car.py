@@ -1,10 +1,10 @@
-"""Gymnasium's MountainCarContinuous-v0 in a Γ that is learned from a few hundred pushes.
+"""Gymnasium's MountainCarContinuous-v0, in a Γ learned from a few hundred pushes.
 
-cgtorch-train --domain examples.mountain_car:MountainCar --run-dir runs/car
+    cgtorch-train --domain examples.mountain_car:MountainCar --run-dir runs/car
 
-A car in a valley is to swing itself up to a flag. A push is a force that is held for ten steps, and
-costs what Gymnasium takes off the 100 points that the flag is worth. A start is solved at the flag
-with 90 points, from which Gymnasium calls the environment solved.
+A car in a valley must swing itself up to a flag. A push is a force that is held for ten steps. It
+costs what Gymnasium subtracts from the 100 points of the flag. A start is solved at the flag with
+90 points, Gymnasium's own threshold.
 """
 
 from collections.abc import Mapping
@@ -20,18 +20,18 @@ POWER, GRAVITY, FASTEST = 0.0015, 0.0025, 0.07
 LEFT, FLAG = -1.2, 0.45
 SOLVED = 90.0
 STARTS = {"valley": (-0.6, -0.4), "anywhere": (-1.1, 0.4)}
-"""Positions to start at: Gymnasium's own, and nearly all there are."""
+"""Initial positions: Gymnasium's own, and almost all possible ones."""
 
 
 @dataclass(frozen=True)
 class Starts(ScenarioBatch):
-    """Where the car stands at first."""
+    """The initial positions of the car."""
 
     position: Tensor  # (B,)
 
 
 class Valley(World):
-    """A state (n, 4) is position, velocity, steps and the points that pushing has cost."""
+    """A state (n, 4) is position, velocity, steps, and the points that pushing has cost."""
 
     control_size = 1
 
@@ -41,7 +41,7 @@ class Valley(World):
         return torch.nn.functional.pad(position[:, None], (0, 3))
 
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
-        """See `World.next_state`; these are Gymnasium's own lines, for many cars at once."""
+        """See `World.next_state`; these are Gymnasium's equations, for many cars at once."""
         position, velocity, steps, spent = state.unbind(1)
         force = control[:, 0].double().clamp(-1, 1)
         for _ in range(HELD):
@@ -56,7 +56,7 @@ class Valley(World):
         return torch.stack([position, velocity, steps, spent], 1)
 
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
-        """See `World.perceived`; speed is how far the car rolls during a push."""
+        """See `World.perceived`; speed is the distance that the car rolls during a push."""
         position, velocity, _, spent = state.unbind(1)
         return torch.stack([position, HELD * velocity, spent / 100], 1)
 

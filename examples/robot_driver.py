@@ -1,10 +1,12 @@
-"""A robot in MuJoCo carries out an exported skill, told of motions and arm commands alone.
+"""A robot in MuJoCo carries out an exported skill, given only motions and arm commands.
 
-A real robot's driver looks the same: `move` is what its navigation is asked, `carry_out` what goes
-to its arm and gripper controllers.
+A real robot's driver has the same structure: `move` calls its navigation, `carry_out` calls its arm
+and gripper controllers.
 
-cgtorch-export runs/reference --format state-machine --output S3.py
-python -m examples.robot_driver S3.py
+    cgtorch-export runs/reference --format state-machine --output S3.py
+    python -m examples.robot_driver S3.py
+
+The second command prints how the skill ends.
 """
 
 import importlib.util
@@ -31,10 +33,10 @@ HOLD = 0.5  # s
 
 
 class SimulatedRobot:
-    """A robot before a table, which looks, moves and uses its arms; noise is of its eyes."""
+    """A robot in front of a table, which perceives, moves and uses its arms; percepts are noisy."""
 
     def __init__(self, robot: Robot, scenario: Scenarios, noise: float = 0.005) -> None:
-        """A robot at the start of the first scenario; noise in m."""
+        """A robot at the start of the first scenario; the noise of percepts is in m."""
         table, placed = scenario.table[0].double(), scenario.object[0].double()
         centre = [*placed.tolist(), float(table[5]) + 0.05]
         thing = np.array([*centre, 1.0, 0, 0, 0])
@@ -51,7 +53,7 @@ class SimulatedRobot:
         return seen
 
     def move(self, *motion: float) -> bool:
-        """Drive by dx, dy (m), then turn by dθ (rad), if the way is clear."""
+        """Drive by dx, dy (m), then turn by dθ (rad), if the motion is clear."""
         pose, control = (torch.tensor([list(x)]).double() for x in (self.scene.pose, motion))
         table = torch.from_numpy(self.scene.table)[None, :5]
         footprint = torch.tensor(self.robot.description.footprint).double()
@@ -63,7 +65,7 @@ class SimulatedRobot:
         return bool(found[10])
 
     def carry_out(self, command: Any) -> bool:
-        """Send an `ArmCommand` to the servos; whether the object is then held in the air."""
+        """Send an `ArmCommand` to the servos; returns whether the object is then in the air."""
         arm = next(k for k, a in enumerate(self.robot.arms) if a.name == command.arm)
         model = self.physics.model(arm, 0)
         data, servos = put(model, self.scene), {j.name: j for j in (*model.arm, *model.fingers)}
@@ -87,7 +89,7 @@ class SimulatedRobot:
 
 
 def states_of(skill: ModuleType, robot: SimulatedRobot) -> dict[str, Any]:
-    """The exported skill's classes, filled in."""
+    """The exported skill's classes, with their methods implemented."""
 
     class Drive(skill.MoveBase):  # type: ignore[misc, name-defined]
         def move(self, userdata: Any, *motion: float) -> bool:
@@ -111,7 +113,7 @@ def states_of(skill: ModuleType, robot: SimulatedRobot) -> dict[str, Any]:
 
 
 def module_of(path: Path) -> ModuleType:
-    """An exported state machine, which is run: give one that you trust."""
+    """An exported state machine, which is executed; use only files that you trust."""
     spec = importlib.util.spec_from_file_location("exported_skill", path)
     if spec is None or spec.loader is None:
         raise SystemExit(f"{path} is no Python file; give one that cgtorch-export has written")
@@ -122,7 +124,7 @@ def module_of(path: Path) -> ModuleType:
 
 
 def main(words: Sequence[str]) -> None:
-    """Run a skill on a random placement: file, and a seed if one is given."""
+    """Run a skill on a random scenario; the words are a file and, optionally, a seed."""
     seed = int(words[1]) if len(words) > 1 else 0
     scenario = draw_of("perimeter")(1, torch.Generator().manual_seed(seed))
     skill, robot = module_of(Path(words[0])), SimulatedRobot(load_robot(), scenario)

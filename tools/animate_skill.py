@@ -22,7 +22,7 @@ from cgtorch.tabletop.world import Scenarios
 
 ROOT = Path(__file__).resolve().parents[1]
 TRIED = 60
-"""Scenarios among which those that are shown are looked for."""
+"""The number of scenarios from which those that are shown are chosen."""
 SHOWN = ("near", "left", "right")
 
 
@@ -50,7 +50,7 @@ def command(run: Path, output: Path) -> None:
 
 
 def edge_of(place: Tensor, size: Tensor) -> str:
-    """The edge of a table of this size that a place relative to its centre is nearest to."""
+    """The edge of a table of this size that is nearest to a place relative to its centre."""
     distance = (size / 2 - place.abs()).tolist()
     x, y = place.tolist()
     if distance[0] < distance[1]:

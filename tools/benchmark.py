@@ -73,10 +73,10 @@ ON_GPU: dict[str, Callable[[Effort], Line]] = {
     "gpu_rollouts": gpu_rollouts,
     **{f"gpu_generation_{size}": partial(gpu_generation, size) for size in GENERATIONS},
 }
-"""What --device cuda measures: a GPU beside the cores of its machine."""
+"""The lines of --device cuda: a GPU beside the cores of its machine."""
 
 LONG = {"svc_grid_search_large", "svr_grid_search_large", "cold_start", "memory_of_a_million"}
-"""Lines that take a minute or more even with --quick, where they run only by name."""
+"""Lines that take a minute or more even with --quick; with it, they run only by name."""
 
 PACKAGES = ("cgtorch", "torch", "numpy", "scikit-learn", "networkx")
 
@@ -96,8 +96,8 @@ def as_json(lines: list[Line], effort: Effort, seconds: float) -> dict[str, Any]
 def as_table(lines: list[Line]) -> Table:
     """One row per case of each line: seconds per call as median and extremes, and the ratio.
 
-    A target is the least that the ratio should be, or with ≤ the most. What a case has to say
-    besides, such as rates, stands below.
+    A target is the least that the ratio should be, or with ≤ the most. Further notes on a case,
+    such as rates, are below.
     """
     table = Table(title=f"{cores()} cores, {_cpu()}", title_justify="left")
     for heading in ("line", "case", "ours, s", "other, s", "ratio", "target", "clock"):
@@ -149,7 +149,7 @@ def _version(package: str) -> str | None:
     help="With cuda, a GPU beside this machine's cores.",
 )
 def main(quick: bool, print_json: bool, only: tuple[str, ...], device: str) -> None:
-    """Measure cgtorch against what it is compared to."""
+    """Measure cgtorch and the alternatives."""
     effort, begin, lines = QUICK if quick else FULL, time.perf_counter(), []
     known = LINES | ON_GPU
     usual = [name for name in LINES if not (quick and name in LONG)]

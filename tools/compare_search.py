@@ -1,12 +1,12 @@
-"""Compare ways to search, on problems in the models of a finished run.
+"""Compare search methods on problems in the models of a finished run.
 
     python tools/compare_search.py RUN --out FOLDER [--seeds N] [--problem NAME] [--only NAME]
                                    [--base NAME]
 
-RUN is a run's folder, of which start/ is read. Each trial is kept as one JSON file in FOLDER and
-not made again, so a comparison that was broken off goes on, and printing the tables of a whole one
-takes a moment. The ways to search are those of `searches/variants.py`; p is that of Wilcoxon's
-signed-rank test against the first or another `--base`, seed by seed.
+RUN is the folder of a run, of which start/ is read. Each trial is kept as one JSON file in FOLDER
+and not repeated, so an interrupted comparison can continue, and tables are printed at once from
+finished trials. The methods are those of `searches/variants.py`. p is that of Wilcoxon's
+signed-rank test against the first method or another `--base`, seed by seed.
 """
 
 from pathlib import Path

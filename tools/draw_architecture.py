@@ -2,8 +2,8 @@
 
     python tools/draw_architecture.py
 
-A folder stands above all that it imports. Arrows that follow from others are left out, and so are
-those to folders that nearly all import.
+A folder is above all folders that it imports. Indirect arrows are left out, and so are those to
+folders that almost all import.
 """
 
 import ast

@@ -1,12 +1,12 @@
-"""Let a training run out of disk space at random moments, and go on with it once there is some.
+"""Let a training run out of disk space at random moments, and resume it with more space.
 
     mount -t tmpfs -o size=64m tmpfs /mnt/small
     python tools/fill_disk.py /mnt/small [--times 20] [--stage S0] [--seed 0] [--options "..."]
 
-A small run is made elsewhere without a disturbance. Then, again and again, it is made on the small
-file system, where all but a random part of what it needs is taken. It must end with exit code 2 and
-one line, and once there is space again, the same command must end as the run left alone, in all
-that `kill_and_resume.results_of` compares.
+A small run is made elsewhere without a disturbance. Then it is made again and again on the small
+file system, where only a random part of the space that it needs is free. It must end with exit code
+2 and one line. With more space, the same command must give the result of the undisturbed run, in
+everything that `kill_and_resume.results_of` compares.
 """
 
 import os

@@ -1,14 +1,13 @@
-"""Make a small run and print one number of all that it came to, to compare machines and ranks by.
+"""Make a small run and print one number for its results, to compare machines and ranks.
 
     python tools/fingerprint.py [--stage S0] [--seed 0] [--ranks 1 --ranks 2 ...] [--note]
 
 Machines of one kind, that is, with the same CPU, compiler, C library and version of torch, print
 the same fingerprint with any number of ranks: the same skills, W, M, ledgers and history of
-fitness, to the last bit. The population, 61, divides by none.
+fitness, bit for bit. The population of 61 is divisible by no number of ranks.
 
-`tools/fingerprints.json` holds what each kind of machine has printed. Where it holds another number
-for this kind, or numbers of ranks differ, this ends with exit code 1; `--note` writes what is new
-into it, for the next machine of the kind to be compared with.
+`tools/fingerprints.json` contains the known fingerprint of each kind of machine. If it has another
+one for this kind, or numbers of ranks differ, the exit code is 1. `--note` adds a new kind.
 """
 
 import hashlib
@@ -57,14 +56,14 @@ def command(stage: str, seed: int, counts: Sequence[int], note: bool) -> None:
 
 
 def fingerprint_of(found: set[str]) -> str:
-    """The only one; with several, ranks have come to different results."""
+    """The only fingerprint; a ClickException if numbers of ranks gave different ones."""
     if len(found) > 1:
         raise SystemExit(f"the ranks differ: {', '.join(sorted(found))}")
     return next(iter(found))
 
 
 def kind_of_machine() -> str:
-    """What the last digits of its numbers depend on."""
+    """Everything on which the last digits of this machine's numbers depend."""
     cpu = {}
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         name, _, value = line.partition(":")

@@ -1,12 +1,12 @@
-"""Give the library's loaders hostile files, and count what they make of them.
+"""Give the library's loaders damaged files, and count the results.
 
     python tools/fuzz.py [--count 100000] [--seed 0] [--only FORMAT] [--first 0] [--keep FOLDER]
 
 Real files are damaged: bytes, JSON values, tensors and headers of safetensors, elements of XML. A
-loader may accept a file or raise a `CgtorchError` of one printable line. All else is a failure:
-another error, a crash, ten seconds without an answer, more than 512 MiB of memory, a file written
-elsewhere, a program started, anything unpickled. Every failure is kept with the command that
-repeats it, and makes the exit code 1.
+loader may accept a file, or raise a `CgtorchError` with one printable line. Everything else is a
+failure: another error, a crash, ten seconds without an answer, more than 512 MiB of memory, a file
+written elsewhere, a program started, anything unpickled. Every failure is kept with the command
+that repeats it, and sets the exit code to 1.
 """
 
 import json
@@ -31,13 +31,13 @@ SHOWN, KEPT = 5, 20  # failures of a format
 
 @dataclass
 class Tally:
-    """What became of the inputs of one format.
+    """The results of the inputs of one format.
 
     Attributes:
-        accepted: loaded.
-        refused: ended in a `CgtorchError`.
-        failed: number of the input and what happened, for all others.
-        grown: most memory beyond what an idle worker has, KiB.
+        accepted: Number of loaded files.
+        refused: Number of files that ended in a `CgtorchError`.
+        failed: For all others, the number of the input and what happened.
+        grown: The most memory beyond an idle worker's, KiB.
     """
 
     accepted: int = 0

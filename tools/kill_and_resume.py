@@ -1,10 +1,10 @@
-"""Kill a training at random moments, go on with it each time, and compare with one left alone.
+"""Kill a training at random moments, resume it each time, and compare it with an undisturbed one.
 
     python tools/kill_and_resume.py FOLDER [--kills 50] [--stage S3] [--seed 0]
 
-A small run is made once without a disturbance, then again and again under `kill -9`, until as many
-kills as asked for have been survived. A run counts as the same if all its skills, W, M, ledgers and
-results but for times, and the whole history of fitness in TensorBoard, are.
+A small run is made once without a disturbance, then again and again under `kill -9`, until it has
+survived the given number of kills. Runs are equal if all skills, W, M, ledgers and results except
+times, and the whole history of fitness in TensorBoard, are equal.
 """
 
 import random
@@ -55,7 +55,7 @@ def command(folder: Path, kills: int, stage: str, seed: int) -> None:
 
 
 def train(run: Path, stage: str, seed: int, seconds: float | None = None) -> bool:
-    """Begin a run or go on with it, for so many seconds at most; whether it has ended."""
+    """Begin or resume a run, for at most `seconds`; returns whether it has ended."""
     program = [str(Path(sys.executable).with_name("cgtorch-train")), "--stage", stage]
     about = ["--seed", str(seed), "--run-dir", str(run)]
     process = subprocess.Popen(
@@ -73,7 +73,7 @@ def train(run: Path, stage: str, seed: int, seconds: float | None = None) -> boo
 
 
 def results_of(run: Path) -> dict[str, Any]:
-    """All that a run has come to but times: its files by name, and its history of fitness."""
+    """All results of a run except times: its files by name, and its history of fitness."""
     names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
     events = EventAccumulator(str(run), size_guidance={"scalars": 0})
@@ -84,7 +84,7 @@ def results_of(run: Path) -> dict[str, Any]:
 
 
 def check_same(run: Path, wanted: dict[str, Any]) -> None:
-    """ClickException unless a run has come to what is wanted, as `results_of` gives it."""
+    """ClickException unless a run has the wanted results (`results_of`)."""
     if (found := results_of(run)) != wanted:
         odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
         raise click.ClickException(f"{run} differs in {', '.join(odd)}")

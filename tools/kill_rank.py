@@ -1,10 +1,10 @@
-"""Kill one of several ranks at a random moment, and compare what comes of it with one process.
+"""Kill one of several ranks at a random moment, and compare the result with that of one process.
 
     python tools/kill_rank.py FOLDER [--kills 10] [--ranks 2] [--stage S1] [--seed 0]
 
 A small run is made once by one process. Then it is made again and again under `torchrun`, which
-starts all ranks again after one of them was killed (`kill -9`). The same as in
-`tools/kill_and_resume.py` has to come of it.
+restarts all ranks after one of them was killed (`kill -9`). The results must be equal, as in
+`tools/kill_and_resume.py`.
 """
 
 import os

@@ -7,7 +7,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent / "runs" / "reference"
 KEPT = ("run.json", "summary.json", "robot", "ledger", "by_rows", "S0", "S1", "S2", "S3")
-"""What is kept, beside the TensorBoard files: what evaluating needs; of models, the last ones."""
+"""The files that are kept, besides TensorBoard's: those for evaluation, and the last models."""
 
 
 def main() -> None:

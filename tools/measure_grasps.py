@@ -1,9 +1,9 @@
-"""How many grasps that are refused would be possible: the arm's way against a finer search.
+"""Measure how many refused grasps are possible, by a finer search for ways of the arm.
 
     python tools/measure_grasps.py [--robot pr2] [--count 400] [--seed 0]
 
-It takes minutes. The finer search samples the pan angle four times as closely, looks at every
-posture at every approach, and plans ten times as long to many more of them.
+It takes minutes. The finer search samples the pan angle four times as densely, tests every posture
+at every approach, and plans ten times as long to many more of them.
 """
 
 from unittest.mock import patch

@@ -83,8 +83,8 @@ def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
     made = len(read_json(run / "summary.json")["stages"])
-    about = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
-    return {**about, "solved": solved, **found}
+    origin = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    return {**origin, "solved": solved, **found}
 
 
 def _ended(run: Path, rounds: int) -> bool:
@@ -96,7 +96,7 @@ def _ended(run: Path, rounds: int) -> bool:
 
 
 def counted(training: Callable[[], Any]) -> dict[str, float]:
-    """What a training in this process costs: episodes that ended, steps, and CPU seconds."""
+    """The cost of a training in this process: finished episodes, steps, and CPU seconds."""
     counts = Counts()
     plain_play, plain_step = Episode.play, VectorSteps.step
 
@@ -136,7 +136,7 @@ class Counts:
 
 
 def _tried(run: Path) -> dict[str, Any]:
-    """What the last skill does on fresh episodes."""
+    """The result of the last skill on fresh episodes."""
     program = str(Path(sys.executable).with_name("cgtorch-evaluate"))
     test = ["--count", str(EPISODES), "--seed", str(FRESH_SEED), "--json"]
     words = [program, str(run), *test]

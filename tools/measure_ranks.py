@@ -1,9 +1,9 @@
-"""How much faster several ranks evaluate a population than one, each with one thread.
+"""Measure how much faster several ranks, each with one thread, evaluate a population than one.
 
     python tools/measure_ranks.py [--ranks 1 --ranks 2] [--population 4000] [--repeats 7]
 
-The same generation of random graphs is evaluated on 20 placements in the models of runs/reference,
-in turns with as many ranks as asked for; all must come to the same fitness, to the last bit.
+The same generation of random graphs is evaluated on 20 scenarios in the models of runs/reference,
+alternately with each number of ranks. All must give the same fitness, bit for bit.
 """
 
 import hashlib
@@ -56,14 +56,14 @@ def command(counts: Sequence[int], population: int, repeats: int, as_rank: bool)
 
 
 def measured(count: int, population: int, repeats: int) -> dict[str, Any]:
-    """What so many ranks measured."""
+    """The measurements of so many ranks."""
     options = ["--as-rank", "--population", str(population), "--repeats", str(repeats)]
     result: dict[str, Any] = json.loads(torchrun(count, [__file__, *options]))
     return result
 
 
 def torchrun(count: int, words: Sequence[str]) -> str:
-    """What a program prints on so many ranks of one thread each."""
+    """The output of a program on so many ranks with one thread each."""
     program = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
     ended = subprocess.run(
         [*program, f"--nproc-per-node={count}", *words],
@@ -78,7 +78,7 @@ def torchrun(count: int, words: Sequence[str]) -> str:
 
 
 def evaluate_as_rank(population: int, repeats: int) -> None:
-    """Evaluate the population with the other ranks; the first one prints what it took."""
+    """Evaluate the population with the other ranks; the first one prints the measurements."""
     torch.set_num_threads(1)
     generator, run = torch.Generator().manual_seed(0), open_run(REFERENCE)
     domain = run.domain

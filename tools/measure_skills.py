@@ -40,7 +40,7 @@ KINDS: dict[str, tuple[list[str], list[str]]] = {
 """Options of `cgtorch-train`, and what the skill is tried on."""
 
 FRESH_SEED = 11_000_001
-"""Of the fresh scenarios; far from the seeds that runs draw theirs with."""
+"""The seed of the fresh scenarios, far from the seeds of runs."""
 
 
 @click.command()
@@ -111,7 +111,7 @@ def largest(skill: Skill) -> int:
 
 
 def table(results: list[dict[str, Any]]) -> str:
-    """Markdown: a line for each kind and what its skills were tried on, over all seeds."""
+    """Markdown: a line for each kind of run and of scenarios, over all seeds."""
     lines = [
         "| run | tried on | median | least | seeds | seconds, of search at most | W lost | "
         "nodes, of a sub-skill |",

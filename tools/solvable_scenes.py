@@ -1,11 +1,11 @@
-"""Which share of random scenes can be solved at all, and in how many moves.
+"""Estimate the share of random scenes that can be solved at all, and in how many moves.
 
     python tools/solvable_scenes.py [--scenarios general-clutter] [--run RUN]
 
-A scene can be solved if there is a pose of the base that grasps the object and a driven way to it,
-in moves straight on with a turn at their end, as the world allows them. Poses and ways are sampled,
-so that the share is a lower bound, and moves are an upper one. With a run, its last skill is tried
-on the same scenes, and those that it misses are told.
+A scene can be solved if there is a pose of the base from which an arm can grasp the object, and a
+route to it, in straight motions with a turn at their end, that the world allows. Poses and routes
+are sampled, so the share is a lower bound, and the number of moves an upper bound. With a run, its
+last skill is tried on the same scenes, and those that it misses are reported.
 """
 
 from collections import Counter
@@ -34,7 +34,7 @@ MOST_MOVES = 10  # of 20 transitions, as each move takes a node that says where 
 @click.option("--samples", default=150, show_default=True, help="Poses of a roadmap at first.")
 @click.option("--run", type=click.Path(path_type=Path), help="A run to try on these scenes.")
 def command(scenarios: str, count: int, seed: int, samples: int, run: Path | None) -> None:
-    """Say which share of random scenes can be solved, and what a skill misses of them."""
+    """Print the share of random scenes that can be solved, and what a skill misses of them."""
     torch.set_num_threads(1)
     domain: Domain[Scenarios] = Tabletop().for_run(scenarios, "compose")
     scenes = domain.draw(scenarios, count, Generator().manual_seed(seed))
@@ -62,7 +62,7 @@ def command(scenarios: str, count: int, seed: int, samples: int, run: Path | Non
 def solvable(
     domain: Domain[Scenarios], scenes: Scenarios, samples: int, generator: Generator
 ) -> tuple[Tensor, Tensor]:
-    """(B,) bool, whether a pose that grasps was found, and (B,) long moves to one, 0 for none."""
+    """(B,) bool, whether a suitable pose was found, and (B,) long moves to it, 0 for none."""
     world = domain.world
     footprint = world(scenes[:0]).footprint
     moves = torch.zeros(len(scenes), dtype=torch.long)

@@ -17,26 +17,28 @@ from cgtorch.ground.errors import ActionError
 class Action(nn.Module, ABC):
     """A batched routine with named outcomes and real-valued parameters.
 
-    Subclasses set the attributes and implement `forward`. An action is shared by every node
-    that uses it: what differs from node to node are the parameters, which evolution owns.
+    Subclasses set the attributes and implement `forward`. All nodes of an action share the action
+    itself. They differ in their parameters, which are stored in the graph and evolve.
 
     Attributes:
-        outcomes: names of the outcomes, in the order of their indices.
-        terminal: outcomes that end the computation, and whether the skill then succeeded.
-        num_parameters: how many real parameters each node of this action carries.
-        message_size: length of the message it reads or writes, 0 for none.
-        memory_size: numbers of the common memory that it uses; they are zero when a skill begins.
-        memory_part: name of the part of the memory that these are. Actions that give the same name
-            share it; without a name the part is the action's own.
-        native_kind: name of the compiled counterpart, as native/engine/lanes.h lists it, for
-            just this class; "" if there is none.
-        plain_module: name of the module that has the same class in plain Python, for exported
-            state machines; "" if there is none.
-        plain_arguments: what that class is made with besides its parameters and sizes.
-        first_step: by how much a search that tunes parameters changes those of its nodes at first
-            (`cgtorch.evolution.lineages`); those of new nodes have a deviation of 1.
-        deterministic: whether equal lanes and parameters always give equal results; one that draws
-            random numbers says False.
+        outcomes: The names of the outcomes, in the order of their indices.
+        terminal: The outcomes that end the computation, and whether the skill then succeeded.
+        num_parameters: Number of real parameters of each node.
+        message_size: Length of the message that it reads or writes, 0 for none.
+        memory_size: Number of values in the lane's memory that it uses; they are zero when a skill
+            begins.
+        memory_part: The name of its part of the memory. Actions with the same name share the part;
+            without a name, the part is the action's own.
+        native_kind: The name of its compiled counterpart in native/engine/lanes.h, for exactly this
+            class; "" if there is none.
+        plain_module: The module with the same class in plain Python, for exported state machines;
+            "" if there is none.
+        plain_arguments: Arguments of that class besides its parameters and sizes.
+        first_step: The initial standard deviation of its parameters when a search tunes them
+            (`cgtorch.evolution.lineages`). The parameters of new nodes have a standard deviation of
+            1.
+        deterministic: Whether equal lanes and parameters always give equal results. Set it to False
+            for an action that draws random numbers.
     """
 
     outcomes: tuple[str, ...] = ("success",)
@@ -58,14 +60,14 @@ class Action(nn.Module, ABC):
         """Run the action on n lanes.
 
         Args:
-            lanes: the n lanes that are at a node of this action; of their memory (n, C) it is the
-                action's part.
+            lanes: The n lanes at nodes of this action. Their memory (n, C) is the action's part of
+                it.
             parameters: (n, num_parameters) the parameters of those nodes.
-            environment: where the skill runs; `step` moves, `observe` perceives, `success` tests.
+            environment: Where the skill runs; `step` moves, `observe` perceives, `success` tests.
 
         Returns:
-            The lanes afterwards and the (n,) long index of each lane's outcome. Rows must not
-            influence one another.
+            The lanes afterwards, and the (n,) long index of each lane's outcome. Rows must not
+                influence one another.
         """
 
     def initial_parameters(self, n: int, generator: Generator) -> Tensor:
@@ -73,15 +75,16 @@ class Action(nn.Module, ABC):
         return torch.randn(n, self.num_parameters, generator=generator)
 
     def uniform(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
-        """Random numbers, for an action that is stochastic (`cgtorch.ground.counter_rng`).
+        """Random numbers for a stochastic action (`cgtorch.ground.counter_rng`).
 
-        They depend on the seed of a lane's scenario, the name of the action's class, and how often
-        the lane has drawn with it, which the last number of the action's memory counts. So they
-        belong to the scenario, as the noise of the world does, and what a skill has solved it
-        solves again. All seeds come from the generator that the scenarios were drawn with.
+        They are a function of three things: the seed of the lane's scenario, the name of the
+        action's class, and how often the lane has drawn with it. The last number of the action's
+        memory counts the draws. So they belong to the scenario, as the noise of the world does, and
+        a skill that solved a scenario solves it again. All seeds come from the generator that drew
+        the scenarios.
 
-        Returned are the n lanes, which have drawn once more, and (n, size) numbers in [0, 1).
-        ActionError if the action does not say that it is stochastic, or has no memory.
+        Returned are the n lanes with the count increased, and (n, size) numbers in [0, 1).
+        ActionError if the action is deterministic or has no memory.
         """
         if self.deterministic or not self.memory_size:
             raise ActionError(
@@ -96,13 +99,13 @@ class Action(nn.Module, ABC):
         return replace(lanes, memory=memory), drawn.to(memory)
 
     def normal(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
-        """Standard normal numbers (n, size); the rest as for `uniform`."""
+        """Standard normal numbers (n, size); otherwise like `uniform`."""
         lanes, drawn = self.uniform(lanes, environment, 2 * size)
         return lanes, chance.normal(drawn)
 
 
 def memory_parts(actions: Sequence[Action]) -> tuple[tuple[slice, ...], int]:
-    """Where the part of each action, given once, in a lane's common memory lies, and its length."""
+    """The slice of the common memory of each distinct action, and the memory's length."""
     owner = [action.memory_part or id(action) for action in actions]
     sizes: dict[str | int, int] = {}
     for who, action in zip(owner, actions, strict=True):

@@ -1,4 +1,4 @@
-"""The actions a population may use, with their tables as tensors."""
+"""The actions that a population may use, with their properties as tensors."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,17 +19,18 @@ from cgtorch.ground.errors import ActionError
 class ActionSet:
     """A actions in a fixed order; a node's action is an index into it.
 
-    ActionError for no action, a name used twice, or an action without outcomes.
+    ActionError without any action, for a duplicate name, or for an action without outcomes.
 
     Attributes:
-        names: unique names, as they appear in graphs and files.
-        actions: the torch modules.
-        terminal: (A, O) bool, outcomes that end the computation, O the largest outcome count.
-        succeeds: (A, O) bool, terminal outcomes with which the skill succeeded.
+        names: Unique names, as in graphs and files.
+        actions: The torch modules.
+        terminal: (A, O) bool, outcomes that end the computation; O is the largest number of
+            outcomes.
+        succeeds: (A, O) bool, terminal outcomes with which the skill succeeds.
         has_edge: (A, O) bool, outcomes that must lead to a node.
         num_parameters: (A,) long.
-        standard: (A,) long, 1 where the parameters of new nodes are standard normal.
-        message_size: length of the longest message.
+        standard: (A,) long, 1 if the parameters of new nodes are standard normal.
+        message_size: Length of the longest message.
     """
 
     names: tuple[str, ...]
@@ -81,17 +82,17 @@ class ActionSet:
         return self.names.index(name)
 
     def extended(self, names: Sequence[str], actions: Sequence[Action]) -> "ActionSet":
-        """This set with more actions at its end; the indices of the present ones stay."""
+        """This set with more actions at its end; existing indices stay the same."""
         return ActionSet((*self.names, *names), (*self.actions, *actions))
 
     def initial_parameters(
         self, action: Tensor, generator: Generator, slots: int | None = None
     ) -> Tensor:
-        """Parameters (..., K) of new nodes of the given actions (...), zero where there are none.
+        """Parameters (..., K) of new nodes with the given actions (...), zero in unused entries.
 
-        Numbers are drawn for every action in turn, so the stream a generator yields does not
-        depend on what the nodes are. Of actions (P, N) only those of the first `slots` may be
-        wanted, (P, slots, K), which spares most of the memory.
+        Numbers are drawn for every action in turn, so the state of the generator afterwards does
+        not depend on the nodes. For actions (P, N), `slots` limits the result to the first slots
+        (P, slots, K), which saves memory.
         """
         wanted = action[..., :slots]
         out = torch.zeros(*wanted.shape, self.parameter_capacity)
@@ -106,7 +107,7 @@ class ActionSet:
 
 
 def _is_standard(action: Action) -> bool:
-    """Whether an action leaves `initial_parameters` as it is."""
+    """Whether an action uses the default `initial_parameters`."""
     return type(action).initial_parameters is Action.initial_parameters and (
         "initial_parameters" not in vars(action)
     )
@@ -132,12 +133,12 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
 
 
 def paper_actions(percept_size: int = 7) -> ActionSet:
-    """The five actions of section VI, with networks that read percepts of that length."""
+    """The five actions of section VI, with networks for percepts of `percept_size` numbers."""
     return named_actions(ContinuousNN(percept_size), BranchingNN(percept_size))
 
 
 def named_actions(*networks: Action) -> ActionSet:
-    """The routines of section VI and networks, under the names of their classes."""
+    """The routines of section VI and the given networks, named by their classes."""
     actions = (MoveBase(), Detect(), Grasp(), *networks)
     return ActionSet(tuple(type(a).__name__ for a in actions), actions)
 
@@ -145,7 +146,7 @@ def named_actions(*networks: Action) -> ActionSet:
 def reward_actions(percept: int, control: int) -> ActionSet:
     """The actions of domains with rewards, for percepts and controls of these lengths.
 
-    Four networks send a control: a linear one, one with a hidden layer of 8, one that sees the
+    Four networks send a control: a linear one, one with a hidden layer of 8, one that reads the
     latest changes, and a recurrent one. A step carries the control out, and a network branches.
     """
     return ActionSet(

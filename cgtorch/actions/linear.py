@@ -1,4 +1,4 @@
-"""Linear networks: of the percept, and of the percept with its latest changes."""
+"""Linear networks of the percept, and of the percept with its latest changes."""
 
 from dataclasses import replace
 
@@ -10,14 +10,14 @@ from cgtorch.actions.light import light_layer
 from cgtorch.environment import Environment, Lanes
 
 CHANGE = 10.0
-"""The factor of changes from step to step; `native/engine/memory.h` has the same."""
+"""The factor of changes between steps; `native/engine/memory.h` has the same."""
 
 
 def percept_and_changes(x: Tensor, earlier: Tensor) -> Tensor:
     """The inputs of a `DelayNN`, (n, (d + 1) * D): percepts, then ten times the latest changes.
 
-    Given are the percepts x (n, D) and d earlier ones (n, d * D), the latest first. The changes
-    follow in the same order.
+    `x` (n, D) are percepts, and `earlier` (n, d * D) are the d percepts before them, the latest
+    first. The changes have the same order.
     """
     window = torch.cat([x, earlier], -1).unflatten(-1, (-1, x.shape[-1]))
     changes = CHANGE * (window[..., :-1, :] - window[..., 1:, :])
@@ -25,21 +25,21 @@ def percept_and_changes(x: Tensor, earlier: Tensor) -> Tensor:
 
 
 class DelayNN(Action):
-    """A linear network of the percept and its latest changes, which sends its output as message.
+    """A linear network of the percept and its latest changes, whose output is sent as a message.
 
-    It sends V s + c, where s is the percept x(t) with the changes x(t) - x(t-1), x(t-1) - x(t-2)
-    and so on, ten times each: a tapped delay line (Waibel et al., "Phoneme recognition using
-    time-delay neural networks", IEEE Trans. ASSP 37, 1989) in the basis of backward differences.
-    A change from step to step tends to be a tenth of a percept's spread, so that the factor makes
-    all inputs alike in size. Measured on double pole balancing without velocities, the factor is
-    what makes the network learnable.
+    It sends V s + c. The vector s is the percept x(t) followed by ten times the changes x(t) -
+    x(t-1), x(t-1) - x(t-2), and so on. This is a tapped delay line (Waibel et al., "Phoneme
+    recognition using time-delay neural networks", IEEE Trans. ASSP 37, 1989) in the basis of
+    backward differences. A change in one step is typically a tenth of a percept's spread, so the
+    factor gives all inputs a similar size. On double pole balancing without velocities, the network
+    is learnable only with this factor.
 
     The parameters of a node are V (outputs, (delays + 1) * inputs) row by row, then c. The earlier
-    percepts lie in the lane's memory, zero when a skill begins. They belong to the action: all
-    nodes of the same action share them, and time counts its executions.
+    percepts are in the lane's memory, which is zero when a skill begins. They belong to the action:
+    all nodes of the action share them, and time counts its executions.
 
     Attributes:
-        delays: number of changes d; the memory has d * inputs numbers.
+        delays: Number of changes d; the memory has d * inputs numbers.
     """
 
     first_step = 2.0
@@ -70,10 +70,10 @@ class DelayNN(Action):
 
 
 class LinearNN(DelayNN):
-    """A linear network of the percept alone, V x + c, which sends its output as message.
+    """A linear network of the percept, V x + c, whose output is sent as a message.
 
-    It has the fewest parameters that a reaction to every number of a percept can have, and so it is
-    tuned in the fewest episodes where it is enough.
+    It has the fewest parameters of any network that reacts to every number of a percept, so it is
+    tuned in few episodes if it is sufficient.
     """
 
     native_kind = "DELAY"

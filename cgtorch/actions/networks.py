@@ -16,10 +16,10 @@ def network_parameters(inputs: int, hidden: int, outputs: int) -> int:
 
 
 def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> Tensor:
-    """A small network per row of x (n, inputs): sigmoid hidden layer, linear output (n, outputs).
+    """One network per row of x (n, inputs): sigmoid hidden layer, linear output (n, outputs).
 
-    Weights are (n, network_parameters(inputs, hidden, outputs)), each row W1 (hidden, inputs), b1,
-    W2 (outputs, hidden), b2, flattened in this order.
+    `weights` is (n, network_parameters(inputs, hidden, outputs)). Each row contains W1 (hidden,
+    inputs), b1, W2 (outputs, hidden), b2, flattened in this order.
     """
     inputs = x.shape[-1]
     w1, b1, w2, b2 = weights.split([hidden * inputs, hidden, outputs * hidden, outputs], dim=-1)
@@ -40,7 +40,7 @@ class _Network(Action):
         self.num_parameters = network_parameters(inputs, hidden, outputs)
 
     def sees(self, percept: Tensor) -> Tensor:
-        """What of percepts (n, D) the network reads (n, inputs)."""
+        """The numbers (n, inputs) of percepts (n, D) that the network reads."""
         return percept[:, : self.inputs]
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
@@ -50,7 +50,7 @@ class _Network(Action):
 
 
 class ContinuousNN(_Network):
-    """From the percept to a motion: 7-3-3, sigmoid hidden layer, linear output, sent as message."""
+    """Maps the percept to a motion: 7-3-3, sigmoid hidden layer, linear output, sent as message."""
 
     native_kind = "CONTINUOUS"
     plain_module = "cgtorch.export.plain.networks"
@@ -70,7 +70,7 @@ class ContinuousNN(_Network):
 
 
 class BranchingNN(_Network):
-    """From the percept to one of two branches: 7-3-2, all sigmoid, the larger output wins."""
+    """Maps the percept to one of two branches: 7-3-2, all sigmoid; the larger output decides."""
 
     outcomes: tuple[str, ...] = ("out1", "out2")
     native_kind = "BRANCHING"

@@ -1,4 +1,4 @@
-"""A recurrent network, whose hidden state lies in the memory of a lane."""
+"""A recurrent network, whose hidden state is in the memory of a lane."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from cgtorch.ground.numerics import sigmoid
 
 
 def recurrent_parameters(inputs: int, hidden: int, outputs: int) -> int:
-    """Number of weights and biases of an Elman network: W with R, b, V, c."""
+    """Number of parameters of an Elman network: W with R, b, V, c."""
     return hidden * (inputs + hidden + 1) + outputs * (hidden + 1)
 
 
@@ -21,9 +21,9 @@ def recurrent_step(
 ) -> tuple[Tensor, Tensor]:
     """One step of a network per row, from x (n, inputs) and state h (n, hidden).
 
-    Parameters are (n, recurrent_parameters(inputs, hidden, outputs)), each row W with R as one
-    matrix (hidden, inputs + hidden), b, V (outputs, hidden), c, flattened in this order. Returned
-    are the next state h' = tanh(W x + R h + b) (n, hidden), and V h' + c (n, outputs).
+    `parameters` is (n, recurrent_parameters(inputs, hidden, outputs)). Each row contains W with R
+    as one matrix (hidden, inputs + hidden), b, V (outputs, hidden), c, flattened in this order.
+    Returned are the next state h' = tanh(W x + R h + b) (n, hidden), and V h' + c (n, outputs).
     """
     hidden = state.shape[-1]
     seen = torch.cat([x, state], -1)
@@ -34,16 +34,15 @@ def recurrent_step(
 
 
 class RecurrentNN(Action):
-    """From the percept, and what it remembers, to a motion: an Elman network, 7-3-3.
+    """Maps the percept and a hidden state to a motion: an Elman network, 7-3-3.
 
     h' = tanh(W x + R h + b), and V h' + c is sent (Elman, "Finding structure in time", Cognitive
-    Science 14, 1990), where x is the percept and h the state: `hidden` numbers of the lane's
-    memory, zero when a skill begins. They are the action's, not a node's: all nodes of the same
-    action, also those in earlier skills that are nodes, go on from one state, each with weights of
-    its own.
+    Science 14, 1990). Here x is the percept, and h is the state: `hidden` numbers of the lane's
+    memory, zero when a skill begins. The state belongs to the action, not to a node. All nodes of
+    the action, also those in sub-skills, share the state, and each has its own weights.
 
-    Weights and biases count as in `cgtorch.actions.light`, without which double pole balancing is
-    not learnt.
+    Weights and biases are scaled as in `cgtorch.actions.light`; without this, double pole balancing
+    is not learned.
     """
 
     first_step = 0.6  # of larger ones hidden states lose all memory but a sign

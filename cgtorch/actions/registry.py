@@ -1,4 +1,4 @@
-"""Finding actions by name, and checking that they keep the interface."""
+"""Finding actions by name, and checking their interface."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -26,13 +26,13 @@ from cgtorch.ground.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
 TABLETOP = 7, 3
-"""Numbers of a percept and of a control in the paper."""
+"""The lengths of a percept and of a control in the paper."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
     "LinearNN": LinearNN,
     "DelayNN": lambda percept, control: DelayNN(percept, outputs=control),
     "RecurrentNN": lambda percept, control: RecurrentNN(percept, outputs=control),
 }
-"""Actions that belong to no domain, by name, from the numbers of its percepts and controls."""
+"""Actions for any domain by name; each is made from the lengths of its percepts and controls."""
 
 
 def resolve_actions(
@@ -40,12 +40,12 @@ def resolve_actions(
     basic: ActionSet | None = None,
     sizes: tuple[int, int] = TABLETOP,
 ) -> ActionSet:
-    """The `basic` actions, those of the paper if not given, and those named.
+    """The `basic` actions, by default those of the paper, followed by those named.
 
-    A name is that of a built-in action, which is made for percepts and controls of these `sizes`,
-    that of an entry point of the group "cgtorch.actions" that an installed package declares, or
-    "package.module:Class". Naming an action twice, or one of the basic ones, changes nothing.
-    ActionError if a name is unknown, or stands for nothing that can be made into an action.
+    A name is that of a built-in action, which is made for percepts and controls of these `sizes`;
+    that of an entry point of the group "cgtorch.actions" of an installed package; or
+    "package.module:Class". An action that is named twice, or is already basic, is added once.
+    ActionError if a name is unknown or cannot be made into an action.
     """
     actions = paper_actions() if basic is None else basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
@@ -67,7 +67,7 @@ def resolve_actions(
 
 
 def _made(spec: str, entry: EntryPoint) -> Action:
-    """The action that an entry point leads to."""
+    """The action of an entry point."""
     try:
         found = entry.load()
     except Exception as e:  # whatever a foreign module raises when it is imported
@@ -113,7 +113,7 @@ def check_action(
 
 
 def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tensor]) -> None:
-    """An error unless both are the same: what becomes of a row is its own affair."""
+    """ActionError unless both results are equal, since rows must not influence one another."""
     pairs = [(getattr(once[0], f.name), getattr(again[0], f.name)) for f in fields(Lanes)]
     for first, second in [*pairs, (once[1], again[1])]:
         if not torch.equal(first.nan_to_num(), second.nan_to_num()):
@@ -125,7 +125,7 @@ def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tenso
 
 
 def _parameters(name: str, action: Action) -> Tensor:
-    """The parameters of two nodes, if they are as the action promises."""
+    """The parameters of two nodes, after checking their shape."""
     who = f"action {name!r}: initial_parameters"
     for attribute in ("num_parameters", "message_size", "memory_size"):
         value = getattr(action, attribute)

@@ -9,10 +9,9 @@ from cgtorch.environment import Environment, Lanes
 
 
 class MoveBase(Action):
-    """Carry out the message as a control; for the robot of the paper dx, dy in m and dθ in rad.
+    """Carry out the message as a control; for the paper's robot dx, dy in m and dθ in rad.
 
-    Fails, and changes nothing, if the environment says that it cannot be done or no message has
-    been sent.
+    Fails, and changes nothing, if the environment cannot carry it out, or if there is no message.
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")
@@ -34,7 +33,7 @@ class MoveBase(Action):
 
 
 class Detect(Action):
-    """Perceive again, as the robot of the paper detects the table; always succeeds."""
+    """Perceive again, as the paper's robot detects the table; always succeeds."""
 
     outcomes: tuple[str, ...] = ("success",)
     native_kind = "DETECT"
@@ -47,10 +46,10 @@ class Detect(Action):
 
 
 class Grasp(Action):
-    """Test whether the task succeeds here, as by a grasp; success ends the computation.
+    """Test whether the task succeeds here, for example by a grasp; success ends the computation.
 
-    Where the environment answers with a probability, it counts as success above one half
-    (section III: C(p) > 0.5).
+    If the environment returns a probability, success means more than one half (section III: C(p) >
+    0.5).
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")

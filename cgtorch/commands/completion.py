@@ -1,6 +1,6 @@
-"""What a shell offers to complete: the script that asks for it, and words that come from files.
+"""Shell completion: the script for a shell, and words that come from files.
 
-Nothing here imports torch, as nobody waits a second for a word.
+Nothing here imports torch, so completion is fast.
 """
 
 from collections.abc import Callable, Iterable
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
 
 DOMAIN = "cgtorch.domain"
-"""Where a command line's context has the name of the domain that it is about."""
+"""The key of the domain's name in the context of a command line."""
 SHELLS = ("bash", "zsh", "fish")
 TRAINED = ("perimeter", "general", "general-clutter")
 SCENARIOS = ("near", "left", "right", "far", *TRAINED)
 STAGES = ("S0", "S1", "S2", "S3", "auto")
 
 Completer: TypeAlias = Callable[[Context, Parameter, str], list[CompletionItem]]
-"""What click asks with the words before and the beginning of one."""
+"""Maps click's context, parameter and incomplete word to completions."""
 
 
 def script(shell: str) -> str:
-    """What a shell has to read so that it completes the words of all commands of cgtorch."""
+    """The script that a shell reads to complete the words of all cgtorch commands."""
     complete = get_completion_class(shell)
     if complete is None:
         raise ValueError(f"shell is {shell!r}; use one of {', '.join(SHELLS)}")
@@ -40,7 +40,7 @@ def script(shell: str) -> str:
 
 
 def completing(words: Callable[[Context], Iterable[str]]) -> Completer:
-    """Completes each of the words that there are in a context."""
+    """Completes the words that a function of the context returns."""
 
     def complete(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
         return [CompletionItem(word) for word in words(context) if word.startswith(incomplete)]
@@ -49,7 +49,7 @@ def completing(words: Callable[[Context], Iterable[str]]) -> Completer:
 
 
 def one_of(words: Iterable[str]) -> Completer:
-    """Completes each of these words."""
+    """Completes these words."""
     return completing(lambda context: words)
 
 
@@ -63,19 +63,19 @@ def domains(context: Context) -> Iterable[str]:
 
 @completing
 def kinds_of_domain(context: Context) -> Iterable[str]:
-    """The kinds of scenarios that a run about the domain of a command line can be about."""
+    """The kinds of scenarios on which a run of the command line's domain can train."""
     return _of_domain(context, TRAINED, lambda domain: domain.trained_kinds or domain.kinds)
 
 
 @completing
 def stages(context: Context) -> Iterable[str]:
-    """The stages of the domain that a command line is about, and auto."""
+    """The stages of the command line's domain, and auto."""
     return _of_domain(context, STAGES, lambda domain: (*domain.stages, "auto"))
 
 
 @completing
 def ledger_names(context: Context) -> Iterable[str]:
-    """Names of the skills in the ledger of the run that has been named."""
+    """Names of the skills in the ledger of the run on the command line."""
     # While an option lacks its value, click has not yet taken the arguments out of `args`.
     run = context.params.get("path") or next(iter(context.args), ".")
     ledger = Path(run) / "ledger"
@@ -91,7 +91,7 @@ def declared_actions(context: Context) -> Iterable[str]:
 def _of_domain(
     context: Context, of_tabletop: Iterable[str], of: Callable[["type[Domain[Any]]"], Iterable[str]]
 ) -> Iterable[str]:
-    """Words of the domain that a command line is about, none if there is no such domain."""
+    """Words of the command line's domain; none if there is no such domain."""
     from cgtorch.domains.registry import TABLETOP, domain_class
 
     spec = context.meta.get(DOMAIN, TABLETOP)
@@ -104,7 +104,7 @@ def _of_domain(
 
 
 def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
-    """Folders of runs beginning with a word, those in runs/ to begin with; else any folder."""
+    """Folders of runs that begin with a word, first those in runs/; else any folder."""
     place, slash, begins = (incomplete or "runs/").rpartition("/")
     names = sorted(path.parent.name for path in Path(place + slash).glob("*/run.json"))
     return [CompletionItem(place + slash + name) for name in names if name.startswith(begins)] or [
@@ -113,7 +113,7 @@ def runs(context: Context, parameter: Parameter, incomplete: str) -> list[Comple
 
 
 def runs_or_skills(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
-    """Folders of runs as above; else any file."""
+    """Folders of runs as in `runs`; else any file."""
     return [
         CompletionItem(item.value, type="file" if item.type == "dir" else item.type)
         for item in runs(context, parameter, incomplete)

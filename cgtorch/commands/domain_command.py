@@ -1,4 +1,4 @@
-"""A command whose options are those of the domain that it is about."""
+"""A command whose options depend on the domain."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +15,15 @@ from cgtorch.runs.settings import RunSettings
 
 
 class DomainCommand(click.Command):
-    """A click command to which the options of a domain are added once its name is known."""
+    """A click command that gets the options of a domain once the domain's name is known."""
 
     def __init__(self, *args: Any, add: Callable[[str], list[click.Option]], **kwargs: Any) -> None:
-        """A command; `add` makes the options of the domain of that name."""
+        """A command; `add` makes the options of the domain with a name."""
         super().__init__(*args, **kwargs)
         self._add = add
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """See `click.Command.parse_args`; the domain is looked for first."""
+        """See `click.Command.parse_args`; the domain is determined first."""
         ctx.meta[DOMAIN] = spec = domain_named(args)
         import_from_here([spec])
         return super().parse_args(ctx, args)
@@ -42,7 +42,7 @@ class DomainCommand(click.Command):
 
 
 def domain_named(args: list[str]) -> str:
-    """The domain that words of a command line are about: named, or that of the run named."""
+    """The domain of a command line: the one it names, or that of the run that it names."""
     spec, run = _value(args, "--domain"), _value(args, "--resume")
     if spec is None and run is not None:
         try:

@@ -127,7 +127,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
 
 
 def _returns_as_text(score: "Score", target: float) -> str:
-    """The mean of the returns, and how many episodes were not finished."""
+    """The mean return and its interval, and the number of unfinished episodes."""
     returns = [] if score.returns is None else score.returns.tolist()
     finite = [r for r in returns if isfinite(r)]
     if len(finite) < score.tried:
@@ -140,13 +140,13 @@ def _returns_as_text(score: "Score", target: float) -> str:
 
 
 def _share(succeeded: int, tried: int) -> dict[str, Any]:
-    """A counted share with its interval, for programs."""
+    """A share with its interval, for programs."""
     rate, interval = succeeded / max(1, tried), list(wilson(succeeded, tried, 0.95))
     return {"tried": tried, "succeeded": succeeded, "rate": rate, "interval": interval}
 
 
 def _as_text(share: dict[str, Any]) -> str:
-    """The same for people."""
+    """A share with its interval, as text."""
     return f"{share['succeeded']} / {share['tried']} succeeded, {_confidence(share)}"
 
 
@@ -156,7 +156,7 @@ def _confidence(share: dict[str, Any]) -> str:
 
 
 def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
-    """Write the first scenarios and whether they were solved as a PNG file."""
+    """Draw the first scenarios and their results into a PNG file."""
     import io
 
     import torch

@@ -1,4 +1,4 @@
-"""What `cgtorch-train` tells about a new run: what it will do, where to see it, what comes next."""
+"""What `cgtorch-train` says about a new run: what it will do, where to watch it, what is next."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from cgtorch.training.stages import stages_to_make
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is to make: its last `stage`, or rounds until the `goal` is met."""
+    """The target of a run: its last `stage`, or rounds until the `goal` is reached."""
 
     run: Run
     stage: str
@@ -19,7 +19,7 @@ class Plan:
 
     @property
     def new(self) -> bool:
-        """Whether the run has made nothing yet."""
+        """Whether the run has produced nothing yet."""
         folder = self.run.folder
         return not self.run.stages and not any(
             (folder / name).exists() for name in ("start", "journal")
@@ -27,7 +27,7 @@ class Plan:
 
 
 def before(plan: Plan) -> Iterator[str]:
-    """The lines that are printed before a new run begins."""
+    """The lines printed before a new run begins."""
     run, settings = plan.run, plan.run.settings
     about = f"domain {settings.domain}, seed {settings.seed}"
     if plan.stage == AUTO:
@@ -50,7 +50,7 @@ def before(plan: Plan) -> Iterator[str]:
 
 
 def after(plan: Plan) -> Iterator[str]:
-    """The lines that are printed once a run has come to its end: what to look at next."""
+    """The lines printed at the end of a run: what to look at next."""
     run = plan.run
     if not run.stages:
         return
@@ -74,7 +74,7 @@ def _duration(plan: Plan) -> str:
 
 
 def _code(run: Run) -> str:
-    """The options that name the code of a run, as a run folder imports none."""
+    """The options that name the user's code of a run, as opening a run imports none by itself."""
     spec = run.settings.domain
     domain = f" --domain {spec}" if is_code(spec) else ""
     return domain + "".join(f" --actions {name}" for name in run.settings.actions if ":" in name)

@@ -1,4 +1,4 @@
-"""`cgtorch`: lists all commands, and runs one of them by its last word, as in `cgtorch train`."""
+"""`cgtorch` lists all commands and runs any of them, as in `cgtorch train`."""
 
 from functools import partial
 from importlib import import_module
@@ -20,7 +20,7 @@ Examples:
 
 
 class AllCommands(click.Group):
-    """A group of the commands that the installed package declares, each imported when it is used.
+    """The group of all commands of the installed package, each imported when it is used.
 
     `cgtorch NAME` and `cgtorch-NAME` are the same command.
     """
@@ -31,7 +31,7 @@ class AllCommands(click.Group):
         return sorted(name.removeprefix(PREFIX) for name in names if name.startswith(PREFIX))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of that name; None if there is none."""
+        """The command with that name, or None."""
         scripts = distribution("cgtorch").entry_points.select(group="console_scripts")
         for script in scripts.select(name=PREFIX + cmd_name):
             command: click.Command = import_module(script.module).command
@@ -46,9 +46,8 @@ class AllCommands(click.Group):
 def command(context: click.Context) -> None:
     """Evolve robot skills as computational graphs of actions.
 
-    `cgtorch train` without further words evolves a first skill in about a minute. Each command
-    below explains itself with --help and is also available under its own name, such as
-    cgtorch-train.
+    `cgtorch train` without further options evolves a first skill in about a minute. Each command
+    below has its own --help, and is also available under its own name, such as cgtorch-train.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())

@@ -1,4 +1,4 @@
-"""Options that mean the same wherever a command has them, and what every command has."""
+"""Options that several commands share."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def epilog(examples: str) -> str:
-    """What ends the help of every command: its examples and what it exits with."""
+    """The end of a command's help: its examples and exit codes."""
     codes = "Exit codes: 0 done; 1 the task failed or was interrupted; 2 bad input."
     return f"{examples.rstrip()}\n\n{codes}"
 
@@ -43,7 +43,7 @@ completion_option = click.option(
 
 
 def common_options(function: F) -> F:
-    """Decorator: the options that every command has, to stand last."""
+    """Decorator: the options of every command; use it last."""
     options = (
         click.option(
             "--actions",
@@ -96,12 +96,12 @@ force_option = click.option("--force", is_flag=True, help="Replace the file if i
 
 
 def output_option(what: str) -> Callable[[F], F]:
-    """Decorator: which file or folder is written."""
+    """Decorator: the option for the file or folder to write."""
     return click.option("--output", type=click.Path(path_type=Path), required=True, help=what)
 
 
 def check_output(output: Path, force: bool) -> None:
-    """RunError if there is a folder, or a file that may not be replaced."""
+    """RunError if the output is a folder, or a file that must not be replaced."""
     if output.is_dir():
         raise RunError(f"{str(output)!r} is a folder; choose another --output")
     if output.exists() and not force:
@@ -109,7 +109,7 @@ def check_output(output: Path, force: bool) -> None:
 
 
 def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callable[[F], F]:
-    """Decorator: which scenarios, how many up to so many, and their seed, each with its help."""
+    """Decorator: the kind of scenarios, their number (at most `most`) and seed, with their help."""
     kind = completion.one_of(completion.SCENARIOS)
     options = (
         click.option("--scenarios", shell_complete=kind, help=scenarios),
@@ -122,15 +122,15 @@ def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callab
 def number_option(
     name: str, kind: click.IntRange | click.FloatRange, default: float, what: str
 ) -> Callable[[F], F]:
-    """Decorator: a number within bounds."""
+    """Decorator: an option for a number within bounds."""
     return click.option(name, type=kind, default=default, show_default=True, help=what)
 
 
 @contextmanager
 def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """On a terminal, show on one live line what is waited for, how long, and how much is done.
+    """Show on a terminal a live line with a message, the elapsed time, and the work done.
 
-    What it yields is told how much more of the `total` has been done.
+    Yields a function to call with the amount of further work done, of `total`.
     """
     from rich.console import Console
     from rich.progress import (

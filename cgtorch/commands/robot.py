@@ -1,4 +1,4 @@
-"""`cgtorch-robot`: a robot folder from any URDF."""
+"""`cgtorch-robot`: make a robot folder from any URDF."""
 
 from functools import partial
 from pathlib import Path
@@ -85,10 +85,10 @@ NO_JOINT = "none"
 def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: Any) -> None:
     """Make a robot folder from a URDF, for --robot of cgtorch-train.
 
-    It has the URDF with shapes in place of meshes (robot.urdf), a description that is proposed
-    (robot.json), what was fitted to each mesh (shapes.json), and a picture of all this (robot.png).
-    Meshes are STL, DAE or OBJ files. Look at the picture and at what is printed, and give what is
-    wrong as an option.
+    The folder contains the URDF with simple shapes in place of meshes (robot.urdf), a proposed
+    description (robot.json), the shapes fitted to each mesh (shapes.json), and a picture
+    (robot.png). Meshes may be STL, DAE or OBJ files. Check the picture and the printed summary, and
+    correct the proposal with options.
     """
     if output.exists():
         raise RunError(f"{str(output)!r} exists; choose another --output")
@@ -136,7 +136,7 @@ def _position(option: str, text: str) -> tuple[str, float]:
 
 
 def _summary(made: "Made", folder: Path) -> list[str]:
-    """What was made, and what a person should look at."""
+    """What was made, and what the user should check."""
     words, robot = made.robot.description, made.robot
     x0, x1, y0, y1 = words.footprint
     lines = [

@@ -1,4 +1,4 @@
-"""`cgtorch-train`: evolve a skill for a domain, in stages or until a goal is met."""
+"""`cgtorch-train`: evolve a skill for a domain, in stages or until a goal is reached."""
 
 from collections.abc import Sequence
 from dataclasses import Field, fields
@@ -37,7 +37,7 @@ Examples:
 
 
 def _options(spec: str) -> list[click.Option]:
-    """The options of all settings of a run about a domain, and of its goal."""
+    """The options of all settings of a run in a domain, and of its goal."""
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
@@ -47,7 +47,7 @@ def _options(spec: str) -> list[click.Option]:
 
 
 def _option(f: Field[Any], default: Any) -> click.Option:
-    """The option of a field that `cgtorch.domains.settings.option` has made."""
+    """The option of a field made by `cgtorch.domains.settings.option`."""
     choices = f.metadata["choices"]
     kinds = completion.kinds_of_domain if f.name == "scenarios" else None
     return click.Option(
@@ -114,11 +114,12 @@ def _option(f: Field[Any], default: Any) -> click.Option:
 def command(context: click.Context, /, **options: Any) -> None:
     """Evolve a skill: collect data, fit Γ and C, evolve, and test it in the world.
 
-    The default domain is a robot that reaches objects on a table. Its stages are S0 (objects along
-    the near edge of the table), S1 (left edge), S2 (right edge) and S3 (far edge). A stage needs
-    all stages before it, and missing ones are made first. With --stage auto there are rounds in
-    place of stages: each round tries the skill on fresh scenarios and improves it on those that it
-    failed, until the target is met.
+    Γ is the transition model, which predicts the next percept. C is the success classifier, which
+    gives the probability that a skill succeeds. The default domain is a robot that reaches objects
+    on a table. Its stages are S0 (objects along the near edge of the table), S1 (left edge), S2
+    (right edge) and S3 (far edge). A stage needs all stages before it, and missing ones are made
+    first. With --stage auto there are rounds in place of stages: each round tries the skill on
+    fresh scenarios and improves it on those that it failed, until the target is reached.
     """
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
@@ -167,7 +168,7 @@ def command(context: click.Context, /, **options: Any) -> None:
 
 
 def _overrides(context: click.Context, known: set[str], words: Sequence[str]) -> dict[str, Any]:
-    """Settings by name from NAME=VALUE, read as their own options read them."""
+    """Settings by name from NAME=VALUE, parsed like their options."""
     options = {option.name: option for option in context.command.get_params(context)}
     found = {}
     for word in words:

@@ -1,4 +1,4 @@
-"""What `cgtorch-train` does once its options are understood."""
+"""The work of `cgtorch-train`, after its options are parsed."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -39,16 +39,20 @@ from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
 WORTH_A_GPU = 4000
-"""Individuals from which on a GPU is faster than the CPU beside it (docs/decisions/engine.md)."""
+"""Population size from which a GPU is faster than the CPU (docs/decisions/engine.md)."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked of `cgtorch-train` besides settings.
+    """The options of `cgtorch-train` that are not settings.
 
-    The last `stage` is "auto" to go on until the goal is met, None for the run's or domain's usual.
-    No `device` stands for the fastest.
-    What of the goal was given is in `goal_given`; `checkpoint_seconds` lie between checkpoints.
+    Attributes:
+        stage: The last stage to make, "auto" for rounds, or None for the usual one.
+        goal: The goal of rounds.
+        goal_given: The names of the goal's options that were given.
+        device: The device, or None for the fastest.
+        checkpoint_seconds: Seconds between two checkpoints.
+        quiet: Whether to print the result only.
     """
 
     stage: str | None
@@ -60,7 +64,7 @@ class Wish:
 
 
 def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, wish: Wish) -> None:
-    """Begin a run, anew if it made nothing yet, or go on with one that has the same settings."""
+    """Begin a run, again if it has produced nothing yet, or continue one with the same settings."""
     domain_settings = with_name(settings.domain, domain_settings)
     given = {**to_plain(settings), **to_plain(domain_settings)}
     new = ranks.broadcast(not (folder / "run.json").is_file())
@@ -78,7 +82,7 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
 
 
 def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], wish: Wish) -> None:
-    """Go on with a run under its settings, which must be those given, but for the `overrides`."""
+    """Continue a run under its settings. Given settings must equal them, except `overrides`."""
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")
@@ -86,7 +90,7 @@ def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], w
 
 
 def device_of(name: str) -> torch.device | None:
-    """The device called `name`, None for "auto"; SettingsError if it is none."""
+    """The device with that name, None for "auto"; SettingsError if it cannot be used."""
     if name == "auto":
         return None
     # Each rank of a machine has its own.
@@ -100,10 +104,10 @@ def device_of(name: str) -> torch.device | None:
 
 
 def fastest_device(run: Run) -> torch.device:
-    """A GPU whose kernels run all of a large population, else the CPU.
+    """A GPU, if its kernels support the run and the population is large; else the CPU.
 
-    Where there is a choice, it says which. Actions without a kernel are torch operations on a
-    GPU, which take longer than on the CPU.
+    If there is a GPU, the choice is printed. Actions without a kernel run as torch operations on a
+    GPU, which are slower than the CPU.
     """
     if not torch.cuda.is_available():
         return torch.device("cpu")
@@ -122,7 +126,7 @@ def fastest_device(run: Run) -> torch.device:
 
 
 def _asked(run: Run, wish: Wish) -> tuple[str, Goal]:
-    """The stage and goal that are wished for, or that the run was begun for where none is given."""
+    """The stage and goal that are asked for; by default those for which the run was begun."""
     before = goes_on_to(run)
     stage, goal = _stage(run, wish, before), wish.goal
     if wish.stage is None and isinstance(before.get("goal"), dict):
@@ -136,7 +140,7 @@ def _asked(run: Run, wish: Wish) -> tuple[str, Goal]:
 
 
 def _stage(run: Run, wish: Wish, before: Mapping[str, Any]) -> str:
-    """The stage to make, given what the run was begun for; SettingsError if a goal is for none."""
+    """The stage to make, by default that of the run; SettingsError for a goal without auto."""
     stage = wish.stage
     if stage is None:
         stage = str(before.get("stage") or type(run.domain.settings).usual_stage)
@@ -190,7 +194,7 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
 
 
 def _changes(taken: TakenOver) -> Iterator[str]:
-    """What a run goes on with that was otherwise before."""
+    """The changes under which a run continues."""
     again = f"; {taken.before} begins again" if taken.set_aside else f" from {taken.before} on"
     versions = [name for name in ("cgtorch", "torch", "engine") if name in taken.changed]
     for name in (n for n in taken.changed if n not in versions):
@@ -210,7 +214,7 @@ def _changes(taken: TakenOver) -> Iterator[str]:
 
 
 def _board(run: Run, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
-    """What writes the run's TensorBoard files: the first rank does."""
+    """A context that writes the run's TensorBoard files, on the first rank."""
     if not ranks.first():
         return nullcontext(lambda event: None)
     recalled = recalled_generations(run.folder)
@@ -226,7 +230,7 @@ def _board(run: Run, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
 
 
 def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) -> str:
-    """What a run has come to, after its folder's name."""
+    """The end of the sentence about a run's outcome, after its folder's name."""
     if stage != AUTO:
         return f"is complete up to {stage}"
     rounds = results[len(results) - len(run.rounds) :]

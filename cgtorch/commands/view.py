@@ -107,7 +107,7 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 def _film(
     film: Path, path: Path, scenarios: str | None, count: int, seed: int, rest: dict[str, Any]
 ) -> None:
-    """Write what the renderer of MuJoCo sees of a skill."""
+    """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
     if "DISPLAY" not in os.environ:
@@ -140,7 +140,7 @@ def _offer(
     scenarios: str | None,
     world: str | None,
 ) -> tuple["Chosen", dict[str, "Candidate"]]:
-    """The skill that a path stands for, and all skills of its run."""
+    """The skill of a path, and all skills of its run."""
     from cgtorch.domains.registry import TABLETOP
     from cgtorch.runs.ledger import read_entry, read_index
     from cgtorch.runs.skills import chosen_skill, stored_domain

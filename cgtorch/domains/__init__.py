@@ -1,6 +1,6 @@
-"""Domains: what a run is about, and Γ and C learned for any of them.
+"""Domains: the task of a run, and Γ and C learned for any domain.
 
-A domain of one's own is a subclass of `Domain` with a `World` and scenarios (`ScenarioBatch`); see
+Your own domain is a subclass of `Domain` with a `World` and scenarios (`ScenarioBatch`); see
 docs/own-domain.md.
 """
 

@@ -1,4 +1,4 @@
-"""A domain is tried on two scenarios at the door, where errors can say what is wrong with it."""
+"""Dry run of a domain on two scenarios, with errors that name the faulty method."""
 
 from collections.abc import Sequence
 from typing import Any

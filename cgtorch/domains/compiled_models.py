@@ -1,4 +1,4 @@
-"""The default Γ and C of any domain as compiled rollouts know them."""
+"""The default Γ and C of any domain in the form of compiled rollouts."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from cgtorch.svm.compiled import LOG2E, machine_structure
 
 
 def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
-    """Γ and C for compiled rollouts; None for subclasses, and with further features of a user."""
+    """Γ and C for compiled rollouts; None for subclasses, and for features that a user added."""
     gamma, classifier = getattr(e.gamma, "__self__", None), e.classifier
     if type(gamma) is not KernelTransitionModel or type(classifier) is not SuccessClassifier:
         return None
@@ -28,7 +28,7 @@ def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
 def _structure(
     e: ModelEnvironment, gamma: KernelTransitionModel, classifier: SuccessClassifier
 ) -> Any:
-    """A `KernelModels` of kernel_environment.h, or None where C has no room or other numbers."""
+    """A `KernelModels` of kernel_environment.h, or None if sizes or types do not fit."""
     fields = *gamma.percept_fields, *gamma.control_fields
     angles = [columns_of(f, "angle") for f in (gamma.percept_fields, classifier.percept_fields)]
     machines, platt = (gamma.machine, classifier.machine), classifier.machine.platt

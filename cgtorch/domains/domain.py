@@ -1,8 +1,8 @@
-"""The domain interface: what a run is about.
+"""The interface of a domain, which is the task of a run.
 
-A domain says what a percept and a control are, draws scenarios, and makes their world; all else has
+A domain defines percepts and controls, draws scenarios, and makes their world. Everything else has
 a default. The paper's tabletop (`cgtorch.tabletop`) is one domain, any Gymnasium environment
-(`cgtorch.domains.gymnasium`) another, and docs/own-domain.md makes a third in sixty lines.
+(`cgtorch.domains.gymnasium`) another, and docs/own-domain.md defines a third in sixty lines.
 """
 
 from abc import ABC, abstractmethod
@@ -49,9 +49,9 @@ S = TypeVar("S", bound=ScenarioBatch)
 
 @dataclass(frozen=True)
 class Published:
-    """What others report of a stage, or of all scenarios: how many succeeded of those tried.
+    """A published result of a stage, or of all scenarios: how many of those tried succeeded.
 
-    They have a remark on the result, and headings and texts about it.
+    It has a remark on the result, and details as headings and texts.
     """
 
     succeeded: int
@@ -67,12 +67,12 @@ class Published:
 
 @dataclass(frozen=True)
 class Specialists:
-    """How missed scenarios are given to specialists (`cgtorch.improvement`).
+    """How missed scenarios are assigned to specialists (`cgtorch.improvement`).
 
     Attributes:
-        group_of: chooses the scenarios that a specialist is evolved on.
-        group: how many these are.
-        stall: generations without a better fitness after which its search gives up.
+        group_of: Chooses the scenarios on which a specialist is evolved.
+        group: Number of these scenarios.
+        stall: Generations without a better fitness after which its search gives up.
     """
 
     group_of: Grouping = local_group
@@ -81,25 +81,25 @@ class Specialists:
 
 
 class Domain(ABC, Generic[S]):
-    """What a run is about; a subclass gives `percept`, `control`, `draw` and `world`.
+    """The task of a run; a subclass defines `percept`, `control`, `draw` and `world`.
 
     Attributes:
-        percept: the D numbers of a percept.
-        control: the U numbers of a control.
-        kinds: of scenarios, by name.
-        trained_kinds: those that a run can be about, the usual one first; all if empty.
-        stages: a run's stages in their order, each with the kind of its scenarios. Without any, a
-            run goes on in rounds until its goal is met.
-        settings_type: the domain's own settings, which become options of `cgtorch-train`.
-        target_return: where the world gives rewards, the return from which an episode is solved.
+        percept: The D fields of a percept.
+        control: The U fields of a control.
+        kinds: The names of all kinds of scenarios.
+        trained_kinds: The kinds on which a run can train, the usual one first; all if empty.
+        stages: A run's stages in order, each with the kind of its scenarios. Without stages, a run
+            continues in rounds until its goal is reached.
+        settings_type: The domain's own settings, which become options of `cgtorch-train`.
+        target_return: With rewards, the return from which an episode counts as solved.
         models: "learned" if skills are evolved in Γ and C, "none" if in the world itself.
-        published: what others report of a stage or, under "", of all scenarios together.
-        publisher: who reports that.
-        fresh_tests: what the tests of the first models in `summary` are about, by the beginning of
-            their tags: such as "gamma/fresh_x", followed by _error and _floor, or "classifier/x",
-            followed by _accuracy and _possible.
-        solved: the word for a scenario that was solved, and for many of them.
-        specialists: how missed scenarios are given to specialists.
+        published: Published results by stage, or under "" for all scenarios together.
+        publisher: The authors of these results.
+        fresh_tests: What the tests of the first models in `summary` are about, by the prefix of
+            their tags, such as "gamma/fresh_x" for tags with _error and _floor, or "classifier/x"
+            for tags with _accuracy and _possible.
+        solved: The word for a solved scenario, and for several of them.
+        specialists: How missed scenarios are assigned to specialists.
     """
 
     percept: Sequence[Field]
@@ -117,14 +117,14 @@ class Domain(ABC, Generic[S]):
     specialists: Specialists = Specialists()
 
     def __init__(self, settings: DomainSettings | None = None) -> None:
-        """A domain with these settings, its own if there are any, or their defaults."""
+        """A domain with these settings, or with the defaults."""
         self.settings = self.settings_type() if settings is None else settings
 
     # What has to be given
 
     @abstractmethod
     def draw(self, kind: str, count: int, generator: Generator) -> S:
-        """So many random scenarios, also 0, of one of `kinds`; all numbers from the generator."""
+        """`count` random scenarios (or 0) of one of `kinds`; all numbers are from the generator."""
 
     @abstractmethod
     def world(self, scenarios: S) -> Environment:
@@ -133,11 +133,12 @@ class Domain(ABC, Generic[S]):
     # What can be given: skills
 
     def actions(self) -> ActionSet:
-        """What nodes of graphs can do.
+        """The actions of graphs.
 
-        A network sends a control, a step carries it out, a network branches, and a test of success
-        ends the skill. Where the world gives rewards, and so ends by itself, there is no test, and
-        there are more networks (`cgtorch.actions.reward_actions`).
+        By default there are a network that sends a control, a step that carries it out, a network
+        that branches, and a test of success that ends the skill. With rewards, episodes end by
+        themselves, so there is no test, but there are more networks
+        (`cgtorch.actions.reward_actions`).
         """
         d, u = len(self.percept), len(self.control)
         if self.rewarded:
@@ -146,15 +147,15 @@ class Domain(ABC, Generic[S]):
         return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, MoveBase(u), branch, Grasp()))
 
     def tests(self, kind: str) -> S:
-        """The fixed scenarios that a stage of this kind is tested on first; none by default."""
+        """The fixed test scenarios of a stage of this kind; none by default."""
         return self.draw(kind, 0, Generator().manual_seed(0))
 
     # What can be given: models
 
     def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
-        """Experience of acting at random: transitions (p, u, p′), and tests of success.
+        """Data from random controls: transitions (p, u, p′), and tests of success.
 
-        DataError if success, or its absence, is hardly ever met.
+        DataError if almost all tests succeed, or almost none.
         """
         return explore(
             lambda count: self.world(self.draw(kind, count, generator)),
@@ -162,52 +163,52 @@ class Domain(ABC, Generic[S]):
         )  # fmt: skip
 
     def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
-        """Further features (..., F) that Γ learns from; with any, the domain must be picklable."""
+        """Additional features (..., F) for Γ; a domain that has any must be picklable."""
         return percept[..., :0]
 
     def success_features(self, percept: Tensor) -> Tensor:
-        """Further features (..., F) that C learns from; with any, the domain must be picklable."""
+        """Additional features (..., F) for C; a domain that has any must be picklable."""
         return percept[..., :0]
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
-        """(n,) bool, whether controls (n, U) can be carried out as percepts (n, D) show it."""
+        """(n,) bool, whether controls (n, U) can be carried out, judged by percepts (n, D)."""
         return torch.ones(len(percept), dtype=torch.bool, device=percept.device)
 
     def noisy(self, percept: Tensor) -> Tensor:
-        """(n, D) 1 for numbers of a percept that Γ can get wrong, 0 for those it cannot."""
+        """(n, D), 1 for numbers of a percept that Γ can get wrong, 0 for those it cannot."""
         return torch.ones_like(percept)
 
     def unfitted(self) -> Mapping[str, Callable[[], nn.Module]]:
-        """What makes unfitted models of this domain, by the name of their class."""
+        """Functions that make unfitted models of this domain, by class name."""
         return {
             "KernelTransitionModel": self._transition_model,
             "SuccessClassifier": self._success_classifier,
         }
 
     def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
-        """Γ of the transitions in the data, hyper-parameters by cross-validation."""
+        """Γ fitted to the transitions, with hyper-parameters from cross-validation."""
         rows = data.percept, data.control, data.next_percept
         return fit_transition_model(self._transition_model(), *rows, seed=seed)
 
     def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
-        """C of the tests in the data, hyper-parameters by cross-validation."""
+        """C fitted to the tests of success, with hyper-parameters from cross-validation."""
         model = self._success_classifier()
         return fit_success_classifier(model, data.tested, data.succeeded, seed=seed)
 
     def try_transition(
         self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
     ) -> Any:
-        """What the first Γ of a run does on fresh experience, for `summary`; nothing by default.
+        """Results of the first Γ of a run on fresh data, for `summary`; nothing by default.
 
-        It may be asked for in a process of its own, so it must not change anything. At most so many
-        fresh tests of success are made, which C is to be judged by.
+        It may run in a process of its own, so it must not change anything. `tests` is the maximum
+        number of fresh tests of success, on which C is evaluated.
         """
         return None
 
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
-        """What is told of the first models of a run; `fresh` is what `try_transition` gave."""
+        """A summary of the first models of a run; `fresh` is the result of `try_transition`."""
         return summary_of(knowledge)
 
     def imagine(
@@ -227,19 +228,19 @@ class Domain(ABC, Generic[S]):
     # What can be given: files and pictures
 
     def write(self, folder: Path) -> None:
-        """Keep in a run's folder what the domain was made of besides its settings."""
+        """Store in a run's folder what the domain needs besides its settings."""
 
     @classmethod
     def read(cls, settings: DomainSettings, folder: Path) -> Self:
-        """The domain of a run, from its settings and what `write` has kept, or a CgtorchError."""
+        """The domain of a run, from its settings and the files of `write`, or a CgtorchError."""
         return cls(settings)
 
     def made_with(self) -> Mapping[str, str]:
-        """Versions of what the domain's numbers depend on, by name."""
+        """Versions of everything on which the domain's numbers depend, by name."""
         return {}
 
     def stored_options(self, folder: Path) -> Mapping[str, str]:
-        """Settings by name that make the domain again from what `write` has kept in a run."""
+        """Settings by name that make the domain again from the files of `write`."""
         return {}
 
     def draw_scenarios(
@@ -247,42 +248,42 @@ class Domain(ABC, Generic[S]):
     ) -> "Figure | None":
         """A picture of which of B scenarios succeeded (B,) bool; None if the domain has none.
 
-        The targets (B,) bool are those that a stage is tested on. A label of the figure
-        (`Figure.set_label`) is told below it in a report.
+        `targets` (B,) bool marks the test scenarios of a stage. A report shows the figure's label
+        (`Figure.set_label`) below it.
         """
         return None
 
     def draw_stage(self, stage: str) -> str:
-        """A small SVG of what a stage is about, for reports; "" if the domain has none."""
+        """A small SVG drawing of a stage for reports; "" if the domain has none."""
         return ""
 
     def about(self) -> list[tuple[str, str]]:
-        """Names and values that a report tells of the domain, such as which robot it is about."""
+        """Names and values for a report, such as the robot."""
         return []
 
     # What a run makes of it
 
     def for_run(self, kind: str, method: str) -> Self:
-        """The domain for a run about a kind of scenarios and with a method; itself by default."""
+        """The domain for a run with a kind of scenarios and a method; itself by default."""
         return self
 
     def in_world(self, name: str) -> Self:
-        """The domain with another world of that name; SettingsError if it has none."""
+        """The domain with another world; SettingsError if it has none of that name."""
         raise SettingsError(f"{type(self).__name__} has one world only; leave --world out")
 
     def other_measures(self) -> Mapping[str, "Domain[S]"]:
-        """The same world where success is measured otherwise, by what that success is called."""
+        """Domains with the same world and another measure of success, by its name."""
         return {}
 
     def variants(self, kind: str) -> Iterable["Domain[S]"]:
-        """Domains, the usual one first, whose skills a file that tells no domain may hold."""
+        """Domains for which a skill file that names no domain may be meant, the usual one first."""
         return (self,)
 
     # What follows from the above
 
     @property
     def usual_kind(self) -> str:
-        """What runs are about if nothing else is said."""
+        """The default kind of scenarios of a run."""
         return (self.trained_kinds or self.kinds)[0]
 
     @property
@@ -292,12 +293,12 @@ class Domain(ABC, Generic[S]):
 
     @property
     def noisy_world(self) -> bool:
-        """Whether scenarios can be met again by other noise."""
+        """Whether scenarios can be tried again with other noise."""
         scenarios = self.draw(self.usual_kind, 0, Generator())
         return type(scenarios).with_noise is not ScenarioBatch.with_noise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """The domain itself: it never changes, and models that are copied may point to it."""
+        """The domain itself: it is immutable, and copied models may refer to it."""
         return self
 
     def _transition_model(self) -> KernelTransitionModel:
@@ -308,6 +309,6 @@ class Domain(ABC, Generic[S]):
         return SuccessClassifier(self.percept, self._own("success_features"))
 
     def _own(self, method: str) -> Any:
-        """A method that a subclass has overridden, or None: models need not know of others."""
+        """The method if a subclass has overridden it, else None, so that models can skip it."""
         same = getattr(type(self), method) is getattr(Domain, method)
         return None if same else getattr(self, method)

@@ -1,4 +1,4 @@
-"""Collecting what Γ and C learn from in any domain: the world acted in at random."""
+"""Collecting data for Γ and C in any domain, by random controls in the world."""
 
 from collections.abc import Callable, Sequence
 
@@ -39,11 +39,14 @@ def explore(
     tests: int,
     generator: Generator,
 ) -> Dataset:
-    """Act at random for transitions (p, u, p′), and test success everywhere on the way.
+    """Act at random for transitions (p, u, p′), and test success at every step.
 
-    Of the tests, both labels are kept as far as there are enough of the rarer one; `worlds` makes
-    the world of so many random scenarios. DataError if success, or its absence, is hardly ever met,
-    and DomainError if a control has no bounds.
+    Both results of tests are kept, if possible with at least `SHARE` of the rarer one. `worlds`
+    makes the world of that many random scenarios.
+
+    Raises:
+        DataError: Almost all tests succeed, or almost none.
+        DomainError: A control has no bounds.
     """
     moved: list[tuple[Tensor, Tensor, Tensor]] = []
     tested: list[tuple[Tensor, Tensor]] = []
@@ -78,7 +81,7 @@ def explore(
 
 
 def _chosen(labels: Tensor, count: int, generator: Generator) -> Tensor:
-    """Indices (count,) of labels (n,), at random but for the share of the rarer label."""
+    """(count,) random indices of labels (n,), with a fixed share of the rarer label."""
     order = torch.randperm(len(labels), generator=generator)
     yes, no = order[labels[order]], order[~labels[order]]
     rare, rest = sorted((yes, no), key=len)

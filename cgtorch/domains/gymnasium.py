@@ -1,8 +1,8 @@
 """Any Gymnasium environment with vector observations as a domain.
 
-Scenarios are seeds of `reset`. A percept is the observation, scaled to numbers around 1; a control
-is an action, or one number for each discrete action, of which the largest counts. Skills are
-evolved in the environment itself, and a return is what Gymnasium says it is.
+Scenarios are seeds of `reset`. A percept is the observation, scaled to numbers around 1. A control
+is an action, or one number for each discrete action, of which the largest is taken. Skills are
+evolved in the environment itself, and returns are those of Gymnasium.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ STEPS = 200  # of each at most
 
 @dataclass(frozen=True)
 class Starts(ScenarioBatch):
-    """Starts of episodes, each by the `seed` (B,) long that `reset` is given."""
+    """Initial states of episodes, given by the `seed` (B,) long of `reset`."""
 
     seed: Tensor
 
@@ -54,9 +54,9 @@ class Gymnasium(Domain[Starts]):
     ) -> None:
         """The environment of the settings.
 
-        Where they are not given, the scaling of observations is found in random episodes, and the
-        return from which an episode is solved is that of the settings. DomainError if Gymnasium is
-        not installed or knows no such environment, or if it is of a sort that is no domain.
+        By default, the scaling of observations is measured in random episodes, and the return from
+        which an episode is solved is that of the settings. DomainError if Gymnasium is not
+        installed, has no such environment, or its spaces are not supported.
         """
         super().__init__(settings)
         name = self.settings.environment
@@ -80,7 +80,7 @@ class Gymnasium(Domain[Starts]):
         return VectorWorld(self.vector, *common) if self.vector else PlayedWorld(*common)
 
     def write(self, folder: Path) -> None:
-        """See `Domain.write`: the scaling of observations, and what counts as solved."""
+        """See `Domain.write`: the scaling of observations, and the return that counts as solved."""
         about = {"centre": self.scaling.centre.tolist(), "scale": self.scaling.scale.tolist()}
         write_json(folder / FILE, {**about, "target_return": self.target_return})
 
@@ -129,7 +129,7 @@ class Gymnasium(Domain[Starts]):
 
 
 def _episodes(environment: str) -> Episodes:
-    """The environment by its id; DomainError where Gymnasium cannot make it."""
+    """The environment with this id; DomainError if Gymnasium cannot make it."""
     try:
         import gymnasium
     except ImportError as e:
@@ -147,7 +147,7 @@ def _episodes(environment: str) -> Episodes:
 
 
 def _percept(space: Any, environment: str) -> tuple[Field, ...]:
-    """The numbers of an observation."""
+    """The fields of an observation."""
     from gymnasium.spaces import Box
 
     if not isinstance(space, Box) or len(space.shape) != 1:
@@ -159,7 +159,7 @@ def _percept(space: Any, environment: str) -> tuple[Field, ...]:
 
 
 def _control(space: Any, environment: str) -> tuple[Field, ...]:
-    """The numbers of an action, or one for each discrete action."""
+    """The fields of an action, or one field for each discrete action."""
     from gymnasium.spaces import Box, Discrete
 
     if isinstance(space, Discrete):
@@ -175,9 +175,10 @@ def _control(space: Any, environment: str) -> tuple[Field, ...]:
 
 
 def _explored(episodes: Episodes) -> Scaling:
-    """The scaling of observations by what random episodes show; what is the same in all is not.
+    """The scaling of observations, measured in random episodes; constant numbers are not scaled.
 
-    Bounds can be far from there, and of a velocity divided by them a network sees next to nothing.
+    Bounds can be far too wide for scaling: divided by the bounds of a velocity, all values would be
+    close to 0.
     """
     seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()
     spread = seen.std(0)

@@ -10,7 +10,7 @@ from cgtorch.domains.settings import DomainSettings, option
 
 @dataclass(frozen=True)
 class GymnasiumSettings(DomainSettings):
-    """Which environment it is, and from which return on an episode is solved."""
+    """The environment, and the return from which an episode is solved."""
 
     run_defaults: ClassVar[Mapping[str, Any]] = {
         "population": 48,

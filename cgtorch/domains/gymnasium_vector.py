@@ -1,6 +1,6 @@
 """Gymnasium's own vectorised environments as a world: one call for all lanes.
 
-Those whose states are an array that can be set, as CartPole's, need no environment for each lane.
+It needs an environment whose states are an array that can be set, such as CartPole's.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ class VectorSteps:
     """Steps of many episodes at once, from any states."""
 
     def __init__(self, environment: str) -> None:
-        """Make one of that id; LookupError if there is none, or its states cannot be set."""
+        """Make one with that id; LookupError if there is none, or its states cannot be set."""
         import gymnasium
 
         if gymnasium.spec(environment).vector_entry_point is None:
@@ -34,9 +34,10 @@ class VectorSteps:
     def step(
         self, state: NDArray[Any], steps: NDArray[Any], action: NDArray[Any]
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """One step of n episodes, from states (n, S) after so many steps (n,), by actions (n,).
+        """One step of n episodes from states (n, S) after `steps` (n,), with actions (n,).
 
-        Returned are states (n, S), observations (n, D), rewards (n,), and (n,) bool which are over.
+        Returned are states (n, S), observations (n, D), rewards (n,), and (n,) bool, which are
+        over.
         """
         n = len(state)
         environment = self._of_size(1 << (n - 1).bit_length())
@@ -49,7 +50,7 @@ class VectorSteps:
         return environment.state.T[:n], seen[:n], reward[:n], over[:n]
 
     def _of_size(self, count: int) -> Any:
-        """The environment of so many; a power of two, so that there are few."""
+        """An environment of at least `count` episodes. Sizes are powers of two, so few are made."""
         import gymnasium
 
         if count not in self._made:
@@ -61,12 +62,12 @@ class VectorSteps:
 
 
 class VectorWorld(GymnasiumWorld):
-    """A world in which one environment steps all lanes; a state goes on with the environment's."""
+    """A world in which one environment steps all lanes; lane states contain its states."""
 
     def __init__(self, vector: VectorSteps, *common: Any) -> None:
-        """The world of these steps; the other arguments are those of `GymnasiumWorld`.
+        """The world of these steps; for the other arguments see `GymnasiumWorld`.
 
-        Its episodes begin each start, as vectorised environments have one seed for all.
+        Initial states come from its `Episodes`, as vectorised environments have one seed for all.
         """
         super().__init__(*common)
         self._vector = vector

@@ -1,8 +1,8 @@
 """Gymnasium environments as a world of lanes.
 
-An environment of Gymnasium keeps its state to itself and goes on step by step; lanes are data that
-can be asked to go on from anywhere. So each lane has an environment of its own, and its actions are
-noted: a lane that goes on from an earlier step plays its episode again up to there.
+A Gymnasium environment keeps its state and can only continue from it, but lanes can continue from
+any earlier step. So each lane has its own environment, and its actions are recorded. A lane that
+continues from an earlier step replays its episode up to there.
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +25,7 @@ _KEYS = 2**48  # so that keys are whole numbers in float64
 
 @dataclass(frozen=True)
 class Scaling:
-    """How observations become percepts: what is subtracted (D,), and by what is divided (D,)."""
+    """How observations become percepts: subtract an offset (D,), and divide by a scale (D,)."""
 
     centre: Tensor
     scale: Tensor
@@ -33,9 +33,9 @@ class Scaling:
 
 @dataclass
 class Episode:
-    """One episode that is being played, over after `limit` steps at the latest.
+    """One episode in progress, which is over after at most `limit` steps.
 
-    `keys` tell apart ways to get to each step; the first is that of the start.
+    `keys` identify the sequence of actions that led to each step; the first is that of the start.
     """
 
     environment: Any
@@ -45,7 +45,7 @@ class Episode:
     keys: list[int] = field(default_factory=list)
 
     def begin(self, seed: int) -> NDArray[np.float64]:
-        """Begin with a seed; the first observation."""
+        """Start with a seed; returns the first observation."""
         self.seed, self.actions, self.keys = seed, [], [seed % _KEYS]
         observation: NDArray[np.float64] = self.environment.reset(seed=seed)[0]
         return observation
@@ -59,7 +59,7 @@ class Episode:
         return seen, float(reward), bool(terminated or truncated or len(self.actions) >= self.limit)
 
     def return_to(self, step: int, key: int) -> None:
-        """Go on from an earlier step; WorldError if it came to that step in another way."""
+        """Continue from an earlier step; WorldError if other actions led to it."""
         if step >= len(self.keys) or self.keys[step] != key:
             raise WorldError(
                 "a lane cannot continue from this step, because its Gymnasium environment has "
@@ -73,15 +73,15 @@ class Episode:
 
 
 class Episodes:
-    """As many environments of one id as there are lanes, used again for each batch of lanes.
+    """One environment per lane, all with the same id, which each batch of lanes uses again.
 
-    `observation` and `action` are their spaces, and `threshold` is the return from which they say
-    that they are solved, if they do. `batch` counts how often lanes have begun; only those of the
-    last batch can go on.
+    `observation` and `action` are their spaces. `threshold` is the return from which the
+    environment counts as solved, if it has one. `batch` counts batches of lanes; only lanes of the
+    last batch can continue.
     """
 
     def __init__(self, environment: str) -> None:
-        """Make the first environment of that id; Gymnasium's errors are passed on."""
+        """Make the first environment with that id; Gymnasium's errors are passed on."""
         self._id = environment
         self._played = [self._made()]
         first = self._played[0].environment
@@ -92,18 +92,18 @@ class Episodes:
         self._starts: dict[int, tuple[Any, NDArray[np.float64]]] = {}
 
     def __reduce__(self) -> tuple[type["Episodes"], tuple[str]]:
-        """Environments stay in the process that made them; another one makes them anew."""
+        """Environments are not pickled: another process makes its own."""
         return Episodes, (self._id,)
 
     def begin(self, seeds: list[int]) -> list[NDArray[np.float64]]:
-        """First observations of a batch of episodes with these seeds."""
+        """The first observations of a batch of episodes with these seeds."""
         self.batch += 1
         while len(self._played) < len(seeds):
             self._played.append(self._made())
         return [self._played[i].begin(seed) for i, seed in enumerate(seeds)]
 
     def first(self, seed: int) -> tuple[Any, NDArray[np.float64]]:
-        """The environment's own state and the observation at a start."""
+        """The environment's own state and observation at the start of an episode."""
         known = self._starts.get(seed)
         if known is None:
             observation = self._played[0].begin(seed)
@@ -123,7 +123,7 @@ class Episodes:
         return found
 
     def random_observations(self, count: int, most: int) -> NDArray[np.float64]:
-        """(N, D) observations in `count` episodes of random actions, `most` in each at most."""
+        """(N, D) observations of `count` episodes with random actions, at most `most` in each."""
         episode, seen = self._played[0], []
         self.action.seed(0)
         for seed in range(count):
@@ -137,7 +137,7 @@ class Episodes:
         return np.stack(seen)
 
     def _made(self) -> Episode:
-        """A new environment, without the wrappers that only count steps and watch their order."""
+        """A new environment, without the wrappers that only limit steps and check their order."""
         import gymnasium
         from gymnasium.wrappers import OrderEnforcing, TimeLimit
 
@@ -149,12 +149,12 @@ class Episodes:
 
 
 class GymnasiumWorld(ABC):
-    """A rewarded `Environment` of B starts; states begin with steps, return, and if it is over."""
+    """A rewarded `Environment` of B starts; states begin with steps, return, and whether over."""
 
     def __init__(
         self, episodes: Episodes, seeds: Tensor, scaling: Scaling, control_size: int, target: float
     ) -> None:
-        """The world of starts with seeds (B,), solved from the return `target` on."""
+        """The world of starts with seeds (B,); an episode is solved from the return `target`."""
         self._episodes, self._seeds, self._scaling = episodes, seeds, scaling
         self.control_size, self._target = control_size, target
 
@@ -177,7 +177,7 @@ class GymnasiumWorld(ABC):
         return len(self._scaling.centre)
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """See `Environment.step`; an episode that is over goes no further."""
+        """See `Environment.step`; a finished episode does not change any more."""
         done = control.isfinite().all(1) & ~self.over(lanes)
         rows = done.nonzero()[:, 0]
         if not len(rows):
@@ -192,7 +192,7 @@ class GymnasiumWorld(ABC):
         return lanes
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """See `Environment.success`: whether a finished episode has the return that is wanted."""
+        """See `Environment.success`: whether a finished episode reached the target return."""
         solved = self.over(lanes) & (lanes.state[:, RETURN] >= self._target)
         return lanes, solved.to(lanes.percept)
 
@@ -205,12 +205,12 @@ class GymnasiumWorld(ABC):
         return lanes.state[:, RETURN]
 
     def _percepts(self, observations: NDArray[np.floating[Any]]) -> Tensor:
-        """Percepts (n, D) of observations (n, D)."""
+        """Percepts (n, D) from observations (n, D)."""
         seen = torch.from_numpy(observations).double().view(-1, self.percept_size)
         return ((seen - self._scaling.centre) / self._scaling.scale).float()
 
     def _actions(self, control: Tensor) -> NDArray[Any]:
-        """Actions (n, ...) as Gymnasium wants them."""
+        """Actions (n, ...) in the form that Gymnasium expects."""
         space = self._episodes.action
         if not hasattr(space, "low"):
             return control.argmax(1).numpy() + int(getattr(space, "start", 0))
@@ -219,10 +219,10 @@ class GymnasiumWorld(ABC):
 
 
 class PlayedWorld(GymnasiumWorld):
-    """A world in which every lane has an environment of its own.
+    """A world in which every lane has its own environment.
 
-    Further columns of a state are the number of that environment, that of the batch of lanes it
-    began in, and what tells apart ways to get there.
+    Further columns of a state are the environment's index, the batch in which the lane began, and
+    the key of its sequence of actions.
     """
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""What a robot knows of a domain: its experience, and the Γ and C learned from it."""
+"""Knowledge of a domain: the data, and Γ and C learned from it."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ CHANCE = 2**32  # the generator of what actions draw in the models, derived like
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
-"""Rows that are learnt from at most; of more, a coreset stays."""
+"""Maximum numbers of transitions and labels to learn from; of more, a coreset is kept."""
 MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
 
 Found = TypeVar("Found")
@@ -39,18 +39,18 @@ Model = TypeVar("Model", bound=LearnedModel)
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Experience and models, replaced as a whole when the robot learns.
+    """Data and models; learning makes a new object.
 
     Attributes:
-        dataset: all that Γ and C are trained on.
-        gamma: the transition model.
-        swift: the same with few centres, several times faster; what is found in it is confirmed
+        dataset: All data on which Γ and C are trained.
+        gamma: The transition model.
+        swift: Γ with few centres, several times faster. Search uses it, and its results are tried
             in the world.
-        classifier: the success classifier.
-        gamma_report: how well Γ does in cross-validation.
-        classifier_report: how well C does in cross-validation.
-        aside: experience that neither is ever trained on; what they learn is judged by it.
-        acceptances: what was decided about Γ and C when they last learned on, None before.
+        classifier: The success classifier.
+        gamma_report: Cross-validation of Γ.
+        classifier_report: Cross-validation of C.
+        aside: Held-out data, on which new models are compared with old ones.
+        acceptances: Whether the last learning replaced Γ and C, None before.
     """
 
     dataset: Dataset
@@ -70,11 +70,11 @@ def fit_models(
     more: Callable[[TransitionModel], Found],
     alone: bool = False,
 ) -> tuple[Knowledge, Found]:
-    """Γ and C from nine tenths of the data, and what else can be found out once Γ is fitted.
+    """Γ and C from nine tenths of the data, and the result of `more`, which needs a fitted Γ.
 
-    C takes longest, so where compiled code may use more than one thread all else is done beside it,
-    unless it is to be done `alone`, in this process, as what has to do with other ranks must be.
-    What finds out `more` must not draw from a generator that is used later.
+    C takes longest. If compiled code may use several threads, all else runs beside it in another
+    process, unless `alone` is True; that is necessary if `more` communicates with other ranks.
+    `more` must not draw from a generator that is used later.
     """
     data, aside = hold_out(dataset)
 
@@ -97,7 +97,7 @@ def hold_out(dataset: Dataset) -> tuple[Dataset, Dataset]:
 
 
 def taken(dataset: Dataset, moves: Tensor | slice, tests: Tensor | slice) -> Dataset:
-    """The transitions `moves` and the tests `tests`, indices, masks or slices."""
+    """The transitions `moves` and the tests `tests`, selected by indices, masks or slices."""
     return Dataset(
         dataset.percept[moves],
         dataset.control[moves],
@@ -120,14 +120,20 @@ def imagine(
 ) -> ModelEnvironment:
     """The models as an environment for percepts (B, D), each `replicas` times with other errors.
 
-    Scenario i has the indices i · replicas … i · replicas + replicas - 1. The errors are drawn from
-    those that Γ makes on its training data, so that a skill must not rely on being exact; for the
-    same reason stochastic actions draw other numbers than they will in the world. A rollout fails
-    where a control is more novel to Γ than `FAMILIAR` of its training data.
+    Scenario i has the indices i · replicas … i · replicas + replicas - 1. Errors are drawn from
+    those of Γ on its training data, so that a skill cannot rely on exact predictions. For the same
+    reason, stochastic actions draw other numbers than in the world. A rollout fails at a control
+    that is more novel to Γ than the share `FAMILIAR` of its training data.
 
-    The errors, and the seeds of what actions draw, come from the generator. Of percepts (n, D),
-    `noisy` is 1 for numbers that Γ can get wrong and 0 for those it cannot; for `possible` and
-    `compiled` see `ModelEnvironment`.
+    Args:
+        knowledge: The models and their data.
+        percepts: (B, D) first percepts.
+        replicas: Number of scenarios per percept.
+        generator: Draws the errors, and the seeds of stochastic actions.
+        device: Where the environment runs.
+        possible: See `ModelEnvironment`.
+        noisy: Maps percepts (n, D) to 1 for numbers that Γ can get wrong, 0 for those it cannot.
+        compiled: See `ModelEnvironment`.
     """
     gamma, data = copy.deepcopy(knowledge.swift), knowledge.dataset
     with torch.no_grad():
@@ -159,13 +165,12 @@ def imagine(
 
 
 def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
-    """Γ and C trained on more experience, from where they stand; hyper-parameters stay.
+    """Γ and C trained on additional experience, with the same hyper-parameters.
 
-    Of the tests, those that C got wrong teach most and come first. A tenth of what is new is put
-    aside. Either model is replaced, and its new data kept, only if its successor is no worse on
-    what had been put aside before (`accept_model`); otherwise it stays as it was. Of more than
-    `MOST_TRANSITIONS` or `MOST_LABELS` rows a coreset stays. The reports stay those of the last
-    cross-validation.
+    Tests that C got wrong come first. A tenth of the new data is held out. A model is replaced, and
+    its new data kept, only if the new model is no worse on the earlier held-out data
+    (`accept_model`); otherwise it stays. If there are more than `MOST_TRANSITIONS` or `MOST_LABELS`
+    rows, a coreset is kept. The reports stay those of the last cross-validation.
     """
     with torch.no_grad():
         believed = knowledge.classifier(experience.tested) > 0.5
@@ -193,7 +198,7 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
 def _learn(
     model: Model, rows: Sequence[tuple[Tensor, ...]], most: int
 ) -> tuple[Model, Tensor, Acceptance]:
-    """The model to go on with, old rows (m,) that stay, and the acceptance by rows put aside."""
+    """The model to use, the old rows (m,) to keep, and the acceptance by held-out rows."""
     old, new, aside = rows
     kept, start = model.coreset(*old, limit=most)
     after = start.updated(*(torch.cat([a[kept], b]) for a, b in zip(old, new, strict=True)))
@@ -205,7 +210,7 @@ def _learn(
 
 
 def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator) -> Dataset:
-    """At most `most` transitions, `most` surprising (L,) tests and `most` others, at random."""
+    """Random rows: at most `most` transitions, `most` surprising (L,) tests, and `most` others."""
     moves = torch.randperm(len(dataset.percept), generator=generator)[:most]
     order = torch.randperm(len(dataset.succeeded), generator=generator)
     tests = torch.cat([order[surprise[order]][:most], order[~surprise[order]][:most]])
@@ -213,7 +218,7 @@ def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator)
 
 
 def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
-    """Γ with `SWIFT_CENTRES` centres at most, to search in."""
+    """Γ with at most `SWIFT_CENTRES` centres, for the search."""
     if len(gamma.machine.centres) <= SWIFT_CENTRES:
         return gamma
     with torch.no_grad():

@@ -1,8 +1,8 @@
-"""What Γ and C share: a support vector machine on standardised features, which learns on.
+"""The common base of Γ and C: a support vector machine on standardised features.
 
-When more data come, hyper-parameters, standardisation and C's probability curve stay; the solver
-starts from the old coefficients, so the answer is the exact solution on all rows, old and new, and
-only the way there is shorter.
+It can learn from more data. Hyper-parameters, standardisation and C's probability curve then stay
+as they are. The solver starts from the old coefficients, so the result is the exact solution on all
+rows, old and new, and takes less time.
 """
 
 from abc import ABC, abstractmethod
@@ -21,8 +21,8 @@ from cgtorch.svm.machine import FittedModule
 class LearnedModel(FittedModule, ABC):
     """A `machine` on standardised features, whose `mean` and `scale` (F,) are buffers.
 
-    What it learns from are n rows of several tensors: percepts, controls and next percepts of Γ,
-    percepts and labels of C.
+    It learns from n rows of several tensors: percepts, controls and next percepts for Γ, percepts
+    and labels for C.
     """
 
     mean: Tensor
@@ -37,24 +37,24 @@ class LearnedModel(FittedModule, ABC):
 
     @abstractmethod
     def checked(self, *rows: Any) -> tuple[Tensor, ...]:
-        """Rows to learn from in float64; DataError where nothing can be learnt from them."""
+        """Rows to learn from, in float64; DataError if they are not valid."""
 
     @abstractmethod
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Features (n, F), what the machine is to say, and (n,) bool which of the rows tell it."""
+        """Features (n, F), targets of the machine, and (n,) bool, which rows are informative."""
 
     @abstractmethod
     def loss(self, *rows: Tensor) -> Tensor:
-        """How wrong the model is on each of the rows (n,), by which models are compared."""
+        """The error of the model on each of the rows (n,), by which models are compared."""
 
     def widen(self, *rows: Tensor) -> None:
-        """Let what is known of the range of the data cover more rows, in place."""
+        """Extend the known range of the data to more rows, in place."""
 
     def measure_reach(self, features: Tensor) -> None:
-        """Find out how far from a centre is still known, by features (n, F), in place."""
+        """Measure by features (n, F) how far from a centre data are still familiar, in place."""
 
     def standardised(self, raw: Tensor, made_of: str) -> Tensor:
-        """Features (..., F) less their mean, in units of their scale; DataError of another F."""
+        """Standardised features (..., F); DataError for another F."""
         raw = raw.to(self.mean)
         if raw.shape[-1] != len(self.mean):
             raise DataError(
@@ -63,14 +63,14 @@ class LearnedModel(FittedModule, ABC):
         return (raw - self.mean) / self.scale
 
     def shapes(self, features: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of the buffers, but for the machine's, given F; files are checked by them."""
+        """The shapes of the buffers, except the machine's, given F; they serve to check files."""
         return dict.fromkeys(("mean", "scale"), (features,))
 
     def updated(self, *rows: Any) -> Self:
-        """A new model fitted on all rows, those of the last fit first and in the same order.
+        """A new model fitted to all rows: those of the last fit first, in the same order.
 
-        This one, which must not be compact, stays as it is. DataError for wrong shapes, NaN, one
-        class only, or fewer rows than before, and ModelError if it is not fitted.
+        This model stays as it is, and must not have a reduced set. DataError for wrong shapes, NaN,
+        one class only, or fewer rows than before; ModelError if it is not fitted.
         """
         exact = self.checked(*rows)
         fresh = deepcopy(self).double().to(exact[0].device)
@@ -83,10 +83,10 @@ class LearnedModel(FittedModule, ABC):
         return fresh.to(self.mean.dtype)
 
     def coreset(self, *rows: Tensor, limit: int) -> tuple[Tensor, Self]:
-        """At most `limit` of the rows that it was fitted on, and a model to go on from there.
+        """Indices (m,) of at most `limit` of the fitted rows, ascending, and a model to update.
 
-        These are the indices (m,) that stay, ascending, and the start of an update, which predicts
-        as before only if no support vector had to go. Rows that tell the machine nothing go first.
+        The model's predictions are unchanged unless support vectors had to be removed. Rows without
+        information are removed first.
         """
         if len(rows[0]) <= limit:
             return torch.arange(len(rows[0]), device=rows[0].device), self
@@ -97,7 +97,7 @@ class LearnedModel(FittedModule, ABC):
 
 
 def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Means and standard deviations (k,) of values (n, k), 1 where they do not differ."""
+    """Means and standard deviations (k,) of values (n, k); 1 in place of a deviation of 0."""
     spread = values.std(0, correction=0)
     differ = spread > 1e-9 * (1 + values.abs().amax(0))
     return values.mean(0), torch.where(differ, spread, 1.0)

@@ -1,7 +1,7 @@
-"""How sure Γ can be: the posterior variance of a Gaussian process with the kernel of its machine.
+"""The uncertainty of Γ: the posterior variance of a Gaussian process with the same kernel.
 
-A kernel machine says nothing of its own errors. A Gaussian process with the same kernel and the
-same data does (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.26).
+A kernel machine gives no variance of its predictions. A Gaussian process with the same kernel and
+data does (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.26).
 """
 
 import torch
@@ -12,19 +12,19 @@ from cgtorch.svm.gram import rbf
 from cgtorch.svm.reduced_set import pivots
 
 MOST_PIVOTS = 128
-"""Rows that stand for all others: those of which the rest tell the least (pivoted Cholesky)."""
+"""Maximum number of rows that represent all others, chosen by pivoted Cholesky decomposition."""
 NUGGET = 1e-4
 """Variance of the noise, in units of the prior variance."""
 
 PRIOR = 2.0
-"""Standard deviation of the prior, in units of that of what Γ was fitted to."""
+"""Standard deviation of the prior, in units of that of the targets of Γ."""
 
 
 class Posterior:
-    """Γ with variances of what it says, from 0 where it has data to 1 where it has none."""
+    """Γ with variances of its predictions, from 0 at its data to 1 far away from them."""
 
     def __init__(self, gamma: KernelTransitionModel, percept: Tensor, control: Tensor) -> None:
-        """Γ fitted on transitions from percepts (n, D) with controls (n, U)."""
+        """Γ, fitted to transitions from percepts (n, D) with controls (n, U)."""
         self.gamma, self.width = gamma, float(gamma.machine.gamma_value)
         features = gamma.features(percept, control).double()
         self.pivots = features[pivots(features, self.width, MOST_PIVOTS)]
@@ -35,7 +35,7 @@ class Posterior:
         self.pivots = self.pivots.to(percept)
 
     def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """Next percepts (n, D) and their variances (n,), of percepts (n, D) and controls (n, U)."""
+        """Next percepts (n, D) and variances (n,), for percepts (n, D) and controls (n, U)."""
         features = self.gamma.features(percept, control)
         value = self.gamma.machine.values(features).to(percept)
         kernel = rbf(features.to(self.pivots), self.pivots, self.width)
@@ -43,5 +43,5 @@ class Posterior:
         return self.gamma.next_percept(percept, control, value), variance.to(percept)
 
     def deviation(self, variance: Tensor) -> Tensor:
-        """Standard deviations (n,) of what Γ says, in units of those of what it was fitted to."""
+        """Standard deviations (n,) of the predictions of Γ, in units of those of its targets."""
         return PRIOR * (variance - NUGGET).clamp_min(0).sqrt()

@@ -1,4 +1,4 @@
-"""Domains by name, tried before anything long begins, and without torch until one is asked for."""
+"""Domains by name, checked before anything long begins; torch is imported only if needed."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ _CLASSES = {
     TABLETOP: "cgtorch.tabletop.domain:Tabletop",
     GYMNASIUM: "cgtorch.domains.gymnasium:Gymnasium",
 }
-"""The domains that come with the library, and their settings, which need no torch."""
+"""The domains of the library by name."""
 
 
 def known_names() -> list[str]:
@@ -31,15 +31,15 @@ def known_names() -> list[str]:
 
 
 def is_code(spec: str) -> bool:
-    """Whether a name stands for code that is imported because of it: "package.module:Class"."""
+    """Whether a name is "package.module:Class", which would import code."""
     return ":" in spec and spec.partition(":")[0] != GYMNASIUM
 
 
 def domain_class(spec: str) -> type["Domain[Any]"]:
-    """The class of a domain; DomainError if there is none of that name, or it is no domain.
+    """The class of a domain; DomainError if there is no such domain.
 
-    It is asked for by "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
-    "cgtorch.domains" that an installed package declares, or "package.module:Class".
+    `spec` is "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
+    "cgtorch.domains" of an installed package, or "package.module:Class".
     """
     from cgtorch.domains.domain import Domain
 
@@ -77,7 +77,7 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
 
 
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
-    """The settings with what the domain's name says after a colon, if it is one that says more."""
+    """The settings with the part of the domain's name after its colon, such as ENV_ID."""
     name, _, argument = spec.partition(":")
     if name != GYMNASIUM:
         return settings
@@ -90,7 +90,7 @@ def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
 
 
 def check_options(spec: str, names: Sequence[str]) -> None:
-    """DomainError where a setting of a domain has the name of a setting that every run has."""
+    """DomainError if a setting of a domain has the name of a setting of every run."""
     for f in fields(settings_class(spec)):
         if f.name in names:
             raise DomainError(
@@ -99,7 +99,7 @@ def check_options(spec: str, names: Sequence[str]) -> None:
 
 
 def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
-    """What code that may raise anything returns, or a DomainError."""
+    """The result of user code, or a DomainError for any exception."""
     try:
         return call()
     except CgtorchError:

@@ -1,4 +1,4 @@
-"""What the fits of Γ and C found."""
+"""The reports of the fits of Γ and C."""
 
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -6,24 +6,25 @@ from typing import Any, TypeAlias
 from cgtorch.svm import Choice, LearningCurve
 
 Reliability: TypeAlias = tuple[tuple[float, float, int], ...]
-"""Mean probability, frequency of success and number of rows of bins of probability."""
+"""For each bin of probability: the mean probability, the frequency of success, and the number of
+rows."""
 
 
 @dataclass(frozen=True)
 class TransitionReport:
-    """What the fit of a transition model found.
+    """The report of the fit of a transition model.
 
     Attributes:
-        rows: Transitions that were given, of which the machine learned from the informative.
-        coordinates: Names of the D numbers of a percept, which have the units.
+        rows: Number of transitions given; the machine learned from the informative ones.
+        coordinates: Names of the D numbers of a percept, which have the `units`.
         error: Cross-validated mean absolute error of each number, in its unit.
-        baseline_error: The same of a model without a machine.
-        choice: Hyper-parameters (C, gamma, epsilon, score) of each output, None if not used.
+        baseline_error: The same for a model without a machine.
+        choice: Hyper-parameters (C, gamma, epsilon, score) of each output, None if it is not used.
         gap: Duality gap of each output's dual problem.
         centres: Number of centres.
-        grid_cost: Costs tried, beside the widths of kernels (gamma) and tubes (epsilon).
+        grid_cost: Costs in the grid, beside the widths of kernels (gamma) and tubes (epsilon).
         grid_scores: Mean negative absolute error by gamma, epsilon, C and output.
-        learning_curve: The same score by the number of transitions learned from.
+        learning_curve: The same score by the number of transitions.
     """
 
     rows: int
@@ -44,22 +45,22 @@ class TransitionReport:
 
 @dataclass(frozen=True)
 class SuccessReport:
-    """What the fit of a success classifier found.
+    """The report of the fit of a success classifier.
 
     Attributes:
-        rows: Labelled percepts it learnt from.
+        rows: Number of labelled percepts.
         positive: Share of them that succeed.
-        balanced_accuracy: Cross-validated, of all rows at the chosen cell.
+        balanced_accuracy: Cross-validated on all rows, with the chosen hyper-parameters.
         brier: Mean squared difference of cross-validated probability and label.
-        calibration_error: Mean gap between probability and frequency over 10 equal bins,
-            weighted by their rows.
+        calibration_error: Mean gap between probability and frequency over 10 equal bins, weighted
+            by their rows.
         reliability: Mean probability, frequency and rows of each bin that is not empty.
         choice: Hyper-parameters.
         gap: Duality gap.
         centres: Number of centres.
-        grid_cost: Costs tried, beside kernel widths (gamma).
+        grid_cost: Costs in the grid, beside kernel widths (gamma).
         grid_scores: Mean balanced accuracy by gamma and C.
-        learning_curve: Balanced accuracy of the chosen cell by rows learnt from.
+        learning_curve: Balanced accuracy with the chosen hyper-parameters, by number of rows.
     """
 
     rows: int

@@ -1,7 +1,7 @@
-"""Γ as a world with rewards: episodes are imagined, where rewards and their ends are known.
+"""Γ as a world with rewards: imagined episodes with a known reward function.
 
-What a step is worth and when an episode is over are functions of percepts that are given, as in
-PILCO (Deisenroth and Rasmussen, ICML 2011); what happens is what Γ has learned.
+The rewards and ends of episodes are given functions of percepts, as in PILCO (Deisenroth and
+Rasmussen, ICML 2011); the dynamics are those of Γ.
 """
 
 from collections.abc import Callable
@@ -16,19 +16,20 @@ from cgtorch.domains.world import World
 from cgtorch.environment import Lanes, ScenarioBatch
 
 MOST_VARIANCE = 0.05
-"""Of what Γ says, in units of the prior variance, beyond which nothing is believed."""
+"""The largest variance of a prediction, in units of the prior variance, that is still trusted."""
 ABOUT = 3
-"""Columns of a state behind those of the percept: steps, the return, and 1 once it is over."""
+"""Columns of a state after those of the percept: steps, the return, and 1 once it is over."""
 
 Reward: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Percepts (n, D), controls (n, U) and next percepts (n, D) to rewards (n,) and (n,) bool ends."""
+"""Maps percepts (n, D), controls (n, U) and next percepts (n, D) to rewards (n,) and (n,) bool
+ends."""
 
 Effect: TypeAlias = Callable[[Tensor], Tensor]
-"""Controls (n, U) to what counts of them (n, U), such as which number is the largest."""
+"""Maps controls (n, U) to their effective values (n, U), such as which number is the largest."""
 
 
 def as_given(control: Tensor) -> Tensor:
-    """`Effect` where all of a control counts."""
+    """The `Effect` of a control that is effective as it is."""
     return control
 
 
@@ -38,7 +39,7 @@ class Imagined(ScenarioBatch):
 
     Attributes:
         percept: (B, D) the first percepts.
-        error: (B, D) by how many standard deviations Γ errs in all of an episode.
+        error: (B, D) the error of Γ during the whole episode, in standard deviations.
     """
 
     percept: Tensor
@@ -46,7 +47,7 @@ class Imagined(ScenarioBatch):
 
     @classmethod
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
-        """So many starts of the percepts (b, D), each taken as often as any other, or once less."""
+        """`count` starts from percepts (b, D), each of which is used equally often or once less."""
         often = range(0, count, len(percept))
         rows = torch.cat([torch.randperm(len(percept), generator=generator) for _ in often])
         error = torch.randn(count, percept.shape[1], generator=generator)
@@ -54,10 +55,10 @@ class Imagined(ScenarioBatch):
 
 
 class RewardedModel(World):
-    """Γ as a world of which no more than its data is believed.
+    """Γ as a world that is trusted only near its data.
 
-    An episode that comes to where Γ knows nothing is over, and each step that it would have had
-    left gives `unknown`, which is the least that a step gives, and 0 at most.
+    An episode ends where Γ is too uncertain. Each remaining step then gives `unknown`, which is the
+    least reward of a step, and at most 0.
     """
 
     scenarios: Imagined
@@ -75,13 +76,13 @@ class RewardedModel(World):
         """The world of these starts.
 
         Args:
-            scenarios: the starts.
-            posterior: Γ, and how sure it is.
-            reward: what steps give, and which of them end an episode.
-            most_steps: of an episode.
-            unknown: the least that a step gives, as far as is known.
-            effect: what counts of controls.
-            valid: percepts (n, D) to the nearest ones that can be, where the numbers of a percept
+            scenarios: The starts.
+            posterior: Γ with its variances.
+            reward: The rewards of steps, and which of them end an episode.
+            most_steps: The maximum number of steps of an episode.
+            unknown: The least known reward of a step.
+            effect: The effective values of controls.
+            valid: Maps percepts (n, D) to the nearest possible ones, where the numbers of a percept
                 depend on each other, such as a sine and a cosine.
         """
         super().__init__(scenarios)
@@ -118,7 +119,7 @@ class RewardedModel(World):
     def gained(
         self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """What steps give (n,), and (n,) bool what ends by them."""
+        """The rewards of steps (n,), and (n,) bool, which episodes they end."""
         return self.reward(before, control, after)
 
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
@@ -126,7 +127,7 @@ class RewardedModel(World):
         return state[:, :-ABOUT]
 
     def succeeded(self, state: Tensor) -> Tensor:
-        """See `World.succeeded`; a return alone does not tell."""
+        """See `World.succeeded`; it is always False, as the return decides."""
         return torch.zeros(len(state), dtype=torch.bool)
 
     def over(self, lanes: Lanes) -> Tensor:
@@ -139,14 +140,14 @@ class RewardedModel(World):
 
 
 class CuriousModel(RewardedModel):
-    """Γ as a world in which nothing counts but coming to where Γ knows little, soon.
+    """Γ as a world that rewards only coming, soon, to where Γ knows little.
 
-    Each step gives its novelty, and one that is left where Γ knows nothing 1 (an exploration bonus
-    by disagreement with the data, as R-max gives: Brafman and Tennenholtz, JMLR 3, 2002).
+    Each step gives its novelty, and each step that remains where Γ knows nothing gives 1. This is
+    an exploration bonus, as in R-max (Brafman and Tennenholtz, JMLR 3, 2002).
     """
 
     def __init__(self, *given: Any, **named: Any) -> None:
-        """See `RewardedModel`; what `unknown` is given as does not count."""
+        """See `RewardedModel`; `unknown` is not used."""
         super().__init__(*given, **named)
         self.unknown = 1.0
 

@@ -1,4 +1,4 @@
-"""Where a skill succeeds under all sampled errors of the models, to be held against the world."""
+"""Robust success: success under all of several sampled errors of the models."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def robust_success(
     generator: Generator,
     replicas: int = REPLICAS,
 ) -> Tensor:
-    """Where (B,) bool a skill succeeds from percepts (B, D) under several new draws of errors."""
+    """(B,) bool, whether a skill succeeds from percepts (B, D) under all of several new errors."""
     environment = domain.imagine(knowledge, percepts, replicas, generator)
     with torch.no_grad():
         runs = rollout(

@@ -1,4 +1,4 @@
-"""Settings that command line, API and files share, without torch, so that help comes at once."""
+"""Settings shared by command line, API and files. It imports no torch, so help appears at once."""
 
 import math
 from collections.abc import Mapping
@@ -23,12 +23,17 @@ def option(
     when: str = "",
     before: Any = None,
 ) -> Any:
-    """A field with its default, whose type is the option's, and its help on the command line.
+    """A dataclass field with a default and the help text of its command-line option.
 
-    What is `fixed` cannot change once a run has begun, for the reason given. A text is one of the
-    `choices`, if there are any; a number is from `least` to `most`. `when` says in which case one
-    changes it. A run that was begun before there was this setting lacks it, and has what it was
-    `before`, if that is given.
+    Args:
+        default: The default, whose type is the option's.
+        text: The help text.
+        fixed: Why the setting cannot change once a run has begun; "" if it can.
+        choices: The possible values of a text; any if empty.
+        least: The least value of a number.
+        most: The largest value of a number.
+        when: When to change the setting.
+        before: The value in runs that began before the setting existed.
     """
     about = {
         "help": text, "fixed": fixed, "choices": choices, "least": least, "most": most,
@@ -38,7 +43,7 @@ def option(
 
 
 def check_options(settings: Any) -> None:
-    """SettingsError where a field made by `option` has a value that cannot be used."""
+    """SettingsError if a field made by `option` has an impossible value."""
     for f in fields(settings):
         value, about = getattr(settings, f.name), f.metadata
         least, most = about.get("least", 1), about.get("most", MOST)
@@ -62,13 +67,13 @@ def check_options(settings: Any) -> None:
 
 @dataclass(frozen=True)
 class DomainSettings:
-    """Settings of a domain that has none; those of others are frozen dataclasses of `option`s.
+    """The settings of a domain without any; others are frozen dataclasses of `option`s.
 
     SettingsError for a value that cannot work.
 
     Attributes:
-        run_defaults: of the settings that every run has, those that are others for the domain.
-        usual_stage: what `cgtorch-train` makes if no stage is named.
+        run_defaults: The domain's own defaults of settings that every run has.
+        usual_stage: The stage that `cgtorch-train` makes by default.
     """
 
     run_defaults: ClassVar[Mapping[str, Any]] = {}
@@ -79,12 +84,12 @@ class DomainSettings:
         check_options(self)
 
     def usual(self) -> Mapping[str, Any]:
-        """`run_defaults` given these settings."""
+        """The `run_defaults`, given these settings."""
         return self.run_defaults
 
 
 def to_plain(settings: Any) -> dict[str, Any]:
-    """Settings as plain data for a file, where numbers that are not finite are texts."""
+    """Settings as plain data for a file; numbers that are not finite become texts."""
     return {name: _plain(value) for name, value in asdict(settings).items()}
 
 
@@ -95,7 +100,7 @@ def _plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], data: Any) -> T:
-    """Settings from what `to_plain` gave; SettingsError if one is unknown, missing or wrong."""
+    """Settings from the data of `to_plain`; SettingsError if one is unknown, missing or wrong."""
     names = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     if isinstance(data, dict):
         before = {name: f.metadata.get("before") for name, f in names.items()}

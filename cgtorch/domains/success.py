@@ -1,7 +1,7 @@
 """C, the success classifier: the probability that a skill succeeds from a percept.
 
-`SuccessClassifier` is that of any domain: a support vector classifier on the standardised numbers
-of a percept, angles by sine and cosine. A domain that knows more overrides its features.
+`SuccessClassifier` works for any domain. It is a support vector classifier on the standardised
+numbers of a percept, with sine and cosine of angles. A domain can override its features.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from cgtorch.svm.scores import balanced_accuracy
 
 C_GRID = (1.0, 10.0, 100.0, 1000.0)
 GAMMA_GRID = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Kernel widths for one feature; divided by the number of features."""
+"""Kernel widths for one feature; they are divided by the number of features."""
 GRID_ROWS = 1000
 _FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
 
@@ -34,7 +34,7 @@ class SuccessClassifier(LearnedModel):
         percept: Sequence[Field] = (),
         further: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
-        """An unfitted C of percepts, whose machine may see further features (..., F)."""
+        """An unfitted C for percepts, with additional features (..., F) if given."""
         super().__init__(SVC())
         self.percept_fields, self.further = tuple(percept), further
 
@@ -43,7 +43,7 @@ class SuccessClassifier(LearnedModel):
         return self.predict_in_torch(percept)
 
     def predict_in_torch(self, percept: Tensor) -> Tensor:
-        """What `forward` says (n,) of percepts (n, D), on any device and with gradients."""
+        """The result of `forward` (n,) for percepts (n, D), on any device and with gradients."""
         return self.machine(self.features(percept)).to(percept.dtype)
 
     def decision_function(self, percept: Tensor) -> Tensor:
@@ -56,13 +56,13 @@ class SuccessClassifier(LearnedModel):
         return seen if self.further is None else torch.cat([seen, self.further(percept)], -1)
 
     def features(self, percept: Tensor) -> Tensor:
-        """The standardised features (..., F) that the machine sees."""
+        """The standardised features (..., F), the input of the machine."""
         self.machine._check_fitted()
         made_of = f"a percept has {percept.shape[-1]} coordinates, which"
         return self.standardised(self.raw_features(percept.to(self.mean)), made_of)
 
     def standardise(self, percept: Tensor) -> Tensor:
-        """Learn the scale of the features from percepts (n, D), and standardise these (n, F)."""
+        """Learn the scale of features from percepts (n, D), and return them standardised (n, F)."""
         raw = self.raw_features(percept)
         self.mean, self.scale = mean_and_spread(raw)
         return (raw - self.mean) / self.scale
@@ -75,12 +75,12 @@ class SuccessClassifier(LearnedModel):
         return seen, inputs.as_binary(label, len(seen))[1].to(seen)
 
     def learnable(self, *rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """See `LearnedModel.learnable`; every percept tells."""
+        """See `LearnedModel.learnable`; every percept is informative."""
         percept, label = rows
         return self.features(percept), label, torch.ones_like(label, dtype=torch.bool)
 
     def loss(self, *rows: Tensor) -> Tensor:
-        """See `LearnedModel.loss`: Brier's score of labels 0 and 1."""
+        """See `LearnedModel.loss`: the Brier score."""
         percept, label = rows
         return (self(percept) - label.float()).square()
 
@@ -96,14 +96,21 @@ def fit_success_classifier(
     grid_rows: int = GRID_ROWS,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[SuccessClassifier, SuccessReport]:
-    """Choose the hyper-parameters by cross-validation and fit C on all labels, in place.
+    """Choose the hyper-parameters by cross-validation and fit C to all labels, in place.
 
-    Labels (n,) are True or 1 where the skill succeeded from percepts (n, D). The grid is scored on
-    `grid_rows` random rows. Its kernel widths are for scaled features, `GAMMA_GRID` for F of them
-    if not given. The buffers of the returned model have the type `dtype`.
+    Args:
+        model: The classifier.
+        percept: (n, D) percepts.
+        label: (n,) True or 1 where the skill succeeded.
+        seed: A seed, or a generator.
+        C: The costs in the grid.
+        gamma: The kernel widths in the grid, for scaled features; `GAMMA_GRID` by default.
+        grid_rows: Number of random rows on which the grid is scored.
+        dtype: The type of the model's buffers.
 
-    DataError for wrong shapes, NaN, one class only, too few rows or too many, and SettingsError for
-    a grid that cannot be used.
+    Raises:
+        DataError: Wrong shapes, NaN, one class only, too few rows or too many.
+        SettingsError: A grid that cannot be used.
     """
     rows, signs = model.checked(percept, label)
     generator = inputs.generator_of(seed)
@@ -146,7 +153,7 @@ def fit_success_classifier(
 
 
 def _mixed_order(signs: Tensor, generator: torch.Generator) -> Tensor:
-    """A random order (n,) in which any first rows hold the two classes in proportion."""
+    """A random order (n,) in which every prefix has the two classes in proportion."""
     place = torch.rand(len(signs), generator=generator).to(signs)
     for sign in (-1, 1):
         rows = (signs == sign).nonzero()[:, 0]
@@ -156,7 +163,7 @@ def _mixed_order(signs: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
-    """Probabilities (n,) of held-out values, each fold's Platt curve fitted on the others."""
+    """Probabilities (n,) of held-out values, with each fold's Platt curve fitted to the others."""
     chance = torch.zeros_like(value)
     for number in folds.unique():
         inside = folds == number
@@ -166,9 +173,9 @@ def _cross_fitted(value: Tensor, signs: Tensor, folds: Tensor) -> Tensor:
 
 
 def calibration(chance: Tensor, truth: Tensor, bins: int = 10) -> tuple[float, Reliability]:
-    """Expected calibration error and the reliability curve of probabilities (n,) (Naeini 2015).
+    """Expected calibration error and reliability curve of probabilities (n,) (Naeini 2015).
 
-    The truth (n,) is 1 where it came true and else 0; the bins are equal.
+    `truth` (n,) is 1 for success, else 0. The bins are equally wide.
     """
     number = (chance * bins).long().clamp(0, bins - 1)
     curve = []

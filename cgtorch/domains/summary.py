@@ -1,4 +1,4 @@
-"""What is told of models: of the first ones how good they are, later whether they learned on."""
+"""Summaries of models: the quality of the first ones, later whether new ones were accepted."""
 
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.reports import TransitionReport
@@ -9,7 +9,7 @@ SHOWN = 6  # numbers of a percept whose errors are told in a line
 
 
 def summary_of(knowledge: Knowledge) -> ModelSummary:
-    """What cross-validation found; of models that have learned on, whether they were accepted."""
+    """The results of cross-validation, or, after learning, whether new models were accepted."""
     rows = rows_of(knowledge)
     if knowledge.acceptances is not None:
         said = "; ".join(map(_learned, ("Γ", "C"), knowledge.acceptances))
@@ -27,7 +27,7 @@ def summary_of(knowledge: Knowledge) -> ModelSummary:
 
 
 def scalars_of(knowledge: Knowledge) -> dict[str, float]:
-    """What cross-validation found, by tags of TensorBoard."""
+    """The results of cross-validation, by TensorBoard tags."""
     gamma, classifier = knowledge.gamma_report, knowledge.classifier_report
     errors = zip(gamma.coordinates, gamma.error, strict=True)
     return {
@@ -39,7 +39,7 @@ def scalars_of(knowledge: Knowledge) -> dict[str, float]:
 
 
 def rows_of(knowledge: Knowledge) -> str:
-    """How much the models have learned from, in words."""
+    """The amount of data of the models, in words."""
     return f"{_moves(knowledge)} transitions and {len(knowledge.dataset.succeeded)} labels"
 
 
@@ -48,7 +48,7 @@ def _moves(knowledge: Knowledge) -> int:
 
 
 def _errors(report: TransitionReport) -> str:
-    """Γ's errors in cross-validation, worst first, as shares of what is not known without Γ."""
+    """Γ's cross-validated errors, sorted by their ratio to the error of a model without Γ."""
     rows = zip(report.error, report.baseline_error, report.coordinates, report.units, strict=True)
     worst = sorted(rows, key=lambda row: row[0] / row[1] if row[1] else 0.0, reverse=True)
     said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for error, _, name, unit in worst]
@@ -57,7 +57,7 @@ def _errors(report: TransitionReport) -> str:
 
 
 def _learned(name: str, acceptance: Acceptance) -> str:
-    """What was decided about a model that learned on."""
+    """The decision about a model that was trained on more data."""
     if acceptance.accepted:
         return f"{name} was trained on more data"
     return (

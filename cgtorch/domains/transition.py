@@ -1,7 +1,7 @@
 """Γ, the transition model: the next percept from a percept and a control.
 
-`TransitionModel` is what every Γ shares, `KernelTransitionModel` the one of a domain of which
-nothing is known but the names of its numbers.
+`TransitionModel` is the interface of every Γ. `KernelTransitionModel` works for any domain and
+needs only the fields of its percepts and controls.
 """
 
 import math
@@ -23,18 +23,18 @@ _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as hal
 LN2 = math.log(2)
 
 Features: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Further features (..., F) of percepts (..., D) and controls (..., U)."""
+"""Maps percepts (..., D) and controls (..., U) to additional features (..., F)."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Hyper-parameters that cross-validation chooses from.
+    """The grid of hyper-parameters of the cross-validation.
 
     Attributes:
-        C: Costs, on standardised targets.
-        gamma: Kernel widths for one feature; divided by the number of features.
-        epsilon: Half widths of the tube, on standardised targets.
-        rows: Random rows that are learned from and scored at most.
+        C: Costs, for standardised targets.
+        gamma: Kernel widths for one feature; they are divided by the number of features.
+        epsilon: Half widths of the tube, for standardised targets.
+        rows: Maximum number of random rows in the cross-validation.
     """
 
     C: Sequence[float]
@@ -45,12 +45,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What machines said of m rows that they had not learned from.
+    """Predictions of machines for m rows that they had not learned from.
 
     Attributes:
-        tells: (n,) bool, which of all rows tell the machine something.
-        value: (m, K) what was said, and `target` what was to be said.
-        learnt: (K,) bool, for which outputs that is better than nothing.
+        tells: (n,) bool, which of all rows are informative.
+        value: (m, K) the predictions; `target` (m, K) are the true values.
+        learnt: (K,) bool, the outputs for which the machine is better than none.
     """
 
     tells: Tensor
@@ -62,8 +62,8 @@ class HeldOut:
 class TransitionModel(LearnedModel):
     """Γ: (percept (..., D), control (..., U)) -> next percept (..., D).
 
-    Further buffers: `reach` () the squared feature distance that counts as half novel, and `most`
-    (E,) how extreme the data are at most.
+    Additional buffers are `reach` (), the squared feature distance that counts as half novel, and
+    `most` (E,), the largest extremes of the data.
     """
 
     reach: Tensor
@@ -78,38 +78,38 @@ class TransitionModel(LearnedModel):
 
     @abstractmethod
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
-        """The standardised features (..., F) that the machine sees."""
+        """The standardised features (..., F), the input of the machine."""
 
     @abstractmethod
     def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
-        """Next percepts (..., D) where the machine says `value` (..., K)."""
+        """Next percepts (..., D), given the machine's output `value` (..., K)."""
 
     @abstractmethod
     def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
-        """How extreme transitions are (..., E), in the order of `most`, from 0 on."""
+        """How extreme transitions are (..., E), at least 0, in the order of `most`."""
 
     @abstractmethod
     def targets(
         self, percept: Tensor, control: Tensor, next_percept: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """What the machine is to say of transitions (n, K), and (n,) bool which of them tell it."""
+        """Targets of the machine (n, K) for transitions, and (n,) bool, which are informative."""
 
     @abstractmethod
     def fields(self, size: int) -> Sequence[Field]:
-        """Names and units of the D numbers of percepts of a size."""
+        """The D fields of percepts of a size, with names and units."""
 
     @abstractmethod
     def standardise(
         self, percept: Tensor, control: Tensor, next_percept: Tensor, dtype: torch.dtype
     ) -> None:
-        """Learn the scales of a model that will be of a type from transitions (n, ...)."""
+        """Learn the scales from transitions (n, ...), for a model of type `dtype`."""
 
     @abstractmethod
     def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
-        """Leave out what was not learnt; errors (D,) held out, and those without a machine."""
+        """Drop outputs that were not learnt; held-out errors (D,), and those without a machine."""
 
     def held_out(self, machine: SVR, x: Tensor, y: Tensor, generator: Generator) -> Tensor | None:
-        """Held-out values (n, K) of all features x (n, F), None if those of the grid suffice."""
+        """Held-out values (n, K) for all features x (n, F), or None to use those of the grid."""
         return None
 
     def forward(self, percept: Tensor, control: Tensor) -> Tensor:
@@ -117,7 +117,7 @@ class TransitionModel(LearnedModel):
         return self.predict_with_novelty(percept, control)[0]
 
     def novelty(self, percept: Tensor, control: Tensor) -> Tensor:
-        """How far (...) from the training data: 0 on a centre, 1/2 at the data's rim, 1 far off."""
+        """Distance (...) from the data: 0 at a centre, 1/2 at the edge of the data, 1 far away."""
         return self.predict_with_novelty(percept, control)[1]
 
     def predict_with_novelty(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,7 +125,7 @@ class TransitionModel(LearnedModel):
         return self.predict_in_torch(percept, control)
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """What `predict_with_novelty` says, on any device and with gradients."""
+        """The result of `predict_with_novelty`, on any device and with gradients."""
         self.machine._check_fitted()
         value, distance = self.machine.values_and_distance(self.features(percept, control))
         after = self.next_percept(percept, control, value.to(percept))
@@ -139,11 +139,11 @@ class TransitionModel(LearnedModel):
         return 1 - torch.exp(-LN2 * exponent)
 
     def difference(self, predicted: Tensor, seen: Tensor) -> Tensor:
-        """What was seen (n, D) beyond what was predicted (n, D)."""
+        """The difference (n, D) between observed and predicted percepts (n, D)."""
         return seen - predicted
 
     def errors(self, predicted: Tensor, seen: Tensor) -> Tensor:
-        """How wrong (n,) predictions (n, D) are, in the unit by which models are compared."""
+        """The errors (n,) of predictions (n, D), in the unit by which models are compared."""
         return self.difference(predicted, seen).abs().mean(1)
 
     def checked(self, *rows: Any) -> tuple[Tensor, ...]:
@@ -171,7 +171,7 @@ class TransitionModel(LearnedModel):
         self.most = torch.maximum(self.most, self.extremes(*rows[:2]).amax(0))
 
     def measure_reach(self, features: Tensor) -> None:
-        """Find `reach`: the squared distance at which 95 % of rows (n, F) have another centre."""
+        """Measure `reach`: 95 % of rows (n, F) have another centre within this squared distance."""
         some = features[:: max(1, len(features) // 1024)].double()
         distance = torch.cdist(some, self.machine.centres.double()).square()
         nearest = torch.where(distance < 1e-16, torch.inf, distance).amin(1)
@@ -182,7 +182,7 @@ class TransitionModel(LearnedModel):
             self.reach = torch.ones_like(self.machine.gamma_value)
 
     def with_fewer_centres(self, centres: int, percept: Tensor, control: Tensor) -> Self:
-        """A model of fewer centres that says nearly the same (`cgtorch.svm.fit_reduced_set`)."""
+        """A model with fewer centres and nearly the same output (`cgtorch.svm.fit_reduced_set`)."""
         smaller, features = deepcopy(self), self.features(percept, control)
         smaller.machine = fit_reduced_set(self.machine, centres, features)
         smaller.measure_reach(features)  # few centres lie further apart
@@ -190,12 +190,12 @@ class TransitionModel(LearnedModel):
 
 
 class KernelTransitionModel(TransitionModel):
-    """Γ of any domain: by how much each number of the percept changes is what is learned.
+    """Γ of any domain: it learns the change of each number of the percept.
 
-    Angles are seen by sine and cosine and change by the shorter way; discrete numbers are rounded;
-    nothing leaves the bounds of its field. Further buffers: `shift` and `spread` (D,) the mean and
-    the standard deviation of the changes, and `learnt` (D,) 0 for numbers whose change the
-    machine could not tell in cross-validation, and which change by the mean.
+    Angles enter as sine and cosine, and change by the shorter way. Discrete numbers are rounded,
+    and all numbers stay within their bounds. Additional buffers are `shift` and `spread` (D,), the
+    mean and the standard deviation of the changes, and `learnt` (D,), 0 for numbers whose change
+    the machine could not predict in cross-validation; these change by the mean.
     """
 
     shift: Tensor
@@ -206,7 +206,7 @@ class KernelTransitionModel(TransitionModel):
     def __init__(
         self, percept: Sequence[Field], control: Sequence[Field], further: Features | None = None
     ) -> None:
-        """An unfitted Γ of percepts and controls, whose machine may see further features."""
+        """An unfitted Γ for percepts and controls, with additional features if given."""
         super().__init__()
         self.percept_fields, self.control_fields = tuple(percept), tuple(control)
         self.further = further
@@ -270,18 +270,18 @@ class KernelTransitionModel(TransitionModel):
         return torch.stack(columns, -1)
 
     def errors(self, predicted: Tensor, seen: Tensor) -> Tensor:
-        """See `TransitionModel.errors`: relative to by how much each number usually changes."""
+        """See `TransitionModel.errors`: relative to the usual change of each number."""
         spread = self.spread.to(predicted)
         return (self.difference(predicted, seen) / spread).abs().mean(1)
 
     def extremes(self, percept: Tensor, control: Tensor) -> Tensor:
-        """See `TransitionModel.extremes`: how far each feature is from its mean."""
+        """See `TransitionModel.extremes`: the distance of each feature from its mean."""
         return self.features(percept, control).abs()
 
     def targets(
         self, percept: Tensor, control: Tensor, next_percept: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """See `TransitionModel.targets`; every transition tells all."""
+        """See `TransitionModel.targets`; every transition is informative."""
         change = self.difference(percept, next_percept)
         target = (change - self.shift.to(change)) / self.spread.to(change)
         return target, torch.ones(len(percept), dtype=torch.bool, device=percept.device)

@@ -1,7 +1,7 @@
-"""Fitting Γ: hyper-parameters by cross-validation, then all transitions.
+"""Fitting Γ: hyper-parameters from cross-validation, then a fit to all transitions.
 
-What does not beat "nothing is known" in cross-validation, by more than the standard error over
-rows, is not used, so that noise is not chased.
+An output is used only if it beats a model without a machine in cross-validation by more than the
+standard error over rows, so that noise is not fitted.
 """
 
 from typing import Any, TypeVar
@@ -29,14 +29,22 @@ def fit_transition_model(
     grid: Grid | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[Gamma, TransitionReport]:
-    """Choose the hyper-parameters by cross-validation and fit Γ on all transitions, in place.
+    """Choose the hyper-parameters by cross-validation and fit Γ to all transitions, in place.
 
-    A transition is a row of percepts (n, D), controls (n, U) and next percepts (n, D). All outputs
-    share γ and ε, so that one kernel evaluation answers them; each has its own C. The grid is the
-    model's own if not given. The buffers of the returned model have the type `dtype`.
+    All outputs share γ and ε, so one kernel evaluation serves all; each output has its own C.
 
-    DataError for wrong shapes, NaN, too few rows or too many, and SettingsError for a grid that
-    cannot be used.
+    Args:
+        model: The transition model.
+        percept: (n, D) percepts.
+        control: (n, U) controls.
+        next_percept: (n, D) next percepts.
+        seed: A seed, or a generator.
+        grid: The grid; the model's own by default.
+        dtype: The type of the model's buffers.
+
+    Raises:
+        DataError: Wrong shapes, NaN, too few rows or too many.
+        SettingsError: A grid that cannot be used.
     """
     p, u, q = rows = model.checked(percept, control, next_percept)
     generator, grid = inputs.generator_of(seed), grid or model.grid

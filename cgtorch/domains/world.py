@@ -1,4 +1,4 @@
-"""A base class for worlds of one's own, which says once what most worlds share."""
+"""A base class for your own worlds, with what most worlds share."""
 
 import math
 from abc import ABC, abstractmethod
@@ -12,16 +12,15 @@ from cgtorch.environment import Lanes, ScenarioBatch
 
 
 class World(ABC):
-    """An `Environment` whose state tells what is perceived and whether the task has succeeded.
+    """An `Environment` whose state determines the percept and whether the task has succeeded.
 
-    All methods get n lanes at once, of which each must be treated by itself. What a world needs to
-    remember of an episode belongs into the state. Noise has to follow from the scenario and the
-    state alone.
+    All methods get n lanes at once and must treat each by itself. What a world needs to remember of
+    an episode belongs in the state. Noise must follow from the scenario and the state alone.
 
     Attributes:
-        scenarios: the B scenarios.
-        percept_size: D, numbers of a percept.
-        control_size: U, numbers of a control.
+        scenarios: The B scenarios.
+        percept_size: D, the length of a percept.
+        control_size: U, the length of a control.
     """
 
     made_of: ClassVar[Mapping[str, str]] = {
@@ -29,7 +28,7 @@ class World(ABC):
         "step": "step (next_state, perceived)",
         "success": "success (succeeded)",
     }
-    """What errors call the methods that are made of others."""
+    """The names in errors of methods that are made of other methods."""
 
     def __init__(self, scenarios: ScenarioBatch) -> None:
         """The world of B scenarios."""
@@ -37,13 +36,13 @@ class World(ABC):
 
     @abstractmethod
     def first_state(self, scenario: Tensor) -> Tensor:
-        """States (n, S) in which the scenarios with these indices (n,) begin."""
+        """Initial states (n, S) of the scenarios with these indices (n,)."""
 
     @abstractmethod
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         """States (n, S) after controls (n, U), which are finite.
 
-        Where a control is beyond the bounds of its field, take the bound, as Γ does.
+        Clamp a control to the bounds of its field, as Γ does.
         """
 
     @abstractmethod
@@ -67,7 +66,7 @@ class World(ABC):
     @property
     @abstractmethod
     def control_size(self) -> int:
-        """U; a class attribute will do."""
+        """U; it can be a class attribute."""
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
@@ -75,7 +74,7 @@ class World(ABC):
         return state, self.perceived(state, scenario).float()
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """See `Environment.step`; a control that is not finite is none, and nothing changes."""
+        """See `Environment.step`; a control that is not finite changes nothing."""
         if control.is_cpu and math.isfinite(control.sum()):  # all are, and nothing has to be mended
             after = self.next_state(lanes.state, control, lanes.scenario).to(lanes.state)
             percept = self.perceived(after, lanes.scenario).to(lanes.percept)
@@ -88,7 +87,7 @@ class World(ABC):
         return lanes.moved(state, percept), done
 
     def observe(self, lanes: Lanes) -> Lanes:
-        """See `Environment.observe`: nothing new is seen by looking again."""
+        """See `Environment.observe`: looking again shows the same."""
         return lanes
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:

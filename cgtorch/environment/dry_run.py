@@ -82,7 +82,7 @@ def copied(lanes: Lanes) -> Lanes:
 def expect_lanes(
     error: type[CgtorchError], who: str, lanes: Lanes, kept: Lanes, after: object
 ) -> None:
-    """An `error` unless `who`, given `lanes` like a `kept` copy, left them so and returned such."""
+    """Raise `error` unless `who` left `lanes` as in the copy `kept`, and returned similar lanes."""
     if not isinstance(after, Lanes):
         raise error(f"{who} returned {kind(after)} as lanes; return Lanes")
     for f in fields(Lanes):

@@ -84,7 +84,7 @@ class Lanes:
         return changed
 
     def with_memory(self, part: slice) -> Self:
-        """The same lanes, of whose memory only a part is seen; what is written there is theirs."""
+        """The same lanes with only a part of their memory, as a view of the original memory."""
         return replace(self, memory=self.memory[:, part])
 
     def write(self, which: slice, before: "Lanes", after: "Lanes") -> None:
@@ -133,7 +133,7 @@ class Environment(Protocol):
         ...
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """Apply controls (n, U): the lanes after it and (n,) bool whether it could be done."""
+        """Apply controls (n, U); the lanes afterwards, and (n,) bool which were carried out."""
         ...
 
     def observe(self, lanes: Lanes) -> Lanes:

@@ -1,4 +1,4 @@
-"""Export: a skill as something that others read or run, without the library."""
+"""Export: a skill in formats that other programs read or run without this library."""
 
 from collections.abc import Callable, Mapping
 
@@ -21,4 +21,4 @@ FORMATS: Mapping[str, Callable[[Skill], bytes]] = {
     "graphml": to_graphml,
     "mermaid": to_mermaid,
 }
-"""What `cgtorch-export --format` knows: functions from a skill to the content of a file."""
+"""The formats of `cgtorch-export --format`: functions from a skill to the content of a file."""

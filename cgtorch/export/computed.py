@@ -1,4 +1,4 @@
-"""Actions that only compute: those that an exported skill can carry in it."""
+"""Actions that only compute, and so can be contained in an exported skill."""
 
 from collections.abc import Iterator
 from typing import NamedTuple, NoReturn, cast
@@ -15,7 +15,7 @@ INSTEAD = "export the skill as state-machine, where it is a class to fill in"
 
 
 def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tuple[str, Action]]:
-    """The actions of the nodes of a skill and of all in it that are no skills, each once."""
+    """The primitive actions of a skill's nodes at all levels, with their names, each once."""
     seen = set() if seen is None else seen
     for i in sorted(set(skill.graph.action[0].tolist()) - {NO_NODE}):
         name, action = skill.actions.names[i], skill.actions.actions[i]
@@ -29,13 +29,13 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
 
 
 def control_size_of(skill: Skill) -> int:
-    """U, what the MoveBase among a skill's actions sends; 3 without one, as in the paper."""
+    """U, the size of the control of a skill's MoveBase; 3 without one, as in the paper."""
     sent = (a.message_size for a in skill.actions.actions if isinstance(a, MoveBase))
     return max(sent, default=3)
 
 
 class Sizes(NamedTuple):
-    """Lengths of what an action reads and writes: percept, control, message, its own memory."""
+    """Sizes of what an action reads and writes: percept, control, message, own memory."""
 
     percept: int
     control: int
@@ -59,7 +59,7 @@ class Computed(nn.Module):
 
     @property
     def arguments(self) -> tuple[Tensor, ...]:
-        """Zeros to try it with."""
+        """Zeros as example arguments."""
         size = self.sizes
         wide = (size.percept, size.message, size.memory, self.action.num_parameters)
         percept, message, memory, values = (torch.zeros(1, width) for width in wide)
@@ -75,10 +75,12 @@ class Computed(nn.Module):
         step: Tensor,
         parameters: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """From percept (1, D), message (1, M), whether there is one (1,) bool, memory (1, C), step
-        (1,) long and parameters (1, K) to message, whether there is one, and memory as they are
-        then, and the outcome (1,) long.
-        """  # noqa: D205
+        """Maps lanes as tensors to lanes after the action and its outcome (1,) long.
+
+        Arguments are percept (1, D), message (1, M), whether there is one (1,) bool, memory (1, C),
+        step (1,) long and parameters (1, K). Returned are message, whether there is one, memory,
+        and the outcome.
+        """
         nowhere = cast(Environment, _Nowhere(self.sizes))
         lanes = Lanes(percept, percept[:, :0], message, has, memory, torch.zeros_like(step), step)
         after, outcome = self.action(lanes, parameters, nowhere)
@@ -89,7 +91,7 @@ class Computed(nn.Module):
 
 
 def traced(computed: Computed) -> nn.Module:
-    """The same function as a graph of its own with its constants; ActionError if it has none."""
+    """The same function as a traced graph with its constants; ActionError if that is impossible."""
     try:
         program = torch.export.export(computed, computed.arguments)
     except Exception as e:  # whatever torch.export raises
@@ -98,11 +100,11 @@ def traced(computed: Computed) -> nn.Module:
 
 
 class _MissingError(ActionError, AttributeError):
-    """An action asks its environment for something; to `isinstance` it is merely not there."""
+    """An action asks its environment for something that an exported skill does not have."""
 
 
 class _Nowhere:
-    """The environment of an exported skill: it has sizes, but nothing can be done in it."""
+    """The environment of an exported skill, which has sizes only."""
 
     def __init__(self, sizes: Sizes):
         self.percept_size, self.control_size = sizes.percept, sizes.control
@@ -112,7 +114,7 @@ class _Nowhere:
 
 
 def refused(name: str, reason: str) -> ActionError:
-    """The error that says which action cannot be exported, why, and what to do."""
+    """The error for an action that cannot be exported: its name, the reason, and what to do."""
     return ActionError(f"action {name!r} cannot be exported: {reason}; {INSTEAD}")
 
 

@@ -1,4 +1,4 @@
-"""A skill as an ONNX model: the whole step, the networks in it, for any runtime."""
+"""A skill as an ONNX model of a whole step with its networks, for any ONNX runtime."""
 
 import json
 import logging
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 INPUTS = ["percept", "outcome", "place", "mind"]
 OUTPUTS = ["request", "control", "next_place", "next_mind"]
 ABOUT = "cgtorch"
-"""The metadata property with names and sizes as JSON, see `SkillStep.about`."""
+"""The metadata property that contains names and sizes as JSON; see `SkillStep.about`."""
 
 
 def to_onnx(skill: Skill) -> bytes:
     """The skill's `SkillStep` as an ONNX model with inputs `INPUTS` and outputs `OUTPUTS`.
 
-    SettingsError if packages that write ONNX are missing, ActionError if an action does more than
-    compute, or computes what ONNX has no operator for.
+    SettingsError if packages for ONNX are missing, ActionError if an action does more than compute,
+    or ONNX has no operator for it.
     """
     try:
         import onnx
@@ -65,7 +65,7 @@ def _converted(
 
 
 def _blame(step: SkillStep) -> None:
-    """An ActionError naming the action that cannot be converted by itself, if there is one."""
+    """Raise an ActionError for the action that cannot be converted, if there is one."""
     for one in step.carried:
         try:
             _converted(torch.export.export(one, one.arguments))
@@ -75,7 +75,7 @@ def _blame(step: SkillStep) -> None:
 
 
 def _tidy(graph: "onnx.GraphProto", used: set[str]) -> set[str]:
-    """Drop what only torch reads, and constants that nothing does; all names that are `used`."""
+    """Remove metadata of torch and unused constants; returns all names that are `used`."""
     for node in graph.node:
         del node.metadata_props[:]
         used.update(node.input)
@@ -93,7 +93,7 @@ def _tidy(graph: "onnx.GraphProto", used: set[str]) -> set[str]:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Without what is said about optional packages and what could not be made smaller."""
+    """Without messages about optional packages and optimisations."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

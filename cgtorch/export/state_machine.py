@@ -1,7 +1,7 @@
 """A skill as a state machine: one Python file that needs nothing but Python.
 
-It reads like one for SMACH or YASMIN. The library's networks are in it; MoveBase, Detect, Grasp
-and actions of someone's own are classes to fill in.
+It is similar to files for SMACH or YASMIN. The library's networks are included. MoveBase, Detect,
+Grasp and user-defined actions are classes to fill in.
 """
 
 import ast
@@ -27,14 +27,14 @@ from cgtorch.simulation import most_steps
 PLAIN = "cgtorch.export.plain"
 BASE = f"{PLAIN}.networks"
 SIZES = "inputs", "hidden", "delays", "outputs"
-"""What plain networks are made with, as far as an action has it."""
+"""The constructor arguments of plain networks, as far as an action has them."""
 """Has what the plain classes of other modules stand on."""
 
 
 def to_state_machine(skill: Skill) -> bytes:
     """The skill as the text of a Python module with `build` and `run`.
 
-    Whatever the names in it are, they stand in quotes: nothing of a skill becomes code.
+    All names are written as quoted strings, so nothing in a skill becomes code.
     """
     clusters, primitives = clusters_of(skill), list(named_primitives(skill))
     modules = dict.fromkeys([BASE, *filter(None, (_plain(action) for _, action in primitives))])
@@ -72,12 +72,12 @@ def to_state_machine(skill: Skill) -> bytes:
 
 
 def _plain(action: Action) -> str:
-    """The module that has the action's own class in plain Python, "" if none has."""
+    """The module with the action's own class in plain Python, or ""."""
     return str(vars(type(action)).get("plain_module", ""))
 
 
 def _source(module: str) -> str:
-    """The text of a module, which is not run."""
+    """The text of a module, which is not executed."""
     try:
         spec = find_spec(module)
     except (ImportError, ValueError):  # of a folder that is none, or of no name at all
@@ -88,14 +88,14 @@ def _source(module: str) -> str:
 
 
 def _after_imports(text: str) -> str:
-    """What a module has after its docstring and imports."""
+    """The text of a module after its docstring and imports."""
     imports = (ast.Import, ast.ImportFrom)
     *_, last = (node for node in ast.parse(text).body if isinstance(node, imports))
     return "\n".join(text.splitlines()[last.end_lineno :]).strip("\n")
 
 
 def _classes(primitives: Iterable[tuple[str, Action]], texts: Iterable[str]) -> dict[int, str]:
-    """The class of every action by its identity; names of one's own made into unique ones."""
+    """The class name of every action by its identity; user-defined names are made unique."""
     pattern = re.compile(r"^(?:class |def )?(\w+)", re.MULTILINE)
     taken = {name for text in texts for name in pattern.findall(text)}
     classes: dict[int, str] = {}
@@ -128,7 +128,7 @@ def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str
 
 
 def _leads(cluster: Cluster, node: Node) -> dict[str, str]:
-    """Where each outcome of a node leads: to a label, or to success or failure."""
+    """Where each outcome of a node leads: a label, success or failure."""
     label = {key: one.label for key, one in cluster.nodes.items()}
     label |= {key: "success" if good else "failure" for key, good in cluster.ends.items()}
     leads = {edge.outcome: label[edge.head] for edge in cluster.edges if edge.tail == node.key}

@@ -1,7 +1,8 @@
-"""A skill as one module that says, step by step, what a robot is to do next.
+"""A skill as one module that tells a robot, step by step, what to do next.
 
-It is written so that `torch.export` can follow it: no Python decision depends on a number. The
-engine (`cgtorch.simulation`) runs a population; this runs one skill, and asks instead of acting.
+`torch.export` can trace it, as no Python decision depends on a number. The engine
+(`cgtorch.simulation`) runs a population in an environment; this module runs one skill and returns
+requests.
 """
 
 from typing import Any
@@ -20,7 +21,7 @@ from cgtorch.simulation.program import compile_graphs
 ENDS = ("success", "failure", "timeout")
 ROUTINES: dict[type[Action], str] = {MoveBase: "MoveBase", Detect: "Detect", Grasp: "Grasp"}
 REQUESTS = (*ENDS, *ROUTINES.values())
-"""What each number in `request` means: how the skill has ended, or what the robot is to do."""
+"""The meaning of each value of `request`: how the skill has ended, or what the robot should do."""
 
 FRESH, RUNNING = 0, 1
 STATUS, NODE, LEVEL, STEP, STACK = range(5)  # columns of `place`
@@ -29,18 +30,18 @@ STATUS, NODE, LEVEL, STEP, STACK = range(5)  # columns of `place`
 class SkillStep(nn.Module):
     """One step of a skill.
 
-    Networks and other actions that only compute are run inside; what needs a robot is asked for.
-    Where a skill stands is in `place` and what it remembers in `mind`, both zeros at the beginning,
-    and nothing is kept in the module. Everything the engine knows is the same here: skills in
-    skills with transitions of their own, messages and the common memory, `max_steps` on all levels.
-    A MoveBase without a message, or with one that is not finite, fails without being asked for.
+    Networks and other actions that only compute run inside. For all others, the robot gets a
+    request. The position in the skill is in `place`, messages and memory are in `mind`; both are
+    zeros at the beginning, and the module stores nothing. It behaves like the engine: sub-skills
+    with their own limits, messages and the common memory, and `max_steps` on all levels. A MoveBase
+    without a message, or with one that is not finite, fails without a request.
 
     Attributes:
-        name: the skill's.
+        name: The skill's name.
         percept_size: D, the length of a percept.
         control_size: U, the length of a control; of a mobile base dx, dy (m), dθ (rad).
-        place_size: columns of `place`.
-        mind_size: columns of `mind`: the message, whether there is one, the common memory.
+        place_size: Length of `place`.
+        mind_size: Length of `mind`: the message, whether there is one, the common memory.
     """
 
     kind: Tensor
@@ -51,11 +52,16 @@ class SkillStep(nn.Module):
     request: Tensor
 
     def __init__(self, skill: Skill, percept_size: int | None = None, max_steps: int | None = None):
-        """Lay the skill out.
+        """Prepare the skill.
 
-        The `percept_size` is D, what its networks read if not given; after `max_steps` actions on
-        all levels, `most_steps` by default, it has timed out. ActionError if an action is neither a
-        built-in routine nor one that only computes, SettingsError if nothing tells D.
+        Args:
+            skill: The skill.
+            percept_size: D; by default the length that its networks read.
+            max_steps: Actions on all levels after which it times out; `most_steps` by default.
+
+        Raises:
+            ActionError: An action is neither a built-in routine nor one that only computes.
+            SettingsError: D is not given and cannot be inferred.
         """
         super().__init__()
         self.name = skill.name
@@ -95,19 +101,19 @@ class SkillStep(nn.Module):
     def forward(
         self, percept: Tensor, outcome: Tensor, place: Tensor, mind: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """What the robot is to do next.
+        """What the robot should do next.
 
         Args:
-            percept: (D,) what it perceives now.
-            outcome: () long, the outcome of what it was last asked to do, in the order of the
-                action's outcomes; not looked at in the first step, nor after the end.
+            percept: (D,) the present percept.
+            outcome: () long, the outcome of the last request, in the order of the action's
+                outcomes. It is ignored in the first step, and after the end.
             place: (place_size,) long, from the last step; zeros in the first.
             mind: (mind_size,) float, from the last step; zeros in the first.
 
         Returns:
-            `request` () long, an index into `REQUESTS`; `control` (U,), by what to move where that
-            is MoveBase, else zeros; and `place` and `mind` for the next step. After its end a skill
-            asks for nothing and stays as it is.
+            `request` () long, an index into `REQUESTS`; `control` (U,), the motion of a MoveBase,
+                else zeros; and `place` and `mind` for the next step. After its end, a skill
+                requests nothing and does not change.
         """
         percept, outcome, place, mind = (x[None] for x in (percept, outcome, place, mind))
         fresh = place[:, STATUS] == FRESH
@@ -131,7 +137,7 @@ class SkillStep(nn.Module):
         return request[0], control[0], place[0], mind[0]
 
     def _begun(self, place: Tensor) -> Tensor:
-        """Everyone at the start of the outermost skill."""
+        """The places at the start of the outermost skill."""
         head = torch.full_like(place[:, 0], self.start)
         nothing = torch.zeros_like(place[:, STACK:])
         caller, left = nothing.split(self.depth, 1)
@@ -139,7 +145,7 @@ class SkillStep(nn.Module):
         return self._entered(head, torch.zeros_like(head), torch.zeros_like(head), caller, left)
 
     def _advance(self, place: Tensor, outcome: Tensor) -> Tensor:
-        """As `cgtorch.simulation.call_stack.advance`, without shortcuts; who does not run stays."""
+        """Like `cgtorch.simulation.call_stack.advance`, without shortcuts; finished places stay."""
         caller, left = place[:, STACK:].split(self.depth, 1)
         level = place[:, LEVEL]
         head = self.heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
@@ -159,14 +165,14 @@ class SkillStep(nn.Module):
         return torch.where((place[:, STATUS] == RUNNING)[:, None], followed, place)
 
     def _in_time(self, head: Tensor, level: Tensor, left: Tensor) -> Tensor:
-        """The heads (n,), `TIMEOUT` where the level has no transitions left to go there."""
+        """The heads (n,), or `TIMEOUT` if the level has no transitions left."""
         remain = (left * self._at(level)).sum(1)
         return torch.where((head >= 0) & (remain <= 0), TIMEOUT, head)
 
     def _entered(
         self, head: Tensor, level: Tensor, step: Tensor, caller: Tensor, left: Tensor
     ) -> Tensor:
-        """The places at nodes (n,), in the innermost skill; the ends where `head` is one."""
+        """The places at nodes (n,), in the innermost skill, or the ends if `head` is one."""
         status = torch.where(head < 0, head, RUNNING)
         node = head.clamp_min(0)
         for _ in range(self.depth - 1):
@@ -184,7 +190,7 @@ class SkillStep(nn.Module):
         return (torch.arange(self.depth, device=level.device) == level[:, None]).long()
 
     def _thinks(self, place: Tensor, mind: Tensor) -> Tensor:
-        """(n,) bool, who runs and is at a node that needs no robot."""
+        """(n,) bool, whether a place is at a node that needs no robot."""
         asks = self.request[place[:, NODE]]
         finite = mind[:, : self.control_size].isfinite().all(1)
         possible = (mind[:, self.message_size] > 0) & finite
@@ -192,7 +198,7 @@ class SkillStep(nn.Module):
         return (place[:, STATUS] == RUNNING) & ~needs_robot
 
     def _think(self, percept: Tensor, place: Tensor, mind: Tensor) -> tuple[Tensor, Tensor]:
-        """One action of all who think."""
+        """Run one action at all places that need no robot."""
         node = place[:, NODE]
         thinks, kind = self._thinks(place, mind), self.kind[node]
         outcome = torch.ones_like(node)  # a MoveBase that is not possible fails
@@ -208,7 +214,7 @@ class SkillStep(nn.Module):
         return torch.where(thinks[:, None], self._advance(place, outcome), place), mind
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """A first step's percept (D,), outcome (), place (place_size,) and mind (mind_size,)."""
+        """The first step's percept (D,), outcome (), place (place_size,) and mind (mind_size,)."""
         return (
             torch.zeros(self.percept_size),
             torch.tensor(0),
@@ -222,7 +228,7 @@ class SkillStep(nn.Module):
         return [action for action in self.computed if isinstance(action, Computed)]
 
     def about(self) -> dict[str, Any]:
-        """What whoever runs the steps has to know: names and sizes, as plain data."""
+        """Names and sizes that a user of the steps needs, as plain data."""
         return {
             "format": "cgtorch-step",
             "version": 1,

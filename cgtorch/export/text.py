@@ -25,25 +25,25 @@ def to_dot(skill: Skill) -> bytes:
 
 
 def to_graphml(skill: Skill) -> bytes:
-    """The skill for yEd, Gephi, networkx and the like: a graph in it for every skill in it.
+    """The skill for yEd, Gephi, networkx and the like, with nested graphs for the skills in it.
 
-    Nodes have a label, the action, its parameters (numbers with spaces between them), whether they
-    are a start node and, ends only, whether the skill has succeeded. Edges have an outcome; one
-    from a node to the group of the skill that it runs says `runs` instead.
+    Nodes have a label, the action, its parameters (numbers separated by spaces), whether they are a
+    start node, and, for ends, whether the skill has succeeded. Edges have an outcome. An edge from
+    a node to the group of the skill that it runs has `runs` instead.
     """
     return _drawing("skill.graphml.jinja", skill)
 
 
 def to_mermaid(skill: Skill) -> bytes:
-    """The skill as a flowchart; start nodes red, nodes that are skills with two bars at the sides.
+    """The skill as a flowchart; start nodes are red, and sub-skills have double vertical edges.
 
-    Every skill in it is a subgraph, which nodes that run it point to with a dotted line.
+    Every skill in it is a subgraph, and nodes that run it point to it with a dotted line.
     """
     return _drawing("skill.mermaid.jinja", skill)
 
 
 def filled(template: str, **values: Any) -> bytes:
-    """A template of this folder, filled in; its names are quoted by `dot`, `mermaid`, `xml`."""
+    """A filled template of this package; names are quoted by `dot`, `mermaid` or `xml`."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("cgtorch.export"),
         undefined=jinja2.StrictUndefined,
@@ -64,12 +64,12 @@ def _drawing(template: str, skill: Skill) -> bytes:
 
 
 def _dot(text: str) -> str:
-    r"""A quoted string; a backslash is doubled, as DOT has escapes such as \N in labels."""
+    """A quoted string; a backslash is doubled, as DOT has escapes that begin with it."""
     return '"' + printable(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _mermaid(text: str) -> str:
-    """A quoted string; what Mermaid or HTML would read as more than text is written as a code."""
+    """A quoted string; characters with a meaning in Mermaid or HTML become character codes."""
     return '"' + "".join(f"#{ord(c)};" if c in '"#&;<>\\`' else c for c in printable(text)) + '"'
 
 

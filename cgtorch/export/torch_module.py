@@ -1,4 +1,4 @@
-"""A skill as a file for `torch.export.load`: one module, which needs torch and nothing else."""
+"""A skill as a file for `torch.export.load`: one module that needs only torch."""
 
 import io
 import json
@@ -13,14 +13,14 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
 
 ABOUT = "skill.json"
-"""The extra file that tells names and sizes, see `SkillStep.about`."""
+"""The extra file with names and sizes; see `SkillStep.about`."""
 
 
 def to_module(skill: Skill) -> bytes:
     """The skill's `SkillStep` as a .pt2 archive; ActionError if an action does more than compute.
 
-    Its graph and its description are JSON and its weights raw numbers; unlike torch's own archives
-    it holds no example inputs, which would be the one pickle in it.
+    Its graph and description are JSON and its weights are raw numbers. Unlike torch's own archives,
+    it contains no example inputs, which would be pickled.
     """
     step, program = SkillStep(skill), exported(skill)
     program.example_inputs = None
@@ -30,9 +30,9 @@ def to_module(skill: Skill) -> bytes:
 
 
 def exported(skill: Skill) -> ExportedProgram:
-    """The skill's step as torch.export sees it, without the lines of source that it comes from.
+    """The skill's step as an exported program, without the source lines that it comes from.
 
-    ActionError where torch.export cannot follow an action, SettingsError where torch is too old.
+    ActionError if torch.export cannot trace an action, SettingsError if torch is too old.
     """
     if not hasattr(torch, "while_loop"):
         raise SettingsError(f"torch {torch.__version__} cannot export loops; install a newer one")

@@ -1,4 +1,4 @@
-"""Computational graphs: the population's tensors, validity, skills and their files."""
+"""Computational graphs: graphs as tensors, validity, skills and their files."""
 
 from cgtorch.graphs.files import load_skill as load_skill
 from cgtorch.graphs.files import save_skill as save_skill

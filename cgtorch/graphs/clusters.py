@@ -1,4 +1,4 @@
-"""A skill as what is drawn of it: one cluster of nodes, edges and ends for every skill in it."""
+"""The structure of a skill for drawings: nodes, edges and ends, in a cluster for every skill."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ class Node:
     """A node.
 
     Attributes:
-        key: unique in the whole drawing; letters, digits and underscores.
-        label: as in the paper, name_slot.
-        name: of its action or skill.
-        action: that is done there.
-        parameters: of the action.
-        runs: the key of the cluster that it runs if it is a skill.
+        key: A key that is unique in the whole drawing; letters, digits and underscores.
+        label: Name and slot, as in the paper: name_slot.
+        name: The name of its action or skill.
+        action: Its action.
+        parameters: The parameters of the action.
+        runs: The key of the cluster that it runs, if it is a skill.
     """
 
     key: str
@@ -43,13 +43,13 @@ class Cluster:
     """One skill.
 
     Attributes:
-        key: unique in the whole drawing.
-        names: of the skills on the way to it, each by the name of the node that it is, and its own.
-        skill: the skill.
-        start: key of its start node.
-        nodes: its nodes by their keys, in the order of their slots.
-        ends: keys of its ends, and whether the skill then has succeeded.
-        edges: by outcome, terminal outcomes to ends.
+        key: A key that is unique in the whole drawing.
+        names: The names of the nodes that lead to it from the outermost skill, and its own.
+        skill: The skill.
+        start: The key of its start node.
+        nodes: Its nodes by key, in the order of their slots.
+        ends: The keys of its ends, and whether the skill then has succeeded.
+        edges: Edges by outcome; terminal outcomes lead to ends.
     """
 
     key: str
@@ -62,12 +62,12 @@ class Cluster:
 
     @property
     def name(self) -> str:
-        """The skill's name where it first is a node, or the outermost skill's own."""
+        """The name of its first node, or the outermost skill's own name."""
         return self.names[-1]
 
     @property
     def path(self) -> str:
-        """All names on the way to it, as text that can be printed."""
+        """All names that lead to it, as printable text."""
         return " › ".join(map(printable, self.names))
 
 

@@ -1,8 +1,8 @@
 """Skill files: a skill with all the skills in it, as JSON.
 
-A file names actions but holds none: they are given when it is read. All nested skills, of
-whatever level, stand side by side under "skills", each once; a node whose action is one of these
-names is that skill.
+A file contains the names of actions, not the actions themselves; these are given when it is read.
+All nested skills, at any level, are listed once under "skills". A node whose action has one of
+these names is that skill.
 """
 
 import reprlib
@@ -38,14 +38,14 @@ _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
 
 
 def save_skill(path: Path | str, skill: Skill) -> None:
-    """Write a skill file, whole or not at all; RunError if it cannot be written."""
+    """Write a skill file, completely or not at all; RunError if it cannot be written."""
     write_json(path, skill_to_dict(skill))
 
 
 def load_skill(path: Path | str, actions: ActionSet) -> Skill:
-    """Read a skill file, exactly as saved; nodes may use these actions and the file's sub-skills.
+    """Read a skill file exactly as it was saved; nodes may use these actions and its sub-skills.
 
-    GraphError if it cannot be read or describes no skill, ActionError if an action is not known.
+    GraphError if it cannot be read or contains no skill, ActionError for an unknown action.
     """
     return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
 
@@ -58,7 +58,7 @@ def skill_to_dict(skill: Skill) -> dict[str, Any]:
 
 
 def _describe(skill: Skill, entries: dict[str, Any], keys: dict[int, str]) -> dict[str, Any]:
-    """One skill; those in it are added to `entries`, their keys by identity to `keys`."""
+    """The data of one skill; nested ones are added to `entries`, and their keys to `keys`."""
     key_of = {name: name for name in skill.actions.names}
     for name, sub in skill.sub_skills.items():
         if id(sub) not in keys:
@@ -116,7 +116,7 @@ def _read(
     known: dict[str, SubSkill],
     path: tuple[str, ...],
 ) -> Skill:
-    """One skill of a file; the skills in it are read first, and once, into `known`."""
+    """One skill of a file; nested ones are read first, once, into `known`."""
     skill = _check_keys(data, keys, what)
     nodes = [_check_keys(n, _NODE, f"node {i} of {what}") for i, n in enumerate(skill["nodes"])]
     edges = [_check_keys(e, _EDGE, f"edge {i} of {what}") for i, e in enumerate(skill["edges"])]
@@ -143,7 +143,7 @@ def _read(
 
 
 def _view(start: str, nodes: list[Any], edges: list[Any], what: str) -> View:
-    """The multigraph that nodes and edges describe, by the nodes' names."""
+    """The multigraph of nodes and edges, by the nodes' names."""
     view: View = nx.MultiDiGraph(start=start)
     for node in nodes:
         if node["name"] in view:
@@ -160,7 +160,7 @@ def _view(start: str, nodes: list[Any], edges: list[Any], what: str) -> View:
 
 
 def _check_keys(data: object, keys: Mapping[str, type], what: str) -> Mapping[str, Any]:
-    """`data` if it is an object with exactly these keys, each of its type."""
+    """`data`, if it is an object with exactly these keys, each with a value of its type."""
     if not isinstance(data, Mapping):
         raise GraphError(f"{what} is {_short(data)}; give an object with {', '.join(keys)}")
     if missing := [key for key in keys if key not in data]:

@@ -1,8 +1,8 @@
-"""Flattening: a skill with all skills in it as one graph of primitive actions.
+"""Flattening: a skill with nested skills as one graph of primitive actions.
 
-A sub-skill that has run out of its transitions hands back to the skill it is in. One graph has no
-counts to tell that by, so it has a copy of a node for every count that matters: each of its nodes
-is a stack of frames, one for each level that a run is in.
+A sub-skill that runs out of transitions returns to the skill that contains it. A single graph has
+no counters, so it has a copy of a node for every count that matters. Each of its nodes is a stack
+of frames, one for each open level of a run.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,11 @@ from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.ground.errors import GraphError
 
 Frame: TypeAlias = tuple[int, int, float]
-"""Which level, the slot of its node, its transitions left; infinite if it cannot run out."""
+"""The level, the slot of its node, and the transitions left; infinite if it cannot run out."""
 
 Stack: TypeAlias = tuple[Frame, ...]
-"""Frames, outermost first, without those around one that cannot run out and so never hands back."""
+"""Frames, outermost first, without those around a frame that cannot run out and so never
+returns."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,13 @@ class Level:
     """A skill as plain lists by slot.
 
     Attributes:
-        skill: the skill.
-        limit: its transitions, or those of a whole run if these are fewer.
-        start: slot of its start node.
-        sub: the level that a node enters, `NO_NODE` if it is no sub-skill.
-        heads: slots that the outcomes lead to, `NO_NODE` for terminal ones; of a sub-skill only
+        skill: The skill.
+        limit: Its number of transitions, or that of a whole run if this is smaller.
+        start: The slot of its start node.
+        sub: The level that a node enters, `NO_NODE` if it is no sub-skill.
+        heads: The slots that outcomes lead to, `NO_NODE` for terminal ones; of a sub-skill, only
             that of its failure.
-        cheapest: [c][slot] the fewest actions with which a run makes c more transitions.
+        cheapest: [c][slot] the fewest actions in which a run makes c more transitions.
     """
 
     skill: Skill
@@ -48,27 +49,27 @@ class Level:
 
 
 def flattened(skill: Skill, max_transitions: int) -> Skill:
-    """The same skill without skills in it.
+    """The same skill without nested skills.
 
-    On any scenario it does what the nested skill does if that may execute `max_transitions`
-    actions on all levels together: the same actions with the same outcomes, percepts and end, also
-    by timeout. Message and memory belong to the lane, so nodes find them as before. One thing
-    differs: where the nested skill runs out of the transitions of its outermost level, the flat one
-    idles until it has made all of its own, at a `BranchingNN` that leads to itself.
+    On any scenario, it behaves like the nested skill with at most `max_transitions` actions on all
+    levels together: the same actions with the same outcomes, percepts and end, also by timeout.
+    Message and memory belong to the lane, so nodes read them as before. One thing differs: where
+    the nested skill runs out of transitions on the outermost level, the flat one stays at a
+    `BranchingNN` that leads to itself until its own transitions are used up.
 
-    The fewer actions, the fewer nodes: a count is left out where its skill cannot run out before
-    the whole does, so with `max_transitions` of no more than every skill's own, no node has a copy.
-    Nodes that behave the same are merged.
+    Fewer actions need fewer nodes: a count is left out if its skill cannot run out before the whole
+    does. If `max_transitions` is at most that of every skill, no node has a copy. Nodes that behave
+    the same are merged.
 
-    The flat skill has the same name, the primitive actions of all levels, those of the outermost
-    first, and `max_transitions`, which is to it what `max_steps` of `cgtorch.simulation.rollout` is
-    to the nested one.
+    The flat skill has the same name, and the primitive actions of all levels, those of the
+    outermost first. Its `max_transitions` corresponds to `max_steps` of
+    `cgtorch.simulation.rollout` for the nested skill.
 
     Raises:
-        GraphError: an action ends a sub-skill without success, after which the nested skill goes
-            on, but a terminal outcome has no edge; a name stands for different actions at
-            different levels; the graph would have more nodes than a file may; or it would have to
-            idle without a `BranchingNN` among its actions.
+        GraphError: An action ends a sub-skill without success, after which the nested skill goes
+            on, but a terminal outcome has no edge; a name has different actions at different
+            levels; the graph would have more nodes than a file may; or there is no `BranchingNN` to
+            stay at.
     """
     levels = _add(skill, max_transitions, [])
     for level in levels[:-1]:
@@ -79,9 +80,9 @@ def flattened(skill: Skill, max_transitions: int) -> Skill:
 
 
 def _nodes(levels: list[Level], most: int) -> dict[Stack | None, list[int]]:
-    """All stacks that a run of `most` actions can meet, and where their outcomes lead.
+    """All stacks that a run of `most` actions can reach, and where their outcomes lead.
 
-    None stands for a run that has run out of the outermost level's transitions.
+    None is the state after the outermost level has run out of transitions.
     """
     outermost = len(levels) - 1, levels[-1].start, levels[-1].limit
     begin = _settled(_entered((outermost,), levels), 0, most, levels)
@@ -103,7 +104,7 @@ def _nodes(levels: list[Level], most: int) -> dict[Stack | None, list[int]]:
 
 
 def _after(stack: Stack | None, done: int, most: int, levels: list[Level]) -> list[Stack | None]:
-    """Where each outcome leads with the action number `done`, () where it is terminal."""
+    """Where each outcome of action number `done` leads, () for a terminal one."""
     if stack is None:
         return [None, None]
     level, slot, _ = stack[-1]
@@ -122,7 +123,7 @@ def _after(stack: Stack | None, done: int, most: int, levels: list[Level]) -> li
 def _graph(
     nodes: dict[Stack | None, list[int]], levels: list[Level], actions: ActionSet, skill: Skill
 ) -> Graphs:
-    """The nodes as one graph that starts with the first."""
+    """The nodes as one graph that starts at the first."""
     action = torch.full((1, len(nodes)), NO_NODE)
     edges = torch.full((1, len(nodes), actions.outcome_capacity), NO_NODE)
     parameters = skill.graph.parameters.new_zeros(1, len(nodes), actions.parameter_capacity)
@@ -139,7 +140,7 @@ def _graph(
 
 
 def _add(skill: Skill, most: int, levels: list[Level]) -> list[Level]:
-    """The levels with a skill and all in it, each once and after those in it."""
+    """The levels with a skill and all in it, each once, after those that it contains."""
     for inner in skill.sub_skills.values():
         if all(level.skill is not inner for level in levels):
             _add(inner, most, levels)
@@ -167,14 +168,14 @@ def _add(skill: Skill, most: int, levels: list[Level]) -> list[Level]:
 
 
 def _entered(stack: Stack, levels: list[Level]) -> Stack:
-    """The stack where a sub-skill node is gone into, as deep as it takes."""
+    """The stack after entering sub-skill nodes, through all levels."""
     while (sub := levels[stack[-1][0]].sub[stack[-1][1]]) != NO_NODE:
         stack = (*stack, (sub, levels[sub].start, levels[sub].limit))
     return stack
 
 
 def _followed(stack: Stack, head: int, levels: list[Level]) -> Stack | None:
-    """The stack after an outcome that leads to `head`; none if the outermost level has run out."""
+    """The stack after an outcome that leads to `head`; None if the outermost level has run out."""
     while stack:
         level, _, left = stack[-1]
         if left > 1:
@@ -213,7 +214,7 @@ def _idle(actions: ActionSet) -> int:
 
 
 def _primitives(levels: list[Level]) -> ActionSet:
-    """The actions of all levels that are no skills."""
+    """The actions of all levels that are not skills."""
     found: dict[str, Action] = {}
     for skill in (level.skill for level in reversed(levels)):
         for name, action in zip(skill.actions.names, skill.actions.actions, strict=True):

@@ -1,4 +1,4 @@
-"""Computational graphs as a struct of tensors (section IV-A)."""
+"""Computational graphs as a dataclass of tensors (section IV-A)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ NO_NODE = -1
 class Graphs:
     """P computational graphs of up to N nodes.
 
-    A node is a slot; unused slots may lie anywhere. Parallel edges are natural: a node has one
-    edge per outcome, each with its own head.
+    A node is a slot, and unused slots may be anywhere. A node has one edge per outcome, each with
+    its own head, so there can be parallel edges.
 
     Attributes:
         action: (P, N) long, index into the action set, `NO_NODE` in unused slots.
-        edges: (P, N, O) long, the slot that each outcome leads to, `NO_NODE` for terminal
-            outcomes, for outcomes the action does not have, and in unused slots.
-        parameters: (P, N, K) float, zero past the action's own number of parameters.
+        edges: (P, N, O) long, the slot that each outcome leads to; `NO_NODE` for terminal outcomes,
+            for outcomes that the action does not have, and in unused slots.
+        parameters: (P, N, K) float, zero beyond the action's number of parameters.
         start: (P,) long, the slot of the start node.
     """
 
@@ -52,7 +52,7 @@ class Graphs:
         return self.used.sum(1)
 
     def __getitem__(self, index: Tensor | slice) -> "Graphs":
-        """The graphs at `index`; all of them as they are."""
+        """The graphs at `index`, with all their slots."""
         if isinstance(index, slice) and index.indices(len(self)) == (0, len(self), 1):
             return self
         if isinstance(index, Tensor) and index.dtype == torch.long:  # three times as fast
@@ -65,15 +65,15 @@ class Graphs:
 
 
 def concatenate(graphs: Sequence[Graphs]) -> Graphs:
-    """One batch of all graphs, which must share N, O and K."""
+    """One batch of all graphs, which must have the same N, O and K."""
     columns = zip(*(vars(g).values() for g in graphs), strict=True)
     return Graphs(*map(torch.cat, columns))
 
 
 def resized(graphs: Graphs, nodes: int, outcomes: int, parameters: int) -> Graphs:
-    """The graphs with other capacities; GraphError if one is smaller than what is used.
+    """The graphs with other capacities; GraphError if they do not fit.
 
-    `compacted` first makes the most of fewer nodes.
+    Call `compacted` first to reduce the number of nodes.
     """
 
     def grow(x: Tensor, shape: tuple[int, ...], fill: float) -> Tensor:
@@ -113,13 +113,13 @@ def compacted(graphs: Graphs) -> Graphs:
 
 
 def heads_in(edges: Tensor, values: Tensor) -> Tensor:
-    """(P, N, O) the values (P, N) of the nodes that edges lead to, `NO_NODE` where to none."""
+    """(P, N, O) the values (P, N) of the nodes that edges lead to, `NO_NODE` without an edge."""
     found = values.gather(1, edges.clamp_min(0).flatten(1)).view_as(edges)
     return torch.where(edges == NO_NODE, NO_NODE, found)
 
 
 def without(graphs: Graphs, gone: Tensor) -> Graphs:
-    """The graphs with slots `gone` (P, N) unused."""
+    """The graphs with the slots `gone` (P, N) unused."""
     return Graphs(
         graphs.action.masked_fill(gone, NO_NODE),
         graphs.edges.masked_fill(gone[..., None], NO_NODE),
@@ -129,13 +129,13 @@ def without(graphs: Graphs, gone: Tensor) -> Graphs:
 
 
 def narrowed(graphs: Graphs, nodes: int) -> Graphs:
-    """The same graphs with their first `nodes` slots alone, in which all nodes must lie."""
+    """The same graphs with only their first `nodes` slots, which must contain all nodes."""
     g = graphs
     return Graphs(g.action[:, :nodes], g.edges[:, :nodes], g.parameters[:, :nodes], g.start)
 
 
 def trimmed(graphs: Graphs) -> Graphs:
-    """The same graphs, compacted, with no more slots than the largest needs."""
+    """The same graphs, compacted, with only as many slots as the largest needs."""
     nodes = int(graphs.num_nodes.max()) if len(graphs) else 1
     return Graphs(*(x.contiguous() for x in vars(narrowed(compacted(graphs), nodes)).values()))
 

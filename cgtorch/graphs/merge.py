@@ -1,8 +1,8 @@
-"""Merging: nodes that behave the same become one, and skills that behave the same are found.
+"""Merging nodes that behave the same, and finding skills that behave the same.
 
-Graphs are minimised as deterministic automata are, by refining a partition of the nodes (Moore
-1956; Hopcroft 1971 needs fewer steps, but graphs are small and this refines a whole population at
-once).
+Graphs are minimised like deterministic automata, by refining a partition of the nodes (Moore 1956).
+Hopcroft's algorithm (1971) needs fewer steps, but graphs are small, and this refines a whole
+population at once.
 """
 
 from dataclasses import replace
@@ -16,11 +16,11 @@ from cgtorch.graphs.skill import Skill, SubSkill
 
 
 def merged(graphs: Graphs) -> Graphs:
-    """The same graphs with nodes of the same behaviour made one; the first slot stays.
+    """The same graphs with nodes of equal behaviour merged into the first of their slots.
 
-    Two nodes behave the same if they have the same action and, to the last bit, the same
-    parameters, and every outcome leads to nodes that behave the same. What a graph does, and in how
-    many transitions, does not change, and no graph of fewer nodes does the same.
+    Two nodes behave the same if they have the same action, bitwise equal parameters, and outcomes
+    that lead to nodes that behave the same. The behaviour of the graph and its number of
+    transitions do not change, and no smaller graph behaves the same.
     """
     label = node_classes(graphs)
     slot = torch.arange(graphs.capacity, device=label.device).expand_as(label)
@@ -36,7 +36,7 @@ def merged(graphs: Graphs) -> Graphs:
 def node_classes(graphs: Graphs) -> Tensor:
     """(P, N) long, equal numbers for nodes of one graph that behave the same.
 
-    Numbers are from 0 and differ from graph to graph; unused slots of a graph share one.
+    Numbers start at 0 in each graph; all unused slots of a graph have the same.
     """
     number = torch.arange(len(graphs), device=graphs.action.device)[:, None].expand_as(
         graphs.action
@@ -52,14 +52,14 @@ def node_classes(graphs: Graphs) -> Tensor:
 
 
 def _numbered(keys: Tensor) -> Tensor:
-    """(P, N) long, the place of each key (P, N, ·) among all different keys in their order."""
+    """(P, N) long, the rank of each key (P, N, ·) among the sorted distinct keys."""
     return torch.unique(keys.flatten(0, 1), dim=0, return_inverse=True)[1].view(keys.shape[:2])
 
 
 def same_behaviour(first: Skill, second: Skill) -> bool:
     """Whether two skills do the same in the same number of transitions, whatever their names.
 
-    Actions are the same if they are the same modules, sub-skills if this holds for them.
+    Actions are the same if they are the same modules, sub-skills if they behave the same.
     """
     if first is second:
         return True
@@ -84,7 +84,7 @@ def same_behaviour(first: Skill, second: Skill) -> bool:
 
 
 def _index(skill: Skill, action: Action) -> int:
-    """Where a skill's set has an action that is the same, after its end if nowhere."""
+    """The index of the same action in a skill's set, or the set's length if there is none."""
     for i, own in enumerate(skill.actions.actions):
         if own is action or (
             isinstance(own, SubSkill)

@@ -1,4 +1,4 @@
-"""A skill: one computational graph with the actions its nodes use."""
+"""A skill: one computational graph with the actions of its nodes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ class Skill:
     """A named computational graph; GraphError if it is not valid.
 
     Attributes:
-        name: how it is called where it is a node of another skill.
-        graph: one graph (P = 1), its nodes in the first slots.
-        actions: what its nodes' action indices mean; may hold earlier skills as `SubSkill`s.
-        max_transitions: after this many transitions without a terminal outcome it has failed.
+        name: Its name, also as a node of another skill.
+        graph: One graph (P = 1), with its nodes in the first slots.
+        actions: The action set of its nodes, which may contain earlier skills as `SubSkill`s.
+        max_transitions: The number of transitions after which it fails.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Skill:
 
     @property
     def num_nodes(self) -> int:
-        """Nodes at the top level."""
+        """Number of nodes at the top level."""
         return int(self.graph.num_nodes[0])
 
     @property
@@ -58,10 +58,10 @@ class Skill:
 
 
 class SubSkill(Action):
-    """An earlier skill as a node (section IV-A): frozen, run to its own end.
+    """An earlier skill as a node (section IV-A); it does not change, and runs to its own end.
 
-    Its success is terminal, like that of the action that succeeded in it; when it fails or runs
-    out of its own transitions, the computation follows the edge of "failure".
+    Its success is terminal, like that of the action that succeeded in it. If it fails or runs out
+    of its own transitions, the edge of "failure" is followed.
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")
@@ -75,7 +75,7 @@ class SubSkill(Action):
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
-        """See `Action.forward`; always an ActionError: `rollout` enters the skill's own nodes."""
+        """See `Action.forward`; always an ActionError, as `rollout` runs the skill's own nodes."""
         raise ActionError(
             f"sub-skill {self.skill.name!r} cannot run as one step; run it with rollout()"
         )

@@ -1,7 +1,7 @@
-"""What makes a graph valid, and how to make it so (section IV-B).
+"""The validity of graphs, and pruning (section IV-B).
 
-Valid: the start exists, every non-terminal outcome of every node leads to a node, and every node
-can be reached from the start.
+A graph is valid if its start exists, every non-terminal outcome of every node leads to a node, and
+every node can be reached from the start.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from cgtorch.ground.errors import GraphError
 
 
 def reachable(graphs: Graphs) -> Tensor:
-    """(P, N) bool, slots the start leads to, itself included. Breadth first, all graphs at once."""
+    """(P, N) bool, the start and all slots that it leads to, by breadth-first search."""
     p, n, o = graphs.edges.shape
     seen = torch.zeros(p, n + 1, dtype=torch.bool, device=graphs.start.device)
     seen.scatter_(1, graphs.start[:, None], True)
@@ -34,12 +34,12 @@ def reachable(graphs: Graphs) -> Tensor:
 
 
 def pruned(graphs: Graphs) -> Graphs:
-    """Without the nodes that the start does not lead to."""
+    """The graphs without the nodes that the start does not lead to."""
     return without(graphs, ~reachable(graphs))
 
 
 def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
-    """(P,) bool."""
+    """(P,) bool, whether each graph is valid."""
     n = graphs.capacity
     used, action, edges = graphs.used, graphs.action, graphs.edges
     known = ((action >= NO_NODE) & (action < len(actions))).all(1)
@@ -56,9 +56,9 @@ def valid(graphs: Graphs, actions: ActionSet) -> Tensor:
 
 
 def check_graph(graphs: Graphs, actions: ActionSet, names: Sequence[str] | None = None) -> None:
-    """A GraphError that tells node and fault, unless the first graph is valid.
+    """A GraphError that names the node and the fault, unless the first graph is valid.
 
-    Messages tell the `names` of its N slots, or else their numbers.
+    Messages contain the `names` of its N slots, by default their numbers.
     """
     action, edges = graphs.action[0].tolist(), graphs.edges[0].tolist()
     name = [repr(n) for n in names] if names else [str(i) for i in range(len(action))]

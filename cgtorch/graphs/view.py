@@ -1,4 +1,4 @@
-"""A graph as a networkx `MultiDiGraph`, to be drawn, stored, read and checked."""
+"""A graph as a networkx `MultiDiGraph`, for drawing, storing, reading and checking."""
 
 from collections.abc import Sequence
 from numbers import Real
@@ -21,7 +21,7 @@ def to_networkx(graphs: Graphs, actions: ActionSet, index: int = 0) -> View:
     """One individual as a multigraph.
 
     Nodes are slots with attributes `action` (name), `label` (as in the paper: name_slot) and
-    `parameters` (list of float); edges carry `outcome`; the graph carries `start`.
+    `parameters` (list of float); edges have `outcome`; the graph has `start`.
     """
     view: View = nx.MultiDiGraph(start=int(graphs.start[index]))
     action = graphs.action[index].tolist()
@@ -38,13 +38,13 @@ def to_networkx(graphs: Graphs, actions: ActionSet, index: int = 0) -> View:
 
 
 def from_networkx(view: View, actions: ActionSet, capacity: int | None = None) -> Graphs:
-    """One graph (P = 1) from a multigraph with the attributes that `to_networkx` gives.
+    """One graph (P = 1) from a multigraph with the attributes of `to_networkx`.
 
     Raises:
-        GraphError: a node or edge lacks an attribute, names an unknown outcome, has the wrong
-            number of parameters or one that is not a finite number, or an outcome has two edges
-            or ends the skill and has one.
-        ActionError: a node has an unknown action.
+        GraphError: A node or edge lacks an attribute, names an unknown outcome, or has a wrong
+            number of parameters or one that is not finite; an outcome has two edges; or an outcome
+            that ends the skill has one.
+        ActionError: A node has an unknown action.
     """
     nodes = list(view.nodes)
     n = max(capacity or 0, len(nodes), 1)
@@ -78,7 +78,7 @@ def from_networkx(view: View, actions: ActionSet, capacity: int | None = None) -
 
 
 def _parameters(node: str, values: Sequence[Any], wanted: int) -> Tensor:
-    """The parameters of a node (wanted,), if they are finite numbers and as many as wanted."""
+    """The parameters of a node (wanted,), after checking that they are finite and as many."""
     if len(values) != wanted:
         raise GraphError(f"{node} has {len(values)} parameters; give {wanted}")
     for value in values:

@@ -1,1 +1,1 @@
-"""What all other folders use: errors, files, numerics, random numbers, ranks and processes."""
+"""The base of all packages: errors, files, numerics, random numbers, ranks and processes."""

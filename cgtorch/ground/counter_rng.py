@@ -1,17 +1,18 @@
-"""Random numbers that are functions of what they are for, of scenarios and of individuals.
+"""Counter-based random numbers: functions of the scenario or individual that they belong to.
 
-A `torch.Generator` gives its numbers in turn, so what a lane or an individual got would depend on
-those beside it.
+A `torch.Generator` gives its numbers in sequence, so the numbers of a lane or an individual would
+depend on its neighbours in the batch.
 
-What stochastic actions draw belongs to the scenario, as the noise of the world does: Threefry-2x32
-with 20 rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011) of the
-scenario's seed, of who draws, and of how often that has been done. The same skill on the same
-scenario does the same, in any batch, in another skill, on any number of ranks.
+The numbers of stochastic actions belong to the scenario, as the noise of the world does. They are
+Threefry-2x32 with 20 rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011)
+of the scenario's seed, the name of the action's class, and the number of draws so far. The same
+skill on the same scenario gives the same result, in any batch, within another skill, and on any
+number of ranks.
 
-What the operators of evolution draw belongs to the individual: one word is drawn for all of a
-generation and gives every one of them a key; number i of an individual is then SplitMix64 (Steele,
-Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) of its key, i steps on.
-So a number is made only where it is looked at, in any order and in any number of threads.
+The numbers of genetic operators belong to the individual. One random word is drawn per generation
+and gives every individual a key. Number i of an individual is the i-th number of SplitMix64 with
+its key (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). So
+numbers are computed only where they are needed, in any order and in any number of threads.
 """
 
 import math
@@ -25,19 +26,21 @@ ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 PARITY = 0x1BD11BDA
 WORD = 0xFFFFFFFF
 BITS = 24
-"""Of a word, the upper ones, that make a uniform number; the lower 40 make a normal one."""
+"""The upper bits of a word that make a uniform number; the lower 40 make a normal one."""
 GOLDEN, FIRST, SECOND = (
     constant - 2**64 for constant in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
 FEISTEL_ROUNDS = 6
 FRESH, DRIFT = 2**40, 2**41
-"""Where in an individual's numbers those of parameters of new nodes begin, and of its drift."""
+"""The indices where an individual's numbers for parameters of new nodes, and for its drift,
+begin."""
 OCTAVES, STEPS = 40, 32
-"""The quantile is a polynomial on each of so many steps of each octave of chances."""
+"""The quantile function is a polynomial on each of `STEPS` steps of each octave of
+probabilities."""
 
 
 def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Threefry-2x32, 20 rounds, on pairs of tensors (...) long of 32-bit words, by element."""
+    """Threefry-2x32 with 20 rounds, on pairs of tensors (...) long of 32-bit words, by element."""
     keys = (*key, key[0] ^ key[1] ^ PARITY)
     x, y = (counter[0] + keys[0]) & WORD, (counter[1] + keys[1]) & WORD
     for number in range(20):
@@ -54,8 +57,8 @@ def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tupl
 def uniform(seed: Tensor, who: str, count: Tensor, size: int) -> Tensor:
     """(n, size) float32 random numbers in [0, 1), multiples of 2⁻²⁴; rows are independent.
 
-    They belong to the seed (n,) of each row's scenario, the name of `who` draws, and the `count`
-    (n,) of how often it has drawn for that scenario.
+    They are a function of the seed (n,) of each row's scenario, the name `who`, and the number of
+    draws `count` (n,) so far.
     """
     name = zlib.crc32(who.encode())
     key = (seed & WORD)[:, None], ((seed >> 32) & WORD ^ name)[:, None]
@@ -74,7 +77,7 @@ def normal(numbers: Tensor) -> Tensor:
 
 
 def random_key(generator: Generator) -> int:
-    """A random word that `keys` of all individuals follow from."""
+    """A random word from which `keys` of all individuals follow."""
     return int(torch.empty((), dtype=torch.long).random_(generator=generator))
 
 
@@ -84,27 +87,27 @@ def keys(key: int, count: int) -> Tensor:
 
 
 def words(keys: Tensor, numbers: Tensor) -> Tensor:
-    """(...) long, 64 random bits for numbers (...), counted from 0, of individuals' keys (...)."""
+    """(...) long, 64 random bits for the `numbers` (...), from 0, of individuals' keys (...)."""
     return _mixed(keys + GOLDEN * (numbers + 1))
 
 
 def individual_words(key: int, count: int, sizes: list[int]) -> tuple[Tensor, ...]:
-    """Words (count, size) of so many individuals, for parts of such sizes one after the other."""
+    """Words (count, size) of `count` individuals, in consecutive parts of these sizes."""
     return words(keys(key, count)[:, None], torch.arange(sum(sizes))).split(sizes, 1)
 
 
 def uniform_from(words: Tensor) -> Tensor:
-    """Float32 in [0, 1), multiples of 2^-24, of words (...)."""
+    """Float32 in [0, 1), multiples of 2^-24, from words (...)."""
     return fields(words).float() * 2.0**-BITS
 
 
 def fields(words: Tensor) -> Tensor:
-    """`uniform_from` words (...) as whole numbers (long), by which they can be sorted."""
+    """The integers (long) behind `uniform_from` words (...), for sorting."""
     return words >> 64 - BITS & 2**BITS - 1
 
 
 def normal_from(words: Tensor) -> Tensor:
-    """Standard normal numbers (float32) of words (...), up to 7.1 and to six digits."""
+    """Standard normal numbers (float32) from words (...), up to 7.1 and with six digits."""
     chance = (words & 2 ** (OCTAVES - 1) - 1) * 2 + 1  # of 2^41, as a half of them is negative
     bits = chance.float().view(torch.int32)
     # The bits of a float are the octave, then the step in it, then the place in the step.
@@ -116,10 +119,10 @@ def normal_from(words: Tensor) -> Tensor:
 
 @cache
 def quantiles() -> Tensor:
-    """(1281, 3) float32: size of the normal quantile of chances 2^e (1 + (k + t) / 32) / 2^41.
+    """(1281, 3) float32, coefficients of the normal quantile of 2^e (1 + (k + t) / 32) / 2^41.
 
-    The row of e and k holds coefficients of 1, t and t². They interpolate at the ends of a step and
-    in its middle; a chance that is rounded up to 2^40 has the last row.
+    The row of e and k holds coefficients of 1, t and t². They interpolate the quantile at the ends
+    and in the middle of a step. A probability that is rounded up to 2^40 has the last row.
     """
     place = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
     step = torch.arange(STEPS, dtype=torch.float64)[:, None]
@@ -132,11 +135,12 @@ def quantiles() -> Tensor:
 
 
 def shuffled(count: int, key: int) -> Tensor:
-    """(count,) long, an order of 0 … count - 1 that follows from a key.
+    """(count,) long, a permutation of 0 … count - 1 that follows from a key.
 
-    A number's place is made from it alone: by Feistel's network on as many bits as `count` needs,
-    again as long as what comes out is too large (Black & Rogaway, "Ciphers with arbitrary finite
-    domains", 2002). So it is made in any order, on any device; `native/engine/draws.h` does.
+    The place of each number is computed from the number alone, by a Feistel network on as many bits
+    as `count` needs, repeated while the result is too large (Black & Rogaway, "Ciphers with
+    arbitrary finite domains", 2002). So it can be computed in any order, on any device, as in
+    `native/engine/draws.h`.
     """
     bits = max(2, (count - 1).bit_length())
     low = bits // 2
@@ -154,16 +158,20 @@ def shuffled(count: int, key: int) -> Tensor:
 
 
 def pick(draw: Tensor, count: Tensor | int) -> Tensor:
-    """⌊draw · count⌋ (...) long of draws (...), one of 0 … count - 1; 0 where the count is 0.
+    """⌊draw · count⌋ (...) long from draws (...) in [0, 1); 0 where the count is 0.
 
-    In float32 a draw close to 1 can round up to the count itself, which is taken as the last.
+    In float32, a draw close to 1 can round up to the count itself; it then counts as the last of 0
+    … count - 1.
     """
     last = torch.as_tensor(count) - 1
     return (draw * count).long().minimum(last).clamp_min(0)
 
 
 def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
-    """(P, *shape) long: for each draw (P, *shape) a random True of its `mask` (P, N) row, or 0."""
+    """(P, *shape) long: for each draw (P, *shape), a random True of its row of `mask` (P, N).
+
+    It is 0 for a row without any True.
+    """
     order = torch.argsort((~mask).long(), dim=1, stable=True)
     at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)

@@ -1,14 +1,13 @@
-"""Several processes that do the same, and share out what takes long.
+"""Several processes (ranks) that do the same work and share what takes long.
 
-Under `torchrun` every process, a rank, makes the whole run from the same seed: the same choices,
-the same populations, the same skills. Only rows that do not depend on one another, runs of
-individuals in the models and grasps in the world, are shared out, and what they come to is gathered
-before it is used. So the result is that of one process, to the last bit, whatever the number of
-ranks. Only the first one writes.
+Under `torchrun` every rank makes the whole run from the same seed: the same choices, populations
+and skills. Only independent rows are shared: rollouts of individuals in the models, and grasps in
+the world. Their results are gathered before they are used. So the result is that of a single
+process, bit for bit, for any number of ranks. Only the first rank writes files.
 
-Where there are several islands (`cgtorch.evolution.islands`), each rank holds some of them only. A
-process group is the ranks that hold the same: one rank where there are at least as many islands as
-ranks, all ranks where there is one island. Rows of an island are shared out within its group.
+With several islands (`cgtorch.evolution.islands`), each rank holds only some of them. A process
+group consists of the ranks that hold the same islands: one rank if there are at least as many
+islands as ranks, all ranks if there is one island. Rows of an island are shared within its group.
 """
 
 import os
@@ -34,7 +33,7 @@ T = TypeVar("T")
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Join the other ranks for as long as the context lasts, if `torchrun` has started any.
+    """Join the other ranks while the context lasts, if `torchrun` has started any.
 
     Tensors on a CPU are gathered by gloo, those on a GPU by NCCL.
     """
@@ -53,14 +52,15 @@ def together() -> Iterator[None]:
 
 
 def name_of_start(store: Store, rank: int, size: int) -> str:
-    """What this start of all ranks is called, on each of them: as no start before.
+    """A name for this start of all ranks, equal on all ranks and different from earlier starts.
 
-    After a restart torchrun keeps the store with what the ranks before have left in it, their
-    addresses among it, so ranks of now would look for those of then and never meet
-    (https://github.com/pytorch/pytorch/issues/135712). How often it has restarted is no name, as
-    each machine counts for itself. So every rank makes a word up, and all are agreed as soon as
-    each has seen the words of all others: words from before are not seen by everyone. Where a rank
-    does not come within the time that torch allows, this is torch's DistStoreError.
+    After a restart, torchrun keeps the store with data of earlier ranks, such as their addresses.
+    New ranks would try to reach the old ones and never meet
+    (https://github.com/pytorch/pytorch/issues/135712). The number of restarts is no usable name, as
+    each machine has its own count. So every rank makes up a random word, and the ranks agree as
+    soon as each has seen the words of all others; nobody has seen words of earlier starts from
+    every rank. If a rank does not arrive within torch's timeout, this raises torch's
+    DistStoreError.
     """
     latest = time.monotonic() + default_pg_timeout.total_seconds()
     store.set(f"word of {rank}", uuid.uuid4().hex)
@@ -81,14 +81,14 @@ LOOK_AGAIN = timedelta(seconds=0.1)
 
 
 def cores() -> int:
-    """How many of this machine's cores each rank on it can have to itself, at least 1."""
+    """The number of this machine's cores for each rank on it, at least 1."""
     mine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, mine // int(os.environ.get("LOCAL_WORLD_SIZE", 1)))
 
 
 @dataclass(frozen=True)
 class Group:
-    """Ranks that share out rows, the index of this one, and torch's handle, None for all or one."""
+    """Ranks that share rows, the index of this one, and torch's handle, None for all or one."""
 
     index: int
     size: int
@@ -101,9 +101,9 @@ def all_ranks() -> Group:
 
 
 def held(parts: int, rank: int | None = None) -> range:
-    """The parts, out of so many, that a rank, this one if not given, holds: at least one.
+    """The range of parts, out of `parts`, that a rank (by default this one) holds: at least one.
 
-    They are shared out evenly, in order; of more ranks than parts, neighbours hold the same one.
+    Parts are shared evenly, in order. If there are more ranks than parts, neighbours hold the same.
     """
     rank = _index() if rank is None else rank
     first = rank * parts // count()
@@ -111,7 +111,7 @@ def held(parts: int, rank: int | None = None) -> range:
 
 
 def group_of(parts: int) -> Group:
-    """The ranks that hold the same parts, out of so many, as this one; to be asked for by all."""
+    """The group of ranks that hold the same parts as this one; all ranks must call it."""
     if parts == 1:
         return all_ranks()
     if count() <= parts:
@@ -123,7 +123,7 @@ def group_of(parts: int) -> Group:
 
 @cache
 def _groups(parts: int) -> list[torch.distributed.ProcessGroup]:
-    """For each part the group of the ranks that hold it, where ranks are more than parts."""
+    """For each part the group of the ranks that hold it, if there are more ranks than parts."""
     holders: list[list[int]] = [[] for _ in range(parts)]
     for rank in range(count()):
         holders[held(parts, rank).start].append(rank)
@@ -131,7 +131,7 @@ def _groups(parts: int) -> list[torch.distributed.ProcessGroup]:
 
 
 def count() -> int:
-    """How many ranks there are, 1 if this process is alone."""
+    """The number of ranks, 1 for a single process."""
     return torch.distributed.get_world_size() if torch.distributed.is_initialized() else 1
 
 
@@ -145,19 +145,19 @@ def _index() -> int:
 
 
 def wait() -> None:
-    """Until all ranks have come this far."""
+    """Wait until all ranks have reached this point."""
     if count() > 1:
         torch.distributed.barrier()
 
 
 def share(rows: int, group: Group | None = None) -> slice:
-    """The part of so many rows that this rank has of a group's, in order."""
+    """The slice of `rows` rows that belongs to this rank of a group, in order."""
     group = group or all_ranks()
     return slice(group.index * rows // group.size, (group.index + 1) * rows // group.size)
 
 
 def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
-    """The rows (rows, ...) of a whole group, given this rank's `share` of them."""
+    """The rows (rows, ...) of the whole group, given this rank's `share` of them."""
     group = group or all_ranks()
     if group.size == 1:
         return part
@@ -166,7 +166,7 @@ def all_gather(part: Tensor, rows: int, group: Group | None = None) -> Tensor:
 
 
 def all_reduce(number: int, group: Group | None = None) -> int:
-    """The sum of a number that each rank of a group has, given this one's."""
+    """The sum of a number over all ranks of a group, given this rank's."""
     group = group or all_ranks()
     if group.size == 1:
         return number
@@ -176,7 +176,7 @@ def all_reduce(number: int, group: Group | None = None) -> int:
 
 
 def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
-    """Of all parts (parts, ...), given one row for each that this rank holds."""
+    """The rows of all parts (parts, ...), given one row for each part that this rank holds."""
     if len(mine) == parts:  # on every rank
         return mine
     holds = [held(parts, rank) for rank in range(count())]
@@ -186,9 +186,9 @@ def all_gather_parts(mine: Tensor, parts: int) -> Tensor:
 
 
 def ring_shift(mine: Tensor, parts: int) -> Tensor:
-    """For each part held, of so many, the row of the part before, given rows (held, ...) of these.
+    """For each held part, the row of the part before it, given the rows (held, ...) of held parts.
 
-    The first part has the row of the last.
+    The first part gets the row of the last.
     """
     holds, me = [held(parts, rank) for rank in range(count())], _index()
     # Of the ranks that hold a part, the first one sends it.
@@ -212,7 +212,7 @@ def ring_shift(mine: Tensor, parts: int) -> Tensor:
 def _all_gather(
     part: Tensor, sizes: Sequence[int], handle: torch.distributed.ProcessGroup | None
 ) -> Tensor:
-    """The first rows of each rank's part, as many as `sizes` says, one after the other."""
+    """The first `sizes` rows of the parts of all ranks, one after the other."""
     plain = part.to(torch.uint8) if part.dtype == torch.bool else part
     mine = plain.new_zeros(max(sizes), *part.shape[1:])  # gloo wants parts of one size
     mine[: len(part)] = plain
@@ -223,9 +223,10 @@ def _all_gather(
 
 
 def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, Tensor]:
-    """A part, out of so many, that some rank holds, on the first rank; to be called by all.
+    """The tensors of a part on the first rank, from a rank that holds it; all ranks must call it.
 
-    Others give any tensors of the same names, numbers of dimensions and types, which they get back.
+    Other ranks pass any tensors with the same names, numbers of dimensions and types, and get these
+    back.
     """
     holder = next(rank for rank in range(count()) if part in held(parts, rank))
     if holder == 0 or _index() not in (0, holder):
@@ -245,7 +246,7 @@ def gather_part(tensors: dict[str, Tensor], part: int, parts: int) -> dict[str, 
 
 
 def broadcast(value: T) -> T:
-    """What the first rank has, on all of them: also where they may differ, as their clocks do."""
+    """The first rank's value on all ranks, for values that may differ, such as clocks."""
     if count() == 1:
         return value
     values = [value]

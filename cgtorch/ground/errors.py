@@ -1,17 +1,17 @@
-"""The error tree: every error the library raises on bad input derives from `CgtorchError`.
+"""The error classes: every error of the library for bad input derives from `CgtorchError`.
 
-Each message is one line that names what was wrong, its value, and what to do about it. Values come
-from files that may be hostile, so a message is printable and of bounded length whatever they are.
+Each message is one line that names what is wrong, its value, and what to do. Values may come from
+hostile files, so messages are always printable and of bounded length.
 """
 
 BEGINNING, END = 450, 150  # characters that stay of a long message: what is wrong, and what to do
 
 
 class CgtorchError(Exception):
-    """Root of every error that cgtorch raises on purpose."""
+    """The base class of all errors that cgtorch raises on purpose."""
 
     def __str__(self) -> str:
-        """The message on one line, its middle left out where it is long."""
+        """The message on one line, shortened in the middle if it is long."""
         text = super().__str__()
         if len(text) > BEGINNING + END:
             text = f"{text[:BEGINNING]} … {text[-END:]}"
@@ -19,7 +19,7 @@ class CgtorchError(Exception):
 
 
 def printable(text: str) -> str:
-    """Text from a file that may be hostile, with escapes for what does not print."""
+    """Text from an untrusted file, with escapes for characters that cannot be printed."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
@@ -40,7 +40,7 @@ class ModelError(CgtorchError, ValueError):
 
 
 class GraphError(CgtorchError, ValueError):
-    """A computational graph is invalid, or a skill file does not describe one."""
+    """A computational graph is invalid, or a skill file does not contain one."""
 
 
 class ActionError(CgtorchError, ValueError):

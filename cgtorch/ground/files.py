@@ -1,4 +1,4 @@
-"""Reading and writing a run's files: whole or not at all, and as data, never as code."""
+"""Reading and writing a run's files: completely or not at all, and as data, never as code."""
 
 import json
 import math
@@ -22,7 +22,7 @@ _LENGTH = 8  # bytes of a safetensors file that say how long its JSON is
 
 @contextmanager
 def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
-    """An `error` for whatever keeps the system from writing a file or folder."""
+    """A context that turns any system error while writing a file or folder into `error`."""
     try:
         yield
     except (OSError, ValueError) as e:
@@ -30,9 +30,9 @@ def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
 
 
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
-    """Write a file so that at any moment it holds either its old content or all of the new.
+    """Write a file so that at any moment it has either its old content or all of the new.
 
-    Its folder must exist. Where it cannot be written, `error` is raised and nothing left behind.
+    Its folder must exist. If it cannot be written, `error` is raised and nothing is left behind.
     """
     path = Path(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
@@ -48,7 +48,7 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
 
 
 def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunError) -> None:
-    """Write `data` as JSON, whole or not at all; numbers that are not finite are refused."""
+    """Write `data` as JSON, completely or not at all; numbers that are not finite are refused."""
     try:
         text = json.dumps(data, indent=1, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as e:
@@ -59,7 +59,7 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
 
 
 def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
-    """Read a file once; `error` where that cannot be done or it has more than `max_bytes`."""
+    """Read a file; `error` if that fails, or if it has more than `max_bytes`."""
     path = Path(path)
     try:
         if not path.is_file():
@@ -83,8 +83,8 @@ def read_json(
 ) -> Any:
     """Read a JSON file of at most `max_bytes`.
 
-    Stricter than the standard library: keys that come twice and numbers that are not finite in
-    float64 are errors, and so is whatever else stops it, however the file is made.
+    It is stricter than the standard library: duplicate keys and numbers that are not finite in
+    float64 are errors. Any other failure is an `error`, too, whatever the file contains.
     """
     raw = read_bytes(path, max_bytes, error)
     try:
@@ -110,12 +110,12 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def place_of(folder: Path) -> Path:
-    """A folder as a text names it: as it was given, or by its name alone if that is absolute."""
+    """A folder for use in text: as given if it is relative, else its name only."""
     return folder if folder.name and not folder.is_absolute() else Path(folder.resolve().name)
 
 
 def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, Any]:
-    """Read a JSON object that says its format and version; RunError if these are others."""
+    """Read a JSON object with its format and version; RunError if these differ."""
     data = read_json(path)
     if not isinstance(data, dict) or data.get("format") != form:
         raise RunError(f"{str(path)!r} is not of {what}; restore the file or give another")
@@ -128,7 +128,7 @@ def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, 
 
 
 def tensors_of(data: bytes) -> dict[str, "Tensor"]:
-    """The tensors of a safetensors file; ValueError if its bytes are none that torch can load."""
+    """The tensors of a safetensors file; ValueError if torch cannot load its bytes."""
     from safetensors import SafetensorError
     from safetensors.torch import load  # which imports torch
 
@@ -140,7 +140,7 @@ def tensors_of(data: bytes) -> dict[str, "Tensor"]:
 
 
 def notes_of(data: bytes) -> dict[str, Any]:
-    """The notes in the JSON at the beginning of a safetensors file that has been checked."""
+    """The notes in the JSON header of a safetensors file that has been checked."""
     length = int.from_bytes(data[:_LENGTH], "little")
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
@@ -163,6 +163,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _reason(e: Exception) -> str:
-    """What an error says, on one line."""
+    """The message of an error, on one line."""
     text = e.strerror if isinstance(e, OSError) and e.strerror else str(e)
     return " ".join(text.split())[:200] or type(e).__name__

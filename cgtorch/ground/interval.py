@@ -1,11 +1,14 @@
-"""How sure a counted share is."""
+"""Confidence intervals of shares."""
 
 from math import sqrt
 from statistics import NormalDist
 
 
 def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
-    """The two-sided confidence interval of a share (Wilson 1927); of no tries, of one failure."""
+    """The two-sided confidence interval of a share (Wilson 1927).
+
+    Without tries, it is that of one failure.
+    """
     n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
     rate = successes / n
     centre = (rate + z * z / (2 * n)) / (1 + z * z / n)

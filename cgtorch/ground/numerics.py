@@ -1,7 +1,7 @@
-"""Functions of numbers that round a number the same wherever it stands in a tensor.
+"""Functions that round a number in the same way wherever it is in a tensor.
 
-Torch computes the last few numbers of a tensor, those that do not fill a vector register, with
-other instructions in `sigmoid`, `exp2`, `softplus` and `atan2`, not in `exp`, `sin` and `cos`.
+Torch computes the last few numbers of a tensor, which do not fill a vector register, by other
+instructions in `sigmoid`, `exp2`, `softplus` and `atan2`, though not in `exp`, `sin` and `cos`.
 """
 
 import torch
@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 def sigmoid(x: Tensor) -> Tensor:
-    """The logistic function of x (...), any shape, bit for bit the same in whatever company.
+    """The logistic function of x (...), of any shape, bit for bit independent of neighbours.
 
-    The bound, past which the result is 0 in all but name, keeps gradients finite.
+    A bound, beyond which the result is practically 0, keeps gradients finite.
     """
     return 1 / (1 + torch.exp((-x).clamp_max(80)))
 
@@ -20,10 +20,10 @@ _POWERS = (0.00015461445, 0.0013400428, 0.009618057, 0.055503272, 0.24022651, 0.
 
 
 def exp2(x: Tensor) -> Tensor:
-    """2^x to seven digits of x (...) float32, no larger than 100; `native/engine/draws.h` as well.
+    """2^x to seven digits for x (...) float32, at most 100; `native/engine/draws.h` has the same.
 
-    With torch's own, CPUs and GPUs would not agree on last digits. The polynomial is near the best
-    of its degree.
+    Torch's own function gives other last digits on CPUs and on GPUs. The polynomial is close to the
+    best of its degree.
     """
     whole = x.round()
     rest, p = x - whole, torch.full_like(x, _POWERS[0])
@@ -36,9 +36,9 @@ _FILLED = 32  # numbers that torch computes together at most
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:
-    """The angle of vectors (x, y), of the same shape, bit for bit the same in whatever company.
+    """The angle of vectors (x, y), of the same shape, bit for bit independent of neighbours.
 
-    On one thread of torch's; where more share the numbers out, each of them has a last few.
+    It uses one thread of torch, since several threads would each have a last few numbers.
     """
     missing = -y.numel() % _FILLED
     flat = [torch.nn.functional.pad(part.flatten(), (0, missing)) for part in (y, x)]
@@ -49,10 +49,10 @@ _LANES, _SUMS = 8, 4
 
 
 def row_means(x: Tensor) -> Tensor:
-    """(P,) means of rows (P, B), each the same however many rows there are.
+    """(P,) means of rows (P, B), independent of the number of rows.
 
-    Four sums of every eighth number are made side by side, as torch does for rows of less than 512,
-    and `native/engine/rollout.c` for all.
+    Four sums, each of every eighth number, are computed side by side, as torch does for rows of
+    less than 512, and `native/engine/rollout.c` for all.
     """
     count = x.shape[1]
     lanes = 1 if count < _LANES else _LANES

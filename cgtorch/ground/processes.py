@@ -1,7 +1,7 @@
-"""Work shared out to forked processes, for operations too short to be shared out to threads.
+"""Work in forked processes, for operations too short for threads.
 
-Python's threads would wait for one another's interpreter lock (docs/decisions/models.md). A
-forked process has all data at once and one thread inside torch, as in PyTorch's data loaders.
+Python's threads would wait for the interpreter lock (docs/decisions/models.md). A forked process
+has all data at once and uses one torch thread, as in PyTorch's data loaders.
 """
 
 import multiprocessing
@@ -31,11 +31,12 @@ def in_processes(
     processes: int,
     done: Callable[[Result], None] | None = None,
 ) -> list[Result]:
-    """The results of work(0) ... work(times - 1), in this order; the first are begun first.
+    """The results of work(0) ... work(times - 1), in this order; the first ones begin first.
 
-    The work must not draw from a generator that it shares; its results are sent by pickle, and
-    `done` is called with each as it comes. With one process, on a system that cannot fork, and in a
-    forked process, it is called here. DataError if a process was killed, or what `work` raised.
+    `work` must not draw from a generator that it shares. Its results are pickled, and `done` is
+    called with each as it arrives. With one process, on a system that cannot fork, and within a
+    forked process, `work` is called in this process. DataError if a process was killed; otherwise
+    any exception of `work` is raised.
     """
     results: dict[int, Result] = {}
 
@@ -75,7 +76,7 @@ def _begin(work: Callable[[int], Any], parent: int) -> None:
 
 
 def _follow(parent: int) -> None:
-    """End with the parent, which may be killed and tell nobody."""
+    """Exit when the parent process ends, even if it was killed."""
     while os.getppid() == parent:
         time.sleep(1)
     os._exit(1)

@@ -45,7 +45,7 @@ class Journal:
     """
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
-        """What the next step came to, None if not ended; RunError if another one came next."""
+        """The result of the next step, or None if it is not finished; RunError if names differ."""
         return None
 
     def record(self, step: str, result: dict[str, Tensor]) -> None:
@@ -85,7 +85,7 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
 
 
 def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkpoint:
-    """What is found, and of `count` islands those that this rank holds, to be evaluated next."""
+    """A checkpoint of a result and of those of `count` islands that this rank holds."""
     # Looked at now: what is kept when a step is interrupted is written after more was drawn.
     held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
     own = held[min(held)]  # for its names and types, where the part is another rank's

@@ -57,10 +57,11 @@ def specialists_of(skill: Skill) -> tuple[Skill, ...]:
 
 
 def fewest_members(solves: Tensor, keep: Tensor, most: int | None = None) -> list[int]:
-    """Members that together solve all that any solve, chosen greedily, as ascending indices.
+    """Few members that together solve all that any of them solves, as ascending indices.
 
-    Who adds nothing is left out, unless `keep` (M,) bool marks it. `solves` is (B, M) bool. Where
-    more than `most` would be needed, those are chosen that solve most of it.
+    They are chosen greedily. Members that add nothing are left out, except those marked in `keep`
+    (M,) bool. `solves` is (B, M) bool. If more than `most` members would be needed, the result
+    solves as much as possible with `most`.
     """
     chosen = keep.nonzero()[:, 0].tolist()
     covered = solves[:, chosen].any(1)

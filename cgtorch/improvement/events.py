@@ -63,7 +63,7 @@ class ModelsFitted(Event):
 
 @dataclass(frozen=True)
 class CandidateTested(Event):
-    """A candidate solves `solved_w` of the `size_w` scenarios of W, and the same of M."""
+    """A candidate solves `solved_w` of `size_w` scenarios of W, and `solved_m` of `size_m` of M."""
 
     stage: str
     candidate: str

@@ -78,7 +78,7 @@ def _descend(
 
 
 def _outputs(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(..., M - 1, B, 2) outputs of all branches (..., M - 1, K), before the last sigmoid."""
+    """(..., M - 1, B, 2) outputs of all branching nodes (..., M - 1, K) before the last sigmoid."""
     size, hidden = branch.hidden * branch.inputs, branch.hidden
     w1, b1, w2, b2 = parameters.tensor_split([size, size + hidden, size + 3 * hidden], -1)
     h = torch.sigmoid(x @ w1.unflatten(-1, (hidden, branch.inputs)).mT + b1[..., None, :])

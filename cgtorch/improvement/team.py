@@ -173,11 +173,12 @@ def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
 def compose_team(
     stage: Stage[S], state: StageState[S], progress: Progress[S]
 ) -> tuple[Skill, Tensor] | None:
-    """The smallest team that solves what all of it solve, and what it solves (B,) in the world.
+    """The smallest team that solves all that its members solve, and (B,) what it solves.
 
-    Where `progress` has members, teams without the earlier skill are tried first, so that skills
-    do not nest deeper with every stage; and first of all one of no more than `FEW`. None if no team
-    under trained branches solves all of W and at least one other scenario (eq. 1).
+    If `progress` has members, teams without the earlier skill are tried first, so that skills do
+    not nest deeper with every stage. A team of at most `FEW` is tried before all others. The result
+    is tried in the world. None if no team with trained branching nodes solves all of W and at least
+    one more scenario (eq. 1).
     """
     solves, nobody = state.rates == 1, torch.zeros(len(state.members), dtype=torch.bool)
     teams = []

@@ -36,7 +36,7 @@ class Trial:
 
 
 def try_skill(skill: Skill, world: Environment, record: bool = True) -> Trial:
-    """Run a skill once on every scenario; `record` its experience, a lot of long episodes."""
+    """Run a skill once on every scenario; `record` its experience, which can be large."""
     recording = Recording(world)
     place = recording if record else world
     runs = rollout(skill.graph, skill.actions, place, max_transitions=skill.max_transitions)
@@ -50,7 +50,7 @@ def first_percepts(world: Environment) -> Tensor:
 
 
 def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
-    """What `try_skill` gives on scenarios, from the journal if it can; RunError if it disagrees."""
+    """The result of `try_skill`, from the journal if possible; RunError if that does not fit."""
     step, world = f"trial of {skill.name}", setup.world_of(scenarios)
     known = setup.journal.recall(step)
     if known is not None:

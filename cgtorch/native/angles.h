@@ -1,11 +1,11 @@
-/* Angles of a vector's rows: sines, cosines and arc tangents to the last digit or two, half angles,
-   wrapping. All of it is our own, as mathematical libraries differ in last digits. */
+/* Angles of the rows of a vector: sines, cosines and arc tangents to the last digit or two, half angles,
+   wrapping. Mathematical libraries are not used, as they differ in last digits. */
 #pragma once
 #include "real.h"
 
 #define PI 3.14159265358979323846
 
-/* pi/2 in parts of few digits, which whole numbers up to MOST_TURNED multiply exactly (Cody & Waite);
+/* pi/2 in parts of few digits, whose products with whole numbers up to MOST_TURNED are exact (Cody & Waite);
    polynomials of Cephes (float) and fdlibm (double) on [-pi/4, pi/4]. */
 #ifdef REAL_IS_FLOAT
 #define MOST_TURNED 8192
@@ -36,8 +36,8 @@ static const uint32_t TWO_BY_PI[] = {
 #define WORDS 6 /* of 2 / pi that count for one number: 2 bits before the point, and as many as its digits
                    need twice behind it */
 
-/* The quarter turns nearest to a large angle, and what is left of it, in whole numbers, as libraries differ
-   (Payne & Hanek, "Radian reduction for trigonometric functions", 1983). */
+/* The number of quarter turns nearest to a large angle, and the remainder, computed with integers (Payne &
+   Hanek, "Radian reduction for trigonometric functions", 1983). */
 static real reduced(real angle, whole *turns) {
   uint64_t digits, carry = 0;
   whole bits;
@@ -110,7 +110,7 @@ INLINE vec polynomial(const real *factors, int count, vec z) {
   for (int i = 1; i < count; i++) p = vec_fma(p, z, vec_of(factors[i]));
   return p;
 }
-/* The angle of (x, y), to the last digit or two; not a number where either is not finite. */
+/* The angle of (x, y), to the last digit or two; NaN if either is not finite. */
 INLINE vec atan2_vec(vec y, vec x) {
   vec ax = vec_abs(x), ay = vec_abs(y), less = vec_min(ax, ay), more = vec_max(ax, ay);
   vwhole steep = less > (real)0.41421356237309504880 * more;

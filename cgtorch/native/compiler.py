@@ -1,6 +1,6 @@
-"""How the C sources below this folder are compiled: for this very machine, or for a wheel.
+"""Compiling the C sources below this folder, for this machine or for a wheel.
 
-It needs nothing but Python, as a wheel may be built where there is no torch.
+It needs only Python, as a wheel may be built without torch.
 """
 
 import hashlib
@@ -16,19 +16,19 @@ from tempfile import TemporaryDirectory
 
 SOURCES = Path(__file__).parent
 REALS = ("float", "double")
-"""What `REAL` is in the sources: a library is compiled for each."""
+"""The values of `REAL` in the sources: a library is compiled for each."""
 FLAGS = (
     "-O3", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd", "-ffp-contract=off",
     "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
 LINK = ("-shared", "-pthread")
 WIDE = "-mprefer-vector-width=512"
-"""Without it compilers take half of the widest vectors that some CPUs have."""
+"""Without it, compilers use only half of the widest vectors of some CPUs."""
 TARGETS = {"AVX512": ("-march=x86-64-v4", WIDE), "AVX2": ("-march=x86-64-v3",)}
-"""What a wheel has libraries for, the fastest first, by torch's names for what a CPU can do."""
+"""Targets of the libraries in a wheel, the fastest first, by torch's names of CPU capabilities."""
 LONGEST = ("rollouts", "kernel_rollouts", "worlds", "rbf", "models")
 SECONDS = 300
-"""A compiler that has not ended by then is taken for none."""
+"""A compiler that takes longer counts as missing."""
 
 
 def found_compiler() -> str | None:
@@ -44,7 +44,7 @@ def sources() -> bytes:
 
 @cache
 def own_target(compiler: str) -> tuple[str, ...]:
-    """What lets a compiler make the most of this very CPU; OSError or SubprocessError if none."""
+    """Compiler options for exactly this CPU; OSError or SubprocessError if there are none."""
     wide = "-march=native", WIDE
     try:
         return wide if "__AVX512F__" in _macros(compiler, wide) else wide[:1]
@@ -53,7 +53,7 @@ def own_target(compiler: str) -> tuple[str, ...]:
 
 
 def file_name(real: str, compiler: str, target: Sequence[str]) -> str:
-    """The name of a library, made of all that it depends on."""
+    """The name of a library, which depends on all of its inputs."""
     about = [platform.machine(), *_command(real, compiler, target), _macros(compiler, target)]
     key = hashlib.sha256("\0".join(about).encode() + sources()).hexdigest()[:32]
     return f"{real}-{key}.so"
@@ -65,7 +65,10 @@ def wheel_file_name(real: str, target: str) -> str:
 
 
 def compile_library(real: str, compiler: str, target: Sequence[str], path: Path) -> None:
-    """Make the file whole or not at all, whoever else is at it, from sources side by side."""
+    """Write the library, completely or not at all, compiling the sources in parallel.
+
+    Other processes may do the same at the same time.
+    """
     with TemporaryDirectory(dir=path.parent) as folder, ThreadPoolExecutor() as pool:
 
         def compiled(source: Path) -> str:
@@ -87,7 +90,7 @@ def _command(real: str, compiler: str, target: Sequence[str]) -> list[str]:
 
 @cache
 def _macros(compiler: str, target: Sequence[str]) -> str:
-    """What the compiler says of its version and of the CPU that it compiles for."""
+    """The compiler's version macros, and those of the CPU that it compiles for."""
     return _run([compiler, *FLAGS, *target, "-E", "-dM", "-x", "c", os.devnull])
 
 

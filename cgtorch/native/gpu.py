@@ -1,7 +1,7 @@
-"""NVIDIA's GPUs: the CUDA sources below this folder, compiled by NVRTC, launched by the driver.
+"""NVIDIA GPUs: the CUDA sources below this folder, compiled by NVRTC, launched by the driver.
 
-Machine code is kept in the user's cache beside the compiled library. Where there is no NVRTC, or no
-driver, what runs on a GPU runs in torch.
+Machine code is kept in the user's cache, beside the compiled library. Without NVRTC or a driver, a
+GPU is used through torch.
 """
 
 import ctypes
@@ -25,13 +25,13 @@ CUDA = SOURCES / "cuda"
 
 @dataclass(frozen=True)
 class Module:
-    """Kernels of one source for numbers of one type, with some sizes known.
+    """The kernels of one source for numbers of one type, with some sizes as constants.
 
     Attributes:
-        name: of the source in `native/cuda`.
-        dtype: what `REAL` is there.
-        kernels: what it has.
-        sizes: constants by name.
+        name: The name of the source in `native/cuda`.
+        dtype: The type of `REAL`.
+        kernels: The names of its kernels.
+        sizes: Constants by name.
     """
 
     name: str
@@ -41,45 +41,46 @@ class Module:
 
     @property
     def source(self) -> Path:
-        """The file."""
+        """The path of the source."""
         return CUDA / f"{self.name}.cu"
 
     def defines(self) -> dict[str, str]:
-        """All that is to be defined before the source is compiled."""
+        """All macros that are defined before the source is compiled."""
         real = REALS[self.dtype].__name__.removeprefix("c_")
         sizes = {name: str(value) for name, value in self.sizes}
         return {"REAL": real, f"REAL_IS_{real.upper()}": "1", **sizes}
 
 
 class Launcher(Protocol):
-    """What can run kernels: a GPU, or in tests what stands in for one."""
+    """An object that runs kernels: a GPU, or an emulation in tests."""
 
     @property
     def device(self) -> torch.device:
-        """Where tensors must be."""
+        """The device of tensors."""
 
     @property
     def multiprocessors(self) -> int:
-        """How many there are."""
+        """The number of multiprocessors."""
 
     def launch(
         self, module: Module, kernel: str, blocks: int, threads: int, shared: int, *arguments: Any
     ) -> None:
-        """Begin a kernel with structures and ctypes numbers, after what was begun before.
+        """Start a kernel with structures and ctypes numbers, after earlier ones.
 
-        There are so many blocks of so many threads, each block with so many bytes of shared memory.
+        `blocks` and `threads` are numbers of blocks, and of threads per block; `shared` is the
+        shared memory of each block in bytes.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Gpu:
-    """One of this machine's GPUs.
+    """A GPU of this machine.
 
     Attributes:
-        device: as torch calls it.
-        multiprocessors: how many it has.
-        architecture: as NVRTC calls it, such as "sm_90".
-        driver: the CUDA driver.
+        device: Its name in torch.
+        multiprocessors: The number of multiprocessors.
+        architecture: Its name in NVRTC, such as "sm_90".
+        driver: The CUDA driver.
     """
 
     device: torch.device
@@ -91,7 +92,7 @@ class Gpu:
     def launch(
         self, module: Module, kernel: str, blocks: int, threads: int, shared: int, *arguments: Any
     ) -> None:
-        """See `Launcher.launch`; CompilationError or RuntimeError where that cannot be."""
+        """See `Launcher.launch`; CompilationError or RuntimeError if it fails."""
         with torch.cuda.device(self.device):
             stream = ctypes.c_void_p(torch.cuda.current_stream(self.device).cuda_stream)
             where = (blocks, 1, 1, threads, 1, 1, shared, stream)
@@ -116,7 +117,7 @@ class Gpu:
 
 @cache
 def gpu_of(device: torch.device) -> Gpu | None:
-    """The GPU that torch calls so; None without driver or NVRTC, and for AMD's."""
+    """The GPU of a torch device; None without driver or NVRTC, and for AMD's."""
     if os.environ.get("CGTORCH_NATIVE", "1") == "0" or not torch.cuda.is_available():
         return None
     if torch.version.cuda is None or not nvrtc.available():
@@ -132,23 +133,23 @@ def gpu_of(device: torch.device) -> Gpu | None:
 
 
 def launcher_of(device: torch.device) -> Launcher | None:
-    """What runs kernels on a device; None where nothing does, as on a CPU."""
+    """The launcher for a device; None if there is none, as on a CPU."""
     return gpu_of(device) if device.type == "cuda" else None
 
 
 def addresses(arguments: Sequence[Any]) -> Any:
-    """An array of the addresses of what a kernel is given."""
+    """An array of the addresses of a kernel's arguments."""
     places = [ctypes.addressof(each) for each in arguments]
     return (ctypes.c_void_p * len(places))(*places)
 
 
 def constants_of(sizes: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-    """Sizes as a `Module` has them."""
+    """Sizes in the form of a `Module`."""
     return tuple(sorted(sizes.items()))
 
 
 def _cubin(module: Module, architecture: str) -> bytes:
-    """A module's machine code from the cache, or made now and kept."""
+    """The machine code of a module, from the cache or compiled now."""
     options = [f"-D{name}={value}" for name, value in module.defines().items()]
     about = [architecture, *map(str, nvrtc.version()), *nvrtc.FLAGS, *options, sources_digest()]
     key = hashlib.sha256("\0".join(about).encode()).hexdigest()[:32]
@@ -163,7 +164,7 @@ def _cubin(module: Module, architecture: str) -> bytes:
 
 @cache
 def sources_digest() -> str:
-    """A hash of all sources that kernels are made of."""
+    """A hash of all sources of kernels."""
     every = sorted([*SOURCES.rglob("*.h"), *SOURCES.rglob("*.cu")])
     return hashlib.sha256(b"".join(path.read_bytes() for path in every)).hexdigest()
 

@@ -1,7 +1,7 @@
-"""How Python calls the C sources: functions, structures and constants, none of them written twice.
+"""The interface between Python and C: functions, structures and constants, each written once.
 
-Functions and structures are read from the sources; constants, and the sizes of structures, are what
-a compiled library says of itself (library.h). Where sizes differ, the library is refused.
+Functions and structures are parsed from the sources. Constants and the sizes of structures come
+from the compiled library itself (library.h). If sizes differ, the library is refused.
 """
 
 import ctypes
@@ -20,27 +20,28 @@ _EXPORT = re.compile(r"^EXPORT_(STRUCT|CONSTANTS)\((\w+)", re.MULTILINE)
 
 
 class Pointer(ctypes.c_void_p):
-    """A pointer for which a contiguous tensor, a structure or an array may be given, or None."""
+    """A pointer, for which a contiguous tensor, a structure, an array or None may be passed."""
 
     @classmethod
     def from_param(cls, value: Any) -> "Pointer":
-        """What a function is called with."""
+        """The address that is passed to a function."""
         return cls(_address(value))
 
 
 class ReadPointer(Pointer):
-    """One to what C does not write to."""
+    """A pointer to memory that C does not write to."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """What a compiled library has.
+    """The contents of a compiled library.
 
     Attributes:
-        functions: by name; tensors and structures may be given for pointers.
-        structures: what makes them, by name, of all fields: numbers, structures, and tensors for
-            pointers and arrays. They keep tensors; those that C writes to must be contiguous.
-        constants: groups by name, of values by name.
+        functions: By name; tensors and structures may be passed for pointers.
+        structures: Functions, by name, that make a structure from all its fields: numbers,
+            structures, and tensors for pointers and arrays. Structures keep their tensors alive;
+            those that C writes to must be contiguous.
+        constants: Groups, by name, of values by name.
     """
 
     functions: Mapping[str, Any]
@@ -49,7 +50,10 @@ class Interface:
 
 
 def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
-    """A library's interface, by its sources and the ctype `real`; ImportError if sizes differ."""
+    """The interface of a library, given its sources and the ctype `real`.
+
+    ImportError if sizes of structures differ.
+    """
     text = _COMMENT.sub("", sources)
     types = {"real": real, "float": ctypes.c_float, "double": ctypes.c_double}
     types["int64_t"] = ctypes.c_int64
@@ -76,7 +80,7 @@ def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
 
 
 def agree(found: Mapping[str, int], wanted: Mapping[str, int]) -> None:
-    """ImportError unless constants have the values that Python gives them."""
+    """ImportError unless constants have the same values in C and in Python."""
     if wrong := {name: value for name, value in wanted.items() if found.get(name) != value}:
         raise ImportError(
             f"Python has {wrong} and the compiled library {dict(found)}; make them equal"
@@ -84,7 +88,7 @@ def agree(found: Mapping[str, int], wanted: Mapping[str, int]) -> None:
 
 
 def _structure(name: str, bodies: Mapping[str, str], types: dict[str, Any]) -> Any:
-    """The class of a structure, made with those within it, all of which enter `types`."""
+    """The class of a structure; it and all structures within it are entered in `types`."""
     if name not in types:
         fields = []
         for declaration in bodies[name].split(";")[:-1]:
@@ -100,7 +104,7 @@ def _structure(name: str, bodies: Mapping[str, str], types: dict[str, Any]) -> A
 
 
 def _maker(structure: Any) -> Callable[..., Any]:
-    """What makes a structure of all its fields; it is called often, so it does what it must."""
+    """A fast function that makes a structure from all its fields."""
     kinds = dict(structure._fields_)
     read = [name for name, kind in kinds.items() if kind is ReadPointer]
     written = [name for name, kind in kinds.items() if kind is Pointer]

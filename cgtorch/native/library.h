@@ -1,5 +1,5 @@
-/* What a library says of itself, so that Python can be sure to read the sources as the compiler did
-   (cgtorch.native.interface), and how its functions share out their work. */
+/* Exports of constants and sizes, by which Python checks its reading of the sources
+   (cgtorch.native.interface), and work sharing among threads. */
 #pragma once
 #include <stddef.h>
 #include <stdint.h>
@@ -9,14 +9,14 @@
   const char names_of_##group[] = #__VA_ARGS__; \
   const int64_t values_of_##group[] = {__VA_ARGS__};
 
-/* What functions return. */
+/* The return values of functions. */
 enum { DONE, NO_MEMORY, WRONG_GRAPHS, NO_PARENT };
 
-/* Pieces of work shared out among threads that take them off one counter (thread_pool.c). */
+/* Pieces of work, which threads take off a common counter (thread_pool.c). */
 typedef void (*Piece)(void *what, int64_t begin, int64_t end);
 
 /* Calls `piece` on [0, total) in parts of `size`, in up to `threads` threads, and waits for all. */
 void in_parallel(Piece piece, void *what, int64_t total, int64_t size, int64_t threads);
 
-/* Asks for pages of 2 MB: to be given 34 MB in pages of 4 kB takes longer than all operators. */
+/* Requests pages of 2 MB, as getting 34 MB in pages of 4 kB takes longer than all operators. */
 void large_pages(void *memory, size_t bytes);

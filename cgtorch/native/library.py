@@ -1,9 +1,9 @@
-"""C sources below this folder, compiled once for this very CPU and kept in the user's cache.
+"""The C sources below this folder, compiled once for this CPU and kept in the user's cache.
 
-A computational graph runs one short step after another, which take a tenth of what they would as
-tensor operations (docs/decisions/engine.md). Nothing has to be compiled: where there is no
-compiler, what was compiled for the wheel is used, if it suits this machine. Else, or with
-`CGTORCH_NATIVE=0`, everything runs in torch, slower and with other roundings.
+A computational graph runs one short step after another, and in C these take a tenth of the time of
+tensor operations (docs/decisions/engine.md). Compilation is optional. Without a compiler, the
+library of the wheel is used if it suits this machine. Without either, or with `CGTORCH_NATIVE=0`,
+everything runs in torch, slower and with other rounding.
 """
 
 import ctypes
@@ -22,23 +22,23 @@ from cgtorch.native import compiler
 from cgtorch.native.interface import Interface, agree, interface_of
 
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
-"""What `REAL` is in C for numbers of these types."""
+"""The type of `REAL` in C for numbers of these types."""
 FROM_WHEEL = Path(__file__).parent / "compiled"
-"""Where libraries lie that came with a wheel."""
+"""The folder of libraries that came with a wheel."""
 VECTOR = 64
-"""Bytes of a vector of numbers, as in real.h."""
+"""The size of a vector of numbers in bytes, as in real.h."""
 WRONG_GRAPHS, NO_PARENT = 2, 3
 FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS, "NO_PARENT": NO_PARENT}
-"""What functions return, as in library.h."""
+"""The return values of functions, as in library.h."""
 
 
 def available() -> bool:
-    """Whether hot paths run compiled; compiles them the first time, which takes seconds."""
+    """Whether hot paths run compiled; the first call compiles them, which takes seconds."""
     return library(torch.float32) is not None
 
 
 def to_be_compiled() -> bool:
-    """Whether `available` will take seconds: a compiler is there, but not yet what it makes."""
+    """Whether `available` will take seconds: there is a compiler, but no library yet."""
     try:
         kept = _kept("float") if _switched_on() else None
         return kept is not None and not kept.exists()
@@ -47,36 +47,36 @@ def to_be_compiled() -> bool:
 
 
 def function(name: str, dtype: torch.dtype) -> Any:
-    """A function of the sources for numbers of a type, or None where nothing can be compiled.
+    """A function of the sources for numbers of a type, or None if nothing can be compiled.
 
-    Contiguous tensors and structures are given to it for pointers.
+    Contiguous tensors and structures can be passed for pointers.
     """
     found = library(dtype)
     return found and found.functions[name]
 
 
 def structure(name: str, dtype: torch.dtype) -> Any:
-    """A class of structures, for numbers of a type, or None where nothing can be compiled."""
+    """A function that makes a structure for numbers of a type, or None without compiled code."""
     found = library(dtype)
     return found and found.structures[name]
 
 
 def constants(group: str, dtype: torch.dtype = torch.float32) -> Mapping[str, int]:
-    """Constants of the sources by name; none where nothing can be compiled."""
+    """Constants of the sources by name; empty if nothing can be compiled."""
     found = library(dtype)
     return found.constants[group] if found else {}
 
 
 def suits(*tensors: Tensor) -> bool:
-    """Whether C may be asked about tensors (...): on the CPU, of one type, without gradient.
+    """Whether C can process tensors (...): on the CPU, of one type, without gradient.
 
-    Where a graph is exported there is nothing in them.
+    It is False while a graph is exported, as there are no numbers then.
     """
     return tensors[0].is_cpu and alike(*tensors) and not torch.compiler.is_compiling()
 
 
 def alike(*tensors: Tensor) -> bool:
-    """Whether tensors (...) are of one type that C knows, on one device, and without gradient."""
+    """Whether tensors (...) have one type that C supports, one device, and no gradient."""
     if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
         return False
     dtype, device = tensors[0].dtype, tensors[0].device
@@ -84,14 +84,14 @@ def alike(*tensors: Tensor) -> bool:
 
 
 def threads() -> int:
-    """How many threads compiled code may use: as many as torch, or what `use_threads` said."""
+    """The number of threads of compiled code: torch's, or the number set by `use_threads`."""
     return _threads or torch.get_num_threads()
 
 
 def use_threads(count: int) -> int:
-    """Let compiled code use so many threads, whatever torch uses, or with 0 as many as torch.
+    """Set the number of threads of compiled code; with 0 it is torch's number.
 
-    No result depends on it. What was said before is returned.
+    No result depends on it. The previous setting is returned.
     """
     global _threads
     before, _threads = _threads, count
@@ -103,7 +103,10 @@ _threads = 0
 
 @cache
 def library(dtype: torch.dtype) -> Interface | None:
-    """The compiled sources for a type, cached or made now; ImportError if Python disagrees."""
+    """The compiled sources for a type, from the cache or compiled now.
+
+    ImportError if Python and the library disagree.
+    """
     if not _switched_on() or dtype not in REALS:
         return None
     loaded = _loaded(REALS[dtype].__name__.removeprefix("c_"))
@@ -120,7 +123,7 @@ def _switched_on() -> bool:
 
 
 def _loaded(real: str) -> ctypes.CDLL | None:
-    """The library that is compiled here, or else one from the wheel, or None."""
+    """The library compiled on this machine, or else one from the wheel, or None."""
     try:
         if path := _kept(real):
             if not path.exists():
@@ -133,7 +136,7 @@ def _loaded(real: str) -> ctypes.CDLL | None:
 
 
 def _kept(real: str) -> Path | None:
-    """Where the compiled sources lie, or will; None without a compiler."""
+    """The path of the compiled sources, whether they exist or not; None without a compiler."""
     name = compiler.found_compiler()
     if name is None:
         return None
@@ -141,7 +144,7 @@ def _kept(real: str) -> Path | None:
 
 
 def cache_folder() -> Path:
-    """Where what is compiled is kept, for this user alone; OSError if it cannot be made."""
+    """The folder of compiled libraries, for this user alone; OSError if it cannot be made."""
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(home) / "cgtorch"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -149,7 +152,7 @@ def cache_folder() -> Path:
 
 
 def _from_wheel(real: str) -> ctypes.CDLL | None:
-    """The fastest library of the wheel that this CPU can run, of these very sources."""
+    """The fastest library of the wheel that this CPU can run, if it is of the same sources."""
     known, able = list(compiler.TARGETS), torch.backends.cpu.get_cpu_capability()
     if platform.machine() not in ("x86_64", "AMD64") or able not in known:
         return None

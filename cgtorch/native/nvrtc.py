@@ -1,6 +1,6 @@
 """CUDA sources compiled at run time by NVRTC, which comes with torch for GPUs.
 
-It needs neither a GPU nor a toolkit. Where it is missing, nothing runs compiled on a GPU.
+It needs neither a GPU nor a toolkit. Without it, nothing runs compiled on a GPU.
 """
 
 import ctypes
@@ -13,16 +13,16 @@ from typing import Any
 from cgtorch.native.compiler import SOURCES
 
 FLAGS = ("-std=c++20", "-default-device", "-fmad=false", f"-I{SOURCES}")
-"""Each product is rounded before it is added, but where sources say `fma`: as on CPUs."""
+"""Each product is rounded before it is added, except where sources say `fma`, as on CPUs."""
 NAMES = ("libnvrtc.so", "libnvrtc.so.13", "libnvrtc.so.12")
 
 
 class CompilationError(RuntimeError):
-    """NVRTC refuses a source; says why."""
+    """NVRTC refuses a source; the message says why."""
 
 
 def available() -> bool:
-    """Whether NVRTC is there."""
+    """Whether NVRTC is installed."""
     return _library() is not None
 
 
@@ -34,7 +34,7 @@ def version() -> tuple[int, int]:
 
 
 def cubin(source: Path, architecture: str, options: Sequence[str]) -> bytes:
-    """The machine code of a source for a GPU such as "sm_90"; CompilationError if there is none."""
+    """The machine code of a source for a GPU such as "sm_90"; CompilationError if that fails."""
     nvrtc, program = _found(), ctypes.c_void_p()
     name, text = source.name.encode(), source.read_bytes()
     made = nvrtc.nvrtcCreateProgram(ctypes.byref(program), text, name, 0, None, None)
@@ -81,7 +81,7 @@ def _library() -> Any:
 
 
 def _places() -> Iterator[str]:
-    """Where it may be: in NVIDIA's packages, in torch's, or where the system finds it."""
+    """Possible places of NVRTC: NVIDIA's packages, torch's, or where the system finds it."""
     for package in ("nvidia", "torch"):
         found = importlib.util.find_spec(package)
         for root in found.submodule_search_locations or () if found else ():

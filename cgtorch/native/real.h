@@ -1,6 +1,6 @@
-/* Vectors of 64 bytes of REAL, float or double, whatever registers the CPU has: sums of sixteen or
-   eight parts are made in the same order everywhere, and a row never meets another one. For a GPU what
-   is a vector here is one thread's number (cuda/lane.h). */
+/* Vectors of 64 bytes of REAL, float or double, for any registers of the CPU: sums of sixteen or eight parts
+   have the same order everywhere, and rows are independent. On a GPU, a vector is one thread's number
+   (cuda/lane.h). */
 #pragma once
 #ifdef __CUDACC_RTC__
 #include "cuda/types.h"
@@ -40,9 +40,9 @@ INLINE vec with_sign_of(vec a, vec b) {
 }
 INLINE vwhole finite_vec(vec a) { return a * 0 == 0; }
 
-/* 2^-x for x >= 0 to the last digit or two; what would be denormal is the smallest normal number,
-   what is not a number stays so. Near the best polynomial of its degree, 2.5e-9 off at most, for
-   float; Taylor's series for double. */
+/* 2^-x for x >= 0 to the last digit or two; denormal results become the smallest normal number, and NaN stays
+   NaN. For float it is near the best polynomial of its degree, 2.5e-9 off at most; for double a Taylor
+   series. */
 #ifdef REAL_IS_FLOAT
 #define UNIT 1
 static const real POWERS[] = {0.00015461445f, -0.0013400428f, 0.009618057f, -0.055503272f,
@@ -56,7 +56,7 @@ static const real POWERS[] = {-1.0 / 6227020800, 1.0 / 479001600, -1.0 / 3991680
 #endif
 #define EXP2_TERMS (int)(sizeof POWERS / sizeof *POWERS)
 
-/* Of `count` vectors in place, step by step side by side: none waits for the step before. */
+/* For `count` vectors in place, step by step together, so that no step waits for the one before. */
 INLINE void exp2_minus(vec *x, int count) {
   vec big[4], p[4];
   UNROLLED for (int r = 0; r < count; r++) {
@@ -76,7 +76,7 @@ INLINE vec exp2_vec(vec x) {
   return x;
 }
 
-/* 1 / (1 + exp(-x)); what is not a number stays so. */
+/* 1 / (1 + exp(-x)); NaN stays NaN. */
 INLINE vec sigmoid_vec(vec x) {
   vec power = exp2_vec(vec_abs(x) * (real)-1.44269504088896340736); /* never large */
   vec p = select_vec(x < 0, power, vec_of(1)) / (1 + power);

@@ -1,4 +1,4 @@
-"""What a user sees of a run: live progress, TensorBoard, pictures and the final table."""
+"""Reports of a run: live progress, TensorBoard, pictures, tables and a page."""
 
 from cgtorch.report.final_table import final_table as final_table
 from cgtorch.report.graph_picture import draw_skill as draw_skill

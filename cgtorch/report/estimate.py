@@ -1,4 +1,4 @@
-"""How fast a run is, and how much longer it can take at most."""
+"""The speed of a run, and upper bounds of the remaining time."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,7 @@ MEMORY = 0.9  # weight of the past in smoothed numbers
 
 @dataclass
 class Estimate:
-    """Smoothed speed, and upper bounds on the time left if nothing takes longer than so far."""
+    """Smoothed speed, and bounds of the time left if nothing takes longer than so far."""
 
     clock: Callable[[], float] = time.monotonic
     speed: float | None = None  # transitions that are executed per second
@@ -25,13 +25,13 @@ class Estimate:
     _latest: float | None = None
 
     def stage_started(self, event: StageStarted) -> None:
-        """A stage with so many attempts begins."""
+        """Update at the beginning of a stage."""
         self._attempts, self._tried, self._done, self._latest = event.attempts, 0, 0, None
         number, count = stage_number(event)
         self._later_stages = count - number
 
     def generation_done(self, event: GenerationDone) -> None:
-        """One more generation, and how long it took."""
+        """Update after a generation."""
         now, seconds = self.clock(), max(event.seconds, 1e-9)
         if event.generation.number == 0:
             self._tried += 1
@@ -42,23 +42,23 @@ class Estimate:
         self.speed = _smoothed(self.speed, event.generation.executed / seconds)
 
     def evolution_over(self) -> None:
-        """The candidate is being tested."""
+        """Update after an evolution, when its candidate is tested."""
         self._done = self._limit
 
     def stage_over(self) -> None:
-        """No more attempts in this stage."""
+        """Update after a stage."""
         self._tried = self._attempts
 
     @property
     def evolution_left(self) -> float | None:
-        """The most seconds this evolution can take; None while nothing is known."""
+        """The most seconds this evolution can still take; None if unknown."""
         if self._per_generation is None:
             return None
         return (self._limit - self._done) * self._per_generation
 
     @property
     def run_left(self) -> float | None:
-        """The most seconds the run can take; None while nothing is known."""
+        """The most seconds the run can still take; None if unknown."""
         left = self.evolution_left
         if left is None or self._per_generation is None:
             return None
@@ -67,7 +67,7 @@ class Estimate:
 
 
 def stage_number(event: StageStarted) -> tuple[int, int]:
-    """Which stage of the run it is, from 1, and how many there are."""
+    """The number of the stage in the run, from 1, and the number of stages."""
     known = event.stage in event.stages
     return (event.stages.index(event.stage) + 1 if known else 1), max(len(event.stages), 1)
 

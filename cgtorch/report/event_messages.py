@@ -1,4 +1,4 @@
-"""What events are called on the screen: one line each, without colour."""
+"""Messages for events on the screen: one line each, without colour."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from cgtorch.report.estimate import as_time, stage_number
 
 
 def message_of(event: events.Event) -> str:
-    """An event in words; "" for one that has none."""
+    """The message of an event, "" if it has none."""
     match event:
         case events.StageStarted():
             number, count = stage_number(event)
@@ -39,7 +39,7 @@ def message_of(event: events.Event) -> str:
 
 
 def few_kept(solved: int, kept: int) -> str:
-    """The line for scenarios of which the search has solved so many and the world has kept few."""
+    """The message that few of the scenarios solved in the search are solved in the world."""
     return (
         f"of {solved} scenarios solved in the search, {kept} are solved in the world: Γ or C is "
         "wrong where the search goes; see 'When it does not learn' in docs/own-domain.md"

@@ -1,4 +1,4 @@
-"""What plots of a run have in common: colours, and axes with a faint grid."""
+"""The common style of plots: colours, and axes with a faint grid."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ def plain_figure(
     columns: int = 1,
     share_x: bool = True,
 ) -> tuple["Figure", list["Axes"]]:
-    """A figure of so many inches, and its axes row by row, whose heights are as the ratios."""
+    """A figure (sizes in inches) and its axes row by row, with heights in these ratios."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")

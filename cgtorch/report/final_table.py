@@ -1,4 +1,4 @@
-"""The stages of a run as a table, beside what others report of them."""
+"""The stages of a run as a table, beside published results."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,13 +15,13 @@ WIDTH = 7
 MISSING = "–"
 
 Result = Mapping[str, Any]
-"""What a stage's result.json holds."""
+"""The content of a stage's result.json."""
 
 
 def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
-    """The results of stages in order, and the last test on all kinds of scenarios, for a terminal.
+    """The results of stages, and the last test on all kinds of scenarios, for a terminal.
 
-    What is missing or null is a dash. A column for others' reports is there only if there are any.
+    A missing value is a dash. There is a column of published results only if there are any.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table

@@ -37,7 +37,7 @@ SKILL_FILL, SKILL_RIM = "#ffffff", "#3b4a6b"
 
 @dataclass(frozen=True)
 class Panel:
-    """One skill of the picture, laid out; sizes in inches, its frame included."""
+    """The layout of one skill of the picture; sizes in inches, including the frame."""
 
     cluster: Cluster
     title: str
@@ -47,17 +47,17 @@ class Panel:
 
 
 def draw_skill(skill: Skill) -> "Figure":
-    """The skill as in the paper's figures: start node red and square, edges labelled by outcome.
+    """The skill as in the paper's figures: red square start node, edges labelled by outcome.
 
-    Nodes are coloured by action; skills within have a double rim and a panel below. A terminal
-    outcome ends in a small named mark; edges that lead back up are brown. Every artist that stands
-    for something has a gid: "node:", "edge:" or "end:", the path, then node, edge or end.
+    Nodes are coloured by action. Sub-skills have a double rim and a panel below. A terminal outcome
+    ends in a small named mark; edges that lead back up are brown. Artists of nodes, edges and ends
+    have a gid: "node:", "edge:" or "end:", the path, then their key.
     """
     return draw_clusters(clusters_of(skill))
 
 
 def draw_clusters(clusters: Sequence[Cluster]) -> "Figure":
-    """The panels of some skills of that picture."""
+    """The panels of some clusters of a skill."""
     from matplotlib.figure import Figure
 
     panels = [_panel(cluster) for cluster in clusters]
@@ -104,7 +104,7 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
 
 
 def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
-    """Top left corners of the panels, and the picture's width and height: small, not too narrow."""
+    """Top left corners of the panels, and the width and height of a compact picture."""
     sizes = [(p.width, p.height) for p in panels]
     area = sum((w + MARGIN) * (h + MARGIN) for w, h in sizes)
     widest = max(w for w, _ in sizes)
@@ -114,7 +114,7 @@ def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
 
 
 def _shelves(sizes: list[tuple[float, float]], limit: float) -> tuple[list[Point], float, float]:
-    """The same for a greatest width: shelves of columns, the first panel first, then by height."""
+    """The same within a maximum width: shelves of columns, the first panel first, then by size."""
     corners = [(0.0, 0.0)] * len(sizes)
     x = top = y = MARGIN  # the column's left, the shelf's top, and how far the column is filled
     column = tallest = right = 0.0

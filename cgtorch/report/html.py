@@ -1,4 +1,4 @@
-"""What HTML is made of: templates, and matplotlib figures that take their colours from the page."""
+"""Building blocks of HTML: templates, and matplotlib figures that use the page's colours."""
 
 import io
 import re
@@ -23,7 +23,7 @@ STYLE = {
     "font.size": 9.0,
     "font.sans-serif": ["DejaVu Sans", "Verdana"],  # as wide as what is measured, or nearly
 }
-"""Under which figures for the page are made and drawn."""
+"""The matplotlib settings for figures of the page."""
 
 _COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
 _REFERENCE = re.compile(r"(?<=url\(#)[^)]+")
@@ -33,7 +33,7 @@ _FRACTION = re.compile(r"(\.\d\d)\d+")
 
 @cache
 def templates(package: str) -> jinja2.Environment:
-    """The HTML templates of a package; whatever text they are given stays printable text."""
+    """The HTML templates of a package; all inserted text is escaped."""
     return jinja2.Environment(
         loader=jinja2.PackageLoader(package),
         autoescape=True,
@@ -46,13 +46,13 @@ def templates(package: str) -> jinja2.Environment:
 
 
 def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Markup:
-    """A figure made under `STYLE`, its texts printable, as an `svg` element of an HTML page.
+    """A figure made under `STYLE` as an `svg` element of an HTML page.
 
-    Every colour becomes a CSS variable that is called after it, such as `var(--c-1c1f24, #1c1f24)`,
-    so that the page can have another in the dark. The background is left out. On a narrow screen it
-    shrinks, but not so far that nobody can read it; elsewhere `scale` is pixels for each that the
-    figure has at 96 an inch. The `key` (letters, digits, hyphens) tells its identifiers from those
-    of other pictures, and the `label` says what it shows to who cannot see it.
+    Every colour becomes a CSS variable named after it, such as `var(--c-1c1f24, #1c1f24)`, so that
+    the page can replace it in dark mode. The background is left out. On a narrow screen the picture
+    shrinks down to a readable size; otherwise `scale` is the number of CSS pixels per pixel of the
+    figure at 96 per inch. The `key` (letters, digits, hyphens) makes its identifiers unique on the
+    page. The `label` describes the picture for screen readers.
     """
     from matplotlib import rc_context
 
@@ -87,7 +87,7 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
 
 
 def _rename(root: etree._Element, key: str) -> None:
-    """Name colours; identifiers in use get the key, artists' become `data-part`, others go."""
+    """Name colours, and make identifiers unique; those of artists become `data-part`."""
     used = set()
     for element in root.iter(etree.Element):
         for name in ("clip-path", "style"):
@@ -110,7 +110,7 @@ def _rename(root: etree._Element, key: str) -> None:
 
 
 def _say_once(root: etree._Element) -> None:
-    """Marks of one style, of which there may be thousands, have it from their group."""
+    """Move the common style of marks, of which there may be thousands, to their group."""
     for group in root.iter(f"{SVG}g"):
         styles = {mark.get("style") for mark in group}
         if len(group) > 1 and len(styles) == 1 and all(mark.tag == f"{SVG}use" for mark in group):

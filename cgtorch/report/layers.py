@@ -1,9 +1,9 @@
-"""Which row every node stands in, and the order within the rows.
+"""The row of every node, and the order of nodes within rows.
 
-The classic way of drawing a directed graph in layers: turn round the edges that close a cycle, put
-every node below all that lead to it, cut edges into pieces from row to row, and order the rows so
-that few pieces cross. Every edge has a piece of its own in the row after its tail, where its label
-goes, so parallel edges never lie on each other and no label on a node.
+This is layered graph drawing: reverse the edges that close a cycle, put every node below all that
+lead to it, cut edges into pieces from row to row, and order the rows for few crossings. Every edge
+has a piece of its own in the row after its tail, for its label. So parallel edges never overlap,
+and no label covers a node.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,12 +22,12 @@ class Rows:
     """Items in rows from top to bottom: nodes in even rows, labels and ends in odd ones.
 
     Attributes:
-        rows: the items of each row, from left to right.
-        node: the item of each node.
-        chains: the items of each edge that is no loop, from the top; an end is its own item.
-        upward: which of these edges lead upwards.
-        above: the items that each item is connected to in the row above.
-        below: the same in the row below.
+        rows: The items of each row, from left to right.
+        node: The item of each node.
+        chains: The items of each edge that is not a loop, from the top; an end is its own item.
+        upward: Which of these edges lead upwards.
+        above: The items to which each item is connected in the row above.
+        below: The same in the row below.
     """
 
     rows: list[list[int]]
@@ -43,7 +43,10 @@ class Rows:
 
 
 def in_rows(nodes: Sequence[str], start: str, edges: Sequence[Edge]) -> Rows:
-    """Rows of a graph whose nodes `start` all reaches, without loops; edges to no node are ends."""
+    """Rows of a graph whose nodes can all be reached from `start`, without loops.
+
+    Edges that lead to no node are ends.
+    """
     graph = nx.DiGraph((e.tail, e.head) for e in edges if e.head in nodes)
     graph.add_node(start)
     deep = list(nx.dfs_postorder_nodes(graph, start))[::-1]
@@ -53,7 +56,7 @@ def in_rows(nodes: Sequence[str], start: str, edges: Sequence[Edge]) -> Rows:
 
 
 def _cut(edges: Sequence[Edge], order: list[str]) -> Rows:
-    """Rows by longest path, every edge cut into pieces from row to row."""
+    """Rows by longest path, with every edge cut into pieces from row to row."""
     place = {node: i for i, node in enumerate(order)}
     downwards: nx.DiGraph[str] = nx.DiGraph()
     downwards.add_nodes_from(order)
@@ -93,7 +96,7 @@ def _cut(edges: Sequence[Edge], order: list[str]) -> Rows:
 
 
 def _ordered(rows: Rows) -> Rows:
-    """The rows in the order, among those that sweeps up and down find, with fewest crossings."""
+    """The order with the fewest crossings that sweeps up and down find."""
     best, fewest = [row[:] for row in rows.rows], crossings(rows)
     for sweep in range(SWEEPS):
         down = sweep % 2 == 0
@@ -108,7 +111,7 @@ def _ordered(rows: Rows) -> Rows:
 
 
 def _places(rows: Rows, r: int) -> dict[int, int]:
-    """The place of each item in row `r`, if there is such a row."""
+    """The place of each item in row `r`; empty if there is no such row."""
     return {item: i for i, item in enumerate(rows.rows[r])} if 0 <= r < len(rows.rows) else {}
 
 
@@ -125,7 +128,7 @@ def _sort_by_mean(rows: Rows, r: int, other: int, beside: Mapping[int, list[int]
 
 
 def _swap(rows: Rows) -> None:
-    """Swap neighbours as long as that saves crossings."""
+    """Swap neighbours as long as that removes crossings."""
     for r, row in enumerate(rows.rows):
         sides = (rows.above, _places(rows, r - 1)), (rows.below, _places(rows, r + 1))
         swapped = True
@@ -144,7 +147,7 @@ def _pair(beside: Mapping[int, list[int]], place: Mapping[int, int], a: int, b: 
 
 
 def crossings(rows: Rows) -> int:
-    """How many pairs of pieces cross."""
+    """The number of crossing pairs of pieces."""
     count = 0
     for upper, lower in pairwise(rows.rows):
         place = {item: i for i, item in enumerate(lower)}

@@ -1,4 +1,4 @@
-"""Where everything of a graph picture goes, in inches, once its rows are known."""
+"""The positions of all parts of a graph picture, in inches, given its rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ class Box:
 
 @dataclass(frozen=True)
 class Route:
-    """How an edge is drawn.
+    """The line of an edge.
 
     Attributes:
-        points: corners of the line; pieces that are not vertical are drawn as S-curves.
-        label: where its label begins, at half height; for an end the centre of its mark.
-        upward: whether it leads back up.
-        loop: whether it leads back to its own node.
+        points: The corners of the line; pieces that are not vertical are drawn as S-curves.
+        label: Where its label begins, at half height; for an end, the centre of its mark.
+        upward: Whether it leads back up.
+        loop: Whether it leads back to its own node.
     """
 
     points: tuple[Point, ...]
@@ -45,7 +45,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Placement:
-    """A laid out graph, from (0, 0) at the top left to (width, height), y downwards."""
+    """The layout of a graph, from (0, 0) at the top left to (width, height), y downwards."""
 
     boxes: dict[str, Box]
     routes: list[Route]
@@ -56,7 +56,7 @@ class Placement:
 def place(
     widths: Mapping[str, float], start: str, edges: Sequence[Edge], label_widths: Sequence[float]
 ) -> Placement:
-    """Lay out a graph of boxes whose nodes can all be reached from `start`, widths in inches."""
+    """Lay out a graph whose nodes can all be reached from `start`; widths are in inches."""
     rows = in_rows(list(widths), start, edges)
     loops = {node: [i for i, e in enumerate(edges) if e.tail == e.head == node] for node in widths}
     extent = dict.fromkeys(rows.above, (LINE_LEFT, LINE_LEFT))
@@ -97,7 +97,7 @@ def place(
 
 
 def _columns(rows: Rows, extent: Mapping[int, tuple[float, float]]) -> dict[int, float]:
-    """The x of each item, clear of its neighbours, where pieces go least far sideways.
+    """The x of each item, clear of its neighbours, with the least sideways extent of edges.
 
     It is the linear program of Gansner et al. (1993, A technique for drawing directed graphs, 4.2).
     """
@@ -134,7 +134,7 @@ def _columns(rows: Rows, extent: Mapping[int, tuple[float, float]]) -> dict[int,
 def _bands(
     rows: Rows, x: Mapping[int, float], tall: Mapping[int, float]
 ) -> dict[int, tuple[float, float]]:
-    """Top and bottom of each item's row; gaps grow where lines have far to go sideways."""
+    """Top and bottom of each item's row; gaps are larger where lines run far sideways."""
     bands, y = dict[int, tuple[float, float]](), 0.0
     for r, row in enumerate(rows.rows):
         height = max((tall[i] for i in row if i in tall), default=LABEL_ROW)
@@ -147,7 +147,7 @@ def _bands(
 def _ports(
     rows: Rows, x: Mapping[int, float], width: Mapping[int, float]
 ) -> dict[tuple[int, int], float]:
-    """Where each edge meets its upper and its lower node, apart from the others there."""
+    """Where each edge meets its upper and its lower node, apart from other edges."""
     from scipy.optimize import isotonic_regression
 
     meets: dict[tuple[int, bool], list[tuple[float, int]]] = {}
@@ -168,7 +168,7 @@ def _ports(
 
 
 def _loop(box: Box, index: int, count: int) -> Route:
-    """One of `count` loops, one below another at the right of a node."""
+    """One of `count` loops, one below another, at the right of a node."""
     y = box.y + (index - (count - 1) / 2) * LOOP_HEIGHT
     right, out, half = box.x + box.width / 2, box.x + box.width / 2 + 0.26, 0.07
     points = ((right, y - half), (out, y - half), (out, y + half), (right, y + half))
@@ -176,7 +176,7 @@ def _loop(box: Box, index: int, count: int) -> Route:
 
 
 def pieces(points: Sequence[Point]) -> list[tuple[Point, Point, bool]]:
-    """A route's pieces, and whether each is a curve; straight ones in a row are one."""
+    """A route's pieces, and whether each is a curve; adjacent straight ones are merged."""
     found: list[tuple[Point, Point, bool]] = []
     for a, b in pairwise(points):
         curved = abs(a[0] - b[0]) > 1e-3

@@ -1,4 +1,4 @@
-"""The live display of a run; plain lines where there is no terminal."""
+"""The live display of a run; plain lines without a terminal."""
 
 import time
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ ENOUGH = 30  # scenarios solved in the search, to say how many of them the world
 
 
 class ProgressDisplay:
-    """A `Watch` that shows on a console what happens, as a context manager; nothing if `quiet`.
+    """A `Watch` that shows events on a console, as a context manager; nothing if `quiet`.
 
-    In a terminal a few lines are kept up to date, and accepted skills stay above them. Elsewhere
-    there is a line for each stage, fit, test in the world and accepted skill.
+    On a terminal, a few lines are updated, and accepted skills stay above them. Otherwise there is
+    a line for each stage, fit, test in the world and accepted skill.
     """
 
     def __init__(self, console: Console | None = None, quiet: bool = False):
-        """Set up the display; `console` is where to write, default the standard error."""
+        """Set up the display on `console`, which is standard error by default."""
         self.console = console or Console(stderr=True)
         self._quiet, self._live_mode = quiet, self.console.is_terminal and not quiet
         self._live: Live | None = None
@@ -53,13 +53,13 @@ class ProgressDisplay:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Take the live lines away; what was printed above them stays."""
+        """Remove the live lines; what was printed above them stays."""
         if self._live is not None:
             self._live.stop()
             self._live = None
 
     def __call__(self, event: events.Event) -> None:
-        """Show what an event says."""
+        """Show an event."""
         message = message_of(event)
         match event:
             case events.GenerationDone():
@@ -92,7 +92,7 @@ class ProgressDisplay:
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:
-        """Say for as long as the context lasts what one is waiting for."""
+        """Show a message while the context lasts."""
         entry = (message, time.monotonic(), Spinner("dots", style="cyan"))
         self._working.append(entry)
         self._plain(f"{message} …")
@@ -107,12 +107,12 @@ class ProgressDisplay:
             self.console.print(Text(line, style=style), soft_wrap=True)
 
     def _plain(self, line: str) -> None:
-        """Print a line where there is no live display."""
+        """Print a line if there is no live display."""
         if not self._live_mode:
             self.say(line)
 
     def live_lines(self) -> RenderableType:
-        """What a terminal shows at this moment below the lines that stay."""
+        """The present content of the live lines."""
         lines: list[RenderableType] = []
         now = time.monotonic()
         if (stage := self._stage) is not None:
@@ -138,12 +138,12 @@ class ProgressDisplay:
 
 
 def _line(*parts: str | Text | tuple[str, str]) -> Text:
-    """One line, cut where the terminal ends."""
+    """One line, cut at the width of the terminal."""
     return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
 
 
 def _bar(event: events.GenerationDone, left: float) -> Table:
-    """How far an evolution has come, with the most seconds it can still take."""
+    """The progress of an evolution, with the most seconds it can still take."""
     done = event.generation.number + 1
     grid = Table.grid(padding=(0, 1))
     for _ in range(4):
@@ -172,7 +172,7 @@ def _numbers(event: events.GenerationDone, speed: float | None) -> Text:
 
 
 def _short(number: float) -> str:
-    """A number with three digits or so: 412, 9.1 k, 1.3 M."""
+    """A number with about three digits: 412, 9.1 k, 1.3 M."""
     for size, unit in ((1e6, " M"), (1e3, " k")):
         if number >= size:
             return f"{number / size:.3g}{unit}"

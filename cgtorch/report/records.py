@@ -1,4 +1,4 @@
-"""The records of a TensorBoard event file: as few as can be, and many at once."""
+"""The records of a TensorBoard event file, few and written together."""
 
 import io
 import time
@@ -20,15 +20,15 @@ SOON = 0.5  # s after which a record is written
 
 
 class Records:
-    """An event file that is being written."""
+    """An open event file."""
 
     def __init__(
         self, folder: Path | str, settings: Mapping[str, object], metrics: Sequence[str], first: int
     ):
-        """Open the file and write hyper-parameters, and of which tags the HPARAMS tab tells.
+        """Open the file and write hyper-parameters, and the tags of the HPARAMS tab.
 
-        What earlier files hold from the first step on is hidden by TensorBoard; what is before it
-        is not written again. RunError if the folder cannot be written.
+        TensorBoard hides data of earlier files from step `first` on, and keeps earlier data.
+        RunError if the folder cannot be written.
         """
         from torch.utils.tensorboard import SummaryWriter
         from torch.utils.tensorboard.summary import hparams
@@ -52,10 +52,10 @@ class Records:
         self._writer.flush()
 
     def scalars(self, values: Mapping[str, float], step: int) -> None:
-        """Write scalars as one record, which is far cheaper than one for each.
+        """Write scalars as one record, which is far cheaper than one record each.
 
-        Records that come in less than `SOON` are written together: what goes on between two
-        generations leaves little of TensorBoard's code in the CPU's caches.
+        Records within `SOON` seconds are written together, because the work between two generations
+        leaves little of TensorBoard's code in the CPU's caches.
         """
         if step < self._first:
             return
@@ -86,7 +86,7 @@ class Records:
             self._writer.file_writer.add_summary(summary, step)
 
     def flush(self) -> None:
-        """Let all of it reach the file."""
+        """Write all waiting records to the file."""
         self._write_waiting()
         self._writer.flush()
 
@@ -106,10 +106,10 @@ class Records:
 
 
 def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
-    """A histogram for each of S tags of finite values (P, S), P at least 1, in one record.
+    """A histogram for each of S tags of finite values (P, S), with P at least 1, in one record.
 
-    Bins are of equal widths from the least to the greatest value, or around the only one, 1 wide
-    together. TensorBoard's own, one by one, take longer than a generation.
+    Bins have equal widths from the least to the greatest value, or around a single value with a
+    total width of 1. TensorBoard's own histograms, one by one, take longer than a generation.
     """
     from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
 

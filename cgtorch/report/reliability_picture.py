@@ -1,4 +1,4 @@
-"""Whether probabilities mean what they say: how often it happens when C says how likely it is."""
+"""A reliability diagram: the frequency of success for each predicted probability."""
 
 from typing import TYPE_CHECKING
 
@@ -21,9 +21,9 @@ def draw_reliability(
 ) -> "Figure":
     """Reliability diagram above a histogram of the probabilities (DeGroot & Fienberg 1983).
 
-    A green dot is a bin of probabilities, its bar two standard errors of the frequency either way;
-    on the dashed line they would be exactly as likely as they say. The title says whose
-    probabilities they are, and `of` what the rows are. DataError if the curve holds none.
+    A green dot is a bin of probabilities, and its bar spans two standard errors of the frequency to
+    both sides. On the dashed line, probabilities equal frequencies. The title names the model, and
+    `of` the rows. DataError if the curve is empty.
     """
     rows = sum(count for _, _, count in curve)
     if rows == 0:

@@ -1,9 +1,10 @@
-"""TensorBoard event files of a run; docs/report.md says what each tag is.
+"""TensorBoard event files of a run; docs/report.md explains each tag.
 
-The step is that of the generation, counted from 0 over all stages; what is not of a generation has
-the step that comes next. What a stage ends with has a step of its own, so that a run that goes on
-can hide what an unfinished stage left behind and nothing else. Of several islands the best, speeds
-and what is not finite are of all, the rest is of the first, which the first rank always holds.
+The step is that of the generation, counted from 0 over all stages. Other data have the step of the
+next generation. The end of a stage has its own step, so that a resumed run can hide exactly what an
+unfinished stage wrote. With several islands, the best individual, speeds and numbers that are not
+finite are those of all islands. All other data are those of the first, which the first rank always
+holds.
 """
 
 import time
@@ -33,7 +34,7 @@ METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
 
 
 class TensorBoardWatch:
-    """A `Watch` that writes event files; see the module for its tags."""
+    """A `Watch` that writes event files; see docs/report.md for its tags."""
 
     def __init__(
         self,
@@ -50,15 +51,16 @@ class TensorBoardWatch:
         """Open a new event file in a folder, made if missing; RunError if that cannot be written.
 
         Args:
-            folder: of the event files.
-            settings: hyper-parameters by name, as for `Records`.
-            first_step: first models (one step), generations and stages so far, if a run goes on;
-                TensorBoard hides what earlier files hold from it on, which is written again.
-            recalled: generations among these that will be told to be recalled.
-            actions: of evolved graphs; without them none is drawn before a skill is accepted.
-            draw_scenarios: draws what an accepted skill has solved (`Domain.draw_scenarios`).
-            histogram_every: generations between histograms of one evolution.
-            picture_seconds: least time between pictures of graphs that are not accepted yet.
+            folder: The folder of the event files.
+            settings: Hyper-parameters by name, as for `Records`.
+            first_step: Number of first models (one step), generations and stages so far, if a run
+                is resumed. TensorBoard hides data of earlier files from this step on.
+            recalled: Number of these generations that will be reported as recalled.
+            actions: The actions of evolved graphs; without them, graphs are drawn only when a skill
+                is accepted.
+            draw_scenarios: Draws what an accepted skill has solved (`Domain.draw_scenarios`).
+            histogram_every: Generations between histograms of one evolution.
+            picture_seconds: Least time between pictures of graphs that are not accepted yet.
         """
         self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
@@ -69,7 +71,7 @@ class TensorBoardWatch:
         self._in_stage = False
 
     def __call__(self, event: events.Event) -> None:
-        """Write what an event says."""
+        """Write the data of an event."""
         match event:
             case events.GenerationDone():
                 self._generation(event)
@@ -104,7 +106,7 @@ class TensorBoardWatch:
                     self._scalars({"world/mean_return": event.mean_return})
 
     def close(self) -> None:
-        """Draw what is still to be drawn, and finish the file."""
+        """Draw the remaining pictures, and finish the file."""
         self._evolution_over()
         self._records.close()
 
@@ -146,7 +148,7 @@ class TensorBoardWatch:
         self.step += 1
 
     def _evolution_over(self) -> None:
-        """Draw the best graph of the evolution that has just ended, unless one was just drawn."""
+        """Draw the best graph of the evolution that has just ended, unless it was just drawn."""
         latest, self._latest = self._latest, None
         soon = time.monotonic() - self._last_picture < self._picture_seconds
         if latest is None or self._actions is None or soon or self.step < self._first:
@@ -169,7 +171,7 @@ class TensorBoardWatch:
             self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
-        """Write learning curves to a file of their own, as their step is the number of rows."""
+        """Write learning curves to their own file, as their step is the number of rows."""
         from torch.utils.tensorboard import SummaryWriter
 
         with SummaryWriter(str(self._folder / BY_ROWS)) as writer:
@@ -198,5 +200,5 @@ class TensorBoardWatch:
 
 
 def _nodes(graphs: Graphs) -> int:
-    """How many nodes all graphs have together."""
+    """The total number of nodes of all graphs."""
     return int(np.count_nonzero(graphs.action.numpy() != NO_NODE))

@@ -1,7 +1,7 @@
-"""What the autonomous loop aims at, and when that holds.
+"""The goal of the automatic loop, and the tests that decide whether it is reached.
 
-A skill is tested again and again, and among many looks at chance one is lucky in the end. So what
-decides are placements drawn for nothing else afterwards, and every try needs more confidence.
+A skill is tested many times, and one of many tests would succeed by chance. So the goal is decided
+on scenarios that are drawn for nothing else, and each further decision requires more confidence.
 """
 
 from dataclasses import dataclass
@@ -12,18 +12,19 @@ from cgtorch.domains.settings import check_options, option
 from cgtorch.ground.interval import wilson
 
 DOUBT = 0.05
-"""What all two-sided intervals of one run together leave to chance."""
+"""The probability of error of all two-sided intervals of one run together."""
 
 SLACK = 1.25
-"""How often a skill may fail as a multiple of what the target allows, with confidence."""
+"""How often a skill may fail, as a multiple of the target's failure rate, at the bound of the
+interval."""
 
 DECISIVE, SCREENING = 40, 10
-"""Failures expected, in the test that decides and the one before, of a skill at the target."""
+"""Expected failures of a skill at the target, in the decisive test and in the screening test."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What to reach and what to spend, changeable later; SettingsError if a value cannot work."""
+    """What to reach and what to spend; it can change later. SettingsError for impossible values."""
 
     target: float = option(
         0.99,
@@ -51,25 +52,25 @@ class Goal:
 
     @property
     def screening(self) -> int:
-        """Placements that a skill is tried on, at most, before it is worth deciding: 1000."""
+        """Maximum number of scenarios of the screening test, before the decisive test: 1000."""
         return round(SCREENING / (1 - self.target))
 
     @property
     def decisive(self) -> int:
-        """Placements of the test that decides: 4000 for 99 %."""
+        """Number of scenarios of the decisive test: 4000 for 99 %."""
         return round(DECISIVE / (1 - self.target))
 
 
 EPISODES, DECISIVE_EPISODES = 100, 200
-"""Episodes of the test before the one that decides, and of that, where a domain gives rewards."""
+"""Number of episodes of the screening test and of the decisive test, in a domain with rewards."""
 
 
 def mean_holds(returns: list[float], target: float, decision: int) -> bool:
-    """Whether the mean of returns, less one standard error, is at least the target.
+    """Whether the mean of the returns, less some standard errors, is at least the target.
 
-    It is not where an episode has no return, as it was not finished.
-
-    Later decisions of a run (`decision` counts from 1) ask for more errors, as in `holds`.
+    It is False if an episode has no return because it did not finish. The first decision of a run
+    (`decision` counts from 1) subtracts one standard error; later ones subtract more, as in
+    `holds`.
     """
     if len(returns) < 2 or not all(map(isfinite, returns)):
         return False
@@ -78,20 +79,21 @@ def mean_holds(returns: list[float], target: float, decision: int) -> bool:
 
 
 def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
-    """Whether a decisive test says that the goal is reached.
+    """Whether a decisive test shows that the goal is reached.
 
-    It does if the share solved is at least the target and, besides, the lower end of Wilson's
-    interval allows at most `SLACK` times the failures that the target does: for 99 %, it is at
-    least 98.75 %, which takes about 99.1 % of 4000. Of the run's decisions, number j (from 1) has
-    confidence 1 - 0.05 / (j (j + 1)). What these leave to chance sums to 0.05 however many there
-    are, so a run whose skills are all worse than that bound ends as if one had reached the goal
-    with a probability of 2.5 % at most (intervals are two-sided, and Wilson's are approximate).
-    A goal that holds says therefore: at least 98.75 %, with confidence 97.5 %, no more.
+    Two conditions must hold. The share solved is at least the target, and the lower end of Wilson's
+    interval allows at most `SLACK` times the failures that the target allows. For 99 %, this end is
+    at least 98.75 %, which takes about 99.1 % of 4000.
+
+    Decision number j (from 1) of a run has confidence 1 - 0.05 / (j (j + 1)), so the errors of all
+    decisions sum to at most 0.05. A run whose skills are all below the bound therefore ends with
+    success with a probability of at most 2.5 % (intervals are two-sided, and Wilson's are
+    approximate). A goal that holds means: at least 98.75 %, with confidence 97.5 %.
     """
     low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
     return tried > 0 and succeeded >= goal.target * tried and 1 - low <= SLACK * (1 - goal.target)
 
 
 def worth_deciding(goal: Goal, succeeded: int, tried: int) -> bool:
-    """Whether a skill did so well in the test before that the one that decides is worth it."""
+    """Whether the screening test was good enough for a decisive test."""
     return tried >= goal.screening and succeeded >= goal.target * tried

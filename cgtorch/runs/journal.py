@@ -1,12 +1,12 @@
-"""The journal of a stage as files, from which it goes on after whatever has stopped it.
+"""The journal of a stage as files, from which an interrupted stage resumes.
 
-RUN/journal/STAGE/00007.safetensors       what the stage's seventh long step came to
-RUN/journal/STAGE/00008-3.safetensors     where the eighth stood when it was kept for the third time
-RUN/journal/STAGE/00008-3.0.safetensors   the first part of what it goes on from: of an island each
+    RUN/journal/STAGE/00007.safetensors       the result of the stage's seventh long step
+    RUN/journal/STAGE/00008-3.safetensors     the third checkpoint of the eighth step
+    RUN/journal/STAGE/00008-3.0.safetensors   its first part, one for each island
 
-Every file appears whole and carries a checksum; that of where a step stands, of which the last two
-are kept, comes after its parts and names theirs. What is damaged is named and counts as never done,
-with all that came after it; so only time is lost. The folder goes with the finished stage.
+Every file is written whole and has a checksum. A checkpoint is written after its parts and contains
+their checksums; the last two checkpoints are kept. A damaged file is reported, and it and all later
+ones are ignored, so damage costs time only. The folder is removed when the stage is finished.
 """
 
 import hashlib
@@ -40,9 +40,9 @@ _PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
 
 
 class FileJournal(Journal):
-    """A `Journal` in a folder; as a context manager it keeps at the end where a step stands.
+    """A `Journal` in a folder; as a context manager, it writes a last checkpoint at its end.
 
-    What could not be read, and is not counted, is in `damaged`.
+    `damaged` lists files that could not be read.
     """
 
     def __init__(
@@ -51,9 +51,10 @@ class FileJournal(Journal):
         before_writing: Callable[[], None] = lambda: None,
         seconds: float = SECONDS,
     ):
-        """Read a folder, which is made as soon as there is something to keep.
+        """Read a folder, which is created with the first file.
 
-        `before_writing` is called before that; between two checkpoints are at least `seconds`.
+        `before_writing` is called before each write. There are at least `seconds` between
+        checkpoints.
         """
         self._folder, self._before_writing, self._seconds = folder, before_writing, seconds
         self.damaged: list[Path] = []
@@ -66,7 +67,7 @@ class FileJournal(Journal):
 
     @property
     def generations(self) -> int:
-        """Generations that will be recalled."""
+        """Number of generations that will be recalled."""
         known = [tensors for _, tensors in self._steps]
         known += [] if self._checkpoint is None else [self._checkpoint[1].about]
         return sum(int(t["generations"]) for t in known if _counts(t))
@@ -135,7 +136,7 @@ class FileJournal(Journal):
         self._keep_checkpoints(2)
 
     def _keep_checkpoints(self, count: int) -> None:
-        """Remove notes of where steps stood, but for the last ones, and parts of no note."""
+        """Remove all checkpoints except the last `count`, and parts without a checkpoint."""
         notes = self._files(_CHECKPOINT)
         kept = {path.stem for path in notes[max(0, len(notes) - count) :]}
         for path in (*notes, *self._files(_PART)):
@@ -148,7 +149,7 @@ class FileJournal(Journal):
             path.unlink(missing_ok=True)
 
     def _write(self, name: str, about: dict[str, str], tensors: dict[str, Tensor]) -> str:
-        """Write a file, the first rank only, and return its checksum."""
+        """Write a file, on the first rank only, and return its checksum."""
         if not ranks.first():
             return ""
         self._before_writing()
@@ -162,7 +163,7 @@ class FileJournal(Journal):
         return about["sha256"]
 
     def _files(self, pattern: re.Pattern[str]) -> list[Path]:
-        """Files of that kind in their order."""
+        """Files whose names match the pattern, in order."""
         try:
             found = [(pattern.fullmatch(p.name), p) for p in self._folder.iterdir()]
         except OSError:
@@ -171,7 +172,7 @@ class FileJournal(Journal):
         return [p for _, p in sorted(numbered)]
 
     def _read(self) -> None:
-        """Take what is whole, up to what is not."""
+        """Read files in order, up to the first damaged one."""
         for i, path in enumerate(self._files(_STEP)):
             known = self._whole(path) if path.name == f"{i:05}.safetensors" else None
             if known is None:
@@ -183,7 +184,7 @@ class FileJournal(Journal):
                 self._checkpoint = self._whole_checkpoint(path) or self._checkpoint
 
     def _whole_checkpoint(self, path: Path) -> tuple[str, Checkpoint] | None:
-        """Where a step stood; None if the file or one of its parts is damaged."""
+        """The step's name and its checkpoint; None if the file or one of its parts is damaged."""
         known = self._whole(path)
         if known is None:
             return None
@@ -204,7 +205,7 @@ class FileJournal(Journal):
         return about["step"], Checkpoint(tensors, tuple(parts))
 
     def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
-        """What a file is about and its tensors; None if it is damaged, which is noted."""
+        """The notes and tensors of a file; None if it is damaged, which is recorded."""
         try:
             data = read_bytes(path, MAX_BYTES)
             tensors, about = tensors_of(data), notes_of(data)
@@ -218,7 +219,7 @@ class FileJournal(Journal):
 
 
 def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) -> FileJournal:
-    """The journal of a stage or round of the run in `folder`; damaged parts of it are told."""
+    """The journal of a stage or round of the run in `folder`; damaged files are reported."""
     journal = FileJournal(folder / FOLDER / name, lambda: watch(AboutToKeep()), seconds)
     ranks.wait()  # all have read before anyone writes
     if journal.damaged:
@@ -227,7 +228,7 @@ def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) 
 
 
 def forget(folder: Path, name: str) -> None:
-    """Remove the journal of a finished stage, if whoever made it was killed before that."""
+    """Remove the journal of a finished stage, in case its process was killed before it could."""
     if ranks.first() and (folder / FOLDER / name).is_dir():
         _forget(folder / FOLDER / name)
 
@@ -239,7 +240,7 @@ def _forget(journal: Path) -> None:
 
 
 def recalled_generations(folder: Path) -> int:
-    """Generations that the run in `folder` will recall when it is gone on with."""
+    """Number of generations that the run in `folder` will recall when it resumes."""
     journals = (path for path in (folder / FOLDER).glob("*") if path.is_dir())
     begun = [path for path in journals if not (folder / path.name / "skill.json").is_file()]
     return sum(FileJournal(path).generations for path in begun)
@@ -250,7 +251,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
 
 
 def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
-    """That of a file: of names, types, shapes and bytes, and of what the tensors are about."""
+    """The checksum of a file: of names, types, shapes and bytes of tensors, and of its notes."""
     digest = hashlib.sha256(repr(sorted(about.items())).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())

@@ -1,15 +1,16 @@
-"""The ledger: every skill a run accepted, where it came from, and the evidence for eq. 1.
+"""The ledger: every skill that a run accepted, its parent, and the evidence for eq. 1.
 
 RUN/ledger/index.json   the whole history, a few numbers for each skill, in the order of acceptance
-RUN/ledger/NAME.json    one skill, with what the world said of it on every scenario, one a line
+RUN/ledger/NAME.json    one skill, with its result in the world on every scenario, one per line
 
-A scenario was in "W", in "M" or "new" when the skill was tried on it; `succeeded` says where it
-went. Eq. 1a holds if none that was in W failed, eq. 1b if one that was in M succeeded. Noise is
-part of a scenario (`cgtorch.improvement.trial`), so this holds exactly. What it is worth when the
-same scenarios are met by other noise is counted beside it: `w_other_noise`.
+A scenario was in "W", in "M" or "new" when the skill was tried on it; `succeeded` is the result.
+Eq. 1a holds if none of W failed, eq. 1b if one of M succeeded. Noise is part of a scenario
+(`cgtorch.improvement.trial`), so both hold exactly. `w_other_noise` counts the result of W under
+other noise.
 
-A stage whose skill misses fresh placements improves it again (`Setup.rounds`) and enters its last
-skill only. W is then what that had to keep: the stage's W and all that its own first skill solved.
+A stage whose skill misses fresh scenarios improves it again (`Setup.rounds`) and enters only its
+last skill. W is then what that skill had to keep: the stage's W, and all that its own first skill
+solved.
 """
 
 import json
@@ -41,12 +42,12 @@ class Entry:
     """An accepted skill with its evidence.
 
     Attributes:
-        skill: the skill; those in it are its members.
-        parent: name of the skill that it improved, None if it is the first.
-        scenarios: B of them, all that it was tried on.
-        was: (B,) long, index into `WAS`: where each was before.
-        succeeded: (B,) bool, in the world, on the scenario's own noise.
-        other_noise: of W, how many were "tried" again under other noise and how many of these
+        skill: The skill; its sub-skills are its members.
+        parent: The name of the skill that it improved, None for the first.
+        scenarios: All B scenarios that it was tried on.
+        was: (B,) long, an index into `WAS`: where each scenario was before.
+        succeeded: (B,) bool, in the world, with the scenario's own noise.
+        other_noise: How many scenarios of W were "tried" under other noise, and how many of these
             "succeeded"; None if that was not tried.
     """
 
@@ -83,7 +84,7 @@ def entry_of(
     after: Progress[Any],
     other_noise: dict[str, int] | None = None,
 ) -> Entry:
-    """The entry of a skill that improved its parent; what only W and M of `after` hold is new."""
+    """The entry of a skill that improved its parent; scenarios found only in `after` are new."""
     known = set(_keys(accepted.scenarios))
     parts, was, succeeded = [accepted.scenarios], [(~accepted.keep).long()], [accepted.succeeded]
     for scenarios, solved in ((after.solved, True), (after.missed, False)):
@@ -101,9 +102,10 @@ def _keys(scenarios: ScenarioBatch) -> list[str]:
 
 
 def enter(folder: Path, entry: Entry) -> None:
-    """Write a skill into the ledger of the run in `folder`, first the skill, then the index.
+    """Write a skill into the ledger of the run in `folder`: first the skill, then the index.
 
-    It replaces one of the same name, as of a stage made again. RunError if unwritable or damaged.
+    It replaces a skill of the same name, for example of a repeated stage. RunError if the ledger is
+    damaged or cannot be written.
     """
     ledger = folder / FOLDER
     with writing(ledger):
@@ -132,9 +134,9 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
 
 
 def read_entry(folder: Path, name: str, actions: ActionSet, like: ScenarioBatch) -> Entry:
-    """A skill of the ledger with its evidence; `like` are scenarios of the run's kind, or none.
+    """A skill of the ledger with its evidence; `like` are scenarios of the run's kind, perhaps 0.
 
-    RunError if the ledger lacks it or it is damaged, GraphError if the file describes no skill.
+    RunError if the ledger lacks it or is damaged, GraphError if the file contains no skill.
     """
     if name not in (names := [s["name"] for s in read_index(folder)]):
         known = f"one of {', '.join(names)}" if names else "another run; this one has no ledger"

@@ -1,13 +1,13 @@
-"""Going on with a run under changed settings or with another version: what may, and its history.
+"""Resuming a run with other settings or another version: what may change, and its history.
 
-A run keeps the settings it was begun with. Those that only say how the search goes on can be taken
-over by name; what decided on what is already there cannot. Stages that are finished stay as they
-are. One in the middle is made again from its beginning, as half a stage of one kind and half of
-another would be the stage of no settings at all; what it had come to is set aside, not deleted.
+A run keeps the settings with which it began. Settings that only control the search can be changed
+by name. Settings on which existing results depend cannot. Finished stages stay as they are. An
+unfinished stage is repeated from its beginning, since a stage under mixed settings could not be
+reproduced. Its unfinished work is set aside, not deleted.
 
-run.json remembers it all, oldest first:
+run.json records all changes, oldest first:
 
-"history": [{"before": "S2", "changed": {"population": [400, 600]}, "set_aside": "set-aside/1"}]
+    "history": [{"before": "S2", "changed": {"population": [400, 600]}, "set_aside": "set-aside/1"}]
 """
 
 import itertools
@@ -28,10 +28,10 @@ ASIDE = "set-aside"
 
 @dataclass(frozen=True)
 class TakenOver:
-    """A run with its settings of now, and `before` which stage or round it goes on with them.
+    """A run with its present settings, and the stage or round `before` which they changed.
 
-    `changed` is what differs, old and new, by name: settings, cgtorch, torch. If its journal was to
-    be set aside, `set_aside` is where that is within the run.
+    `changed` contains old and new values by name: settings, cgtorch, torch. `set_aside` is the
+    folder of the old journal within the run, or None.
     """
 
     run: Run
@@ -41,7 +41,7 @@ class TakenOver:
 
 
 def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
-    """SettingsError if a setting that was given is not the run's; it says `how` else to go on."""
+    """SettingsError if a given setting differs from the run's; `how` says what to do instead."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in given.items():
         if not _differs(value, was := known[name]):
@@ -56,19 +56,19 @@ def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
 
 
 def _differs(value: Any, plain: Any) -> bool:
-    """Whether a setting is another than it is as plain data."""
+    """Whether a setting differs from its value as plain data."""
     return (list(value) if isinstance(value, tuple) else value) != plain
 
 
 def fixed_settings(run: Run) -> dict[str, str]:
-    """Settings that cannot be taken over, by name, and why."""
+    """Settings that cannot be changed, by name, and why."""
     own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
     every = all_fields(type(run.domain.settings))
     return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
 
 
 def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
-    """The run's settings with `overrides`; SettingsError if one cannot be, or cannot work."""
+    """The run's settings with `overrides`; SettingsError if one is fixed or cannot work."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in overrides.items():
         if name in fixed and _differs(value, known[name]):
@@ -80,10 +80,10 @@ def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
 
 
 def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
-    """Go on under these settings with this version of the library, and remember what changed.
+    """Continue under these settings with this version of the library, and record the changes.
 
-    A journal that was begun under other settings or by another cgtorch is set aside. That comes
-    first: whatever stops this in between, the stage is at most made again under the old settings.
+    A journal from other settings or another version is set aside first. So an interruption at any
+    point can at most repeat the stage under the old settings.
     """
     about = read_json(run.folder / "run.json")
     old, new = to_plain(run.settings), to_plain(settings)
@@ -114,7 +114,7 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
 
 
 def _next(run: Run, stage: str) -> str:
-    """The stage or round that a run makes next when it is asked for a stage."""
+    """The next stage or round that a run makes when asked for a stage."""
     missing = [name for name in run.domain.stages if name not in run.stages]
     if stage == AUTO or run.rounds or not missing:
         return round_name(len(run.rounds) + 1)
@@ -122,7 +122,7 @@ def _next(run: Run, stage: str) -> str:
 
 
 def goes_on_to(run: Run) -> dict[str, Any]:
-    """What the run was last asked for: its stage and, of "auto", the goal; {} if nothing yet."""
+    """What the run was last asked for: the stage, and the goal of "auto"; {} if nothing yet."""
     found = read_json(run.folder / "run.json").get("goes_on_to", {})
     if not isinstance(found, dict):
         raise RunError(f"goes_on_to of {str(run.folder / 'run.json')!r} is no object; restore it")
@@ -130,7 +130,7 @@ def goes_on_to(run: Run) -> dict[str, Any]:
 
 
 def remember_goal(run: Run, wanted: Mapping[str, Any]) -> None:
-    """Note in run.json what the run is asked for, the first rank only."""
+    """Record in run.json what the run is asked for, on the first rank only."""
     if ranks.first() and goes_on_to(run) != wanted:
         about = read_json(run.folder / "run.json")
         write_json(run.folder / "run.json", {**about, "goes_on_to": dict(wanted)})

@@ -1,15 +1,17 @@
-"""A run: a folder that holds everything it was made with and everything it produced.
+"""A run: a folder with everything it was made with and everything it produced.
 
-run.json            format, versions, domain, settings, what it goes on to, what was changed when
-robot/ …            what the domain keeps, such as the tabletop its robot
-start/              what was known before the first stage: data, Γ, C
-S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
-auto-1/ auto-2/ …   each finished round of --stage auto: the same
-journal/            of the stage or round that is not finished: all it has come to so far
-set-aside/          journals of stages that were begun again, as settings or the version changed
-ledger/             every accepted skill, with the evidence for eq. 1
-summary.json        the final table
-events.out.…        TensorBoard
+The folder contains:
+
+    run.json            format, versions, domain, settings, goal, history of changes
+    robot/ …            files of the domain, such as the tabletop's robot
+    start/              the state before the first stage: data, Γ, C
+    S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+    auto-1/ auto-2/ …   each finished round of --stage auto: the same
+    journal/            the results so far of an unfinished stage or round
+    set-aside/          journals of stages that were repeated with other settings or versions
+    ledger/             every accepted skill, with the evidence for eq. 1
+    summary.json        the final table
+    events.out.…        TensorBoard
 """
 
 import itertools
@@ -41,12 +43,12 @@ from cgtorch.runs.settings import NAMES, RunSettings
 
 FORMAT, VERSION = "cgtorch-run", 2
 AUTO = "auto"
-"""What is asked for instead of a stage to have rounds, auto-1, auto-2, …, until a goal is met."""
+"""The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """An open run: where it is, what it is made with and about, and the primitive actions."""
+    """An open run: its folder, settings, domain, and primitive actions."""
 
     folder: Path
     settings: RunSettings
@@ -55,7 +57,7 @@ class Run:
 
     @property
     def kind(self) -> str:
-        """The kind of scenarios that it is about."""
+        """The kind of the run's scenarios."""
         return kind_of(self.settings, self.domain)
 
     @property
@@ -70,16 +72,16 @@ class Run:
 
     @property
     def learns(self) -> bool:
-        """Whether its skills are evolved in Γ and C, and not in the world itself."""
+        """Whether its skills are evolved in Γ and C, not in the world itself."""
         chosen = self.settings.models
         return (self.domain.models if chosen == "auto" else chosen) == "learned"
 
     def like(self) -> ScenarioBatch:
-        """No scenarios, but of the kind that the run is about."""
+        """A batch of 0 scenarios of the run's kind."""
         return self.domain.draw(self.kind, 0, torch.Generator())
 
     def all_settings(self) -> dict[str, Any]:
-        """Its settings and its domain's, by name, as plain data."""
+        """The settings of the run and of its domain, by name, as plain data."""
         return {**to_plain(self.settings), **to_plain(self.domain.settings)}
 
     def _finished(self, stage: str) -> bool:
@@ -87,17 +89,17 @@ class Run:
 
 
 def round_name(number: int) -> str:
-    """The name of a round, from 1, and of the skill it makes."""
+    """The name of a round (from 1), which is also the name of its skill."""
     return f"{AUTO}-{number}"
 
 
 def kind_of(settings: RunSettings, domain: Domain[Any]) -> str:
-    """The kind of scenarios that a run is about."""
+    """The kind of scenarios of a run."""
     return domain.usual_kind if settings.scenarios == "auto" else settings.scenarios
 
 
 def versions() -> dict[str, str]:
-    """What the last digits of a run's numbers depend on besides its settings, by name."""
+    """Versions on which the last digits of a run's numbers depend, besides its settings."""
     engine = "compiled" if native.available() else "torch"
     return {"cgtorch": __version__, "torch": str(torch.__version__), "engine": engine}
 
@@ -105,14 +107,18 @@ def versions() -> dict[str, str]:
 def planned_run(
     folder: Path, settings: RunSettings, domain_settings: Any = None, anew: bool = False
 ) -> Run:
-    """A run as `write_run` would begin it in an empty or new folder; nothing is written.
+    """A run that `write_run` can begin in an empty or new folder; nothing is written.
 
-    The domain's settings are the defaults if not given; `anew` if the folder has `only_begun`.
+    Args:
+        folder: The folder of the run.
+        settings: The settings of the run.
+        domain_settings: The domain's settings; their defaults by default.
+        anew: Whether the folder may contain a run that has `only_begun`.
 
     Raises:
-        DomainError: the domain cannot be made, or breaks its interface.
-        ActionError: an action cannot be found.
-        RunError: the folder cannot be written or holds other things.
+        DomainError: The domain cannot be made, or breaks its interface.
+        ActionError: An action cannot be found.
+        RunError: The folder contains other things.
     """
     check_options(settings.domain, NAMES)
     domain = make_domain(settings.domain, domain_settings)
@@ -125,7 +131,7 @@ def planned_run(
 
 
 def only_begun(folder: Path) -> bool:
-    """Whether a run has made nothing yet, and so would lose nothing under other settings."""
+    """Whether a run has produced nothing yet, so other settings would lose nothing."""
     return all(p.name == "run.json" or ".tfevents." in p.name for p in folder.iterdir())
 
 
@@ -151,16 +157,16 @@ def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = Non
     """Open a run.
 
     Args:
-        folder: where it is.
-        trusted: "package.module:Class" of actions that may be imported. What a file names is not
-            imported just because the file says so.
-        domain: the same of the domain; None for one that is not code of its own.
+        folder: The folder of the run.
+        trusted: "package.module:Class" of actions that may be imported. A name in a file is never
+            enough to import code.
+        domain: "package.module:Class" of the domain, if it is your own code; else None.
 
     Raises:
-        RunError: there is none, or it is of another version, or damaged.
-        DomainError: its domain is not trusted or cannot be found.
-        ActionError: it uses an action that is not trusted or cannot be found, or does not use
-            one that is trusted.
+        RunError: There is no run, it has another version, or it is damaged.
+        DomainError: Its domain is not trusted or cannot be found.
+        ActionError: It uses an action that is not trusted or cannot be found, or does not use one
+            that is trusted.
     """
     about = read_about(folder)
     settings = from_plain(RunSettings, about.get("settings"))
@@ -190,14 +196,14 @@ def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = Non
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """The run.json of a run; RunError if there is none, or it is of another version."""
+    """The content of run.json; RunError if there is no run, or it has another version."""
     if not (folder / "run.json").is_file():
         raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
-    """The run, its domain and the actions that are not the domain's own tried on two lanes."""
+    """The run, after a dry run of its domain and its additional actions."""
     kind = kind_of(settings, domain)
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")

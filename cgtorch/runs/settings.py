@@ -1,4 +1,4 @@
-"""The settings that every run has, whatever its domain; `cgtorch.domains.settings` has the rest."""
+"""The settings that every run has; those of a domain are in `cgtorch.domains.settings`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -12,9 +12,9 @@ MODELS = ("auto", "learned", "none")
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What decides a run's result besides its domain; SettingsError if a value cannot work.
+    """The settings of a run, besides its domain's; SettingsError for a value that cannot work.
 
-    It is stored in the run; some can be taken over by name later (`cgtorch.runs.resume_settings`).
+    They are stored in the run; some can be changed later (`cgtorch.runs.resume_settings`).
     """
 
     domain: str = option(
@@ -133,16 +133,16 @@ NAMES = tuple(f.name for f in fields(RunSettings))
 
 
 def defaults_of(domain_settings: type[DomainSettings]) -> dict[str, Any]:
-    """The defaults of all settings of a run about a domain."""
+    """The defaults of all settings of a run in a domain."""
     own: Mapping[str, Any] = domain_settings.run_defaults
     return {f.name: own.get(f.name, f.default) for f in fields(RunSettings)}
 
 
 def all_fields(domain_settings: type[DomainSettings]) -> tuple[Any, ...]:
-    """The fields of a run's settings and of its domain's."""
+    """The fields of the settings of a run and its domain."""
     return (*fields(RunSettings), *fields(domain_settings))
 
 
 def option_of(name: str) -> str:
-    """A setting as the command line calls it."""
+    """The name of a setting's command-line option."""
     return f"--{name.replace('_', '-')}"

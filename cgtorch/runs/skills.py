@@ -1,4 +1,4 @@
-"""Skills as commands are given them: of a run, a stage in it, its ledger, or a file."""
+"""Skills from command-line arguments: of a run, a stage, a ledger, or a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from cgtorch.runs.settings import RunSettings
 
 @dataclass(frozen=True)
 class Chosen:
-    """A skill with the domain and kind of the scenarios that it is to be tried on.
+    """A skill, with the domain and the kind of the scenarios to try it on.
 
-    The run is None where a file stands for itself, the stage's folder where it is not known.
+    `run` is None for a skill file; the stage's folder is None if it is not known.
     """
 
     skill: Skill
@@ -37,12 +37,17 @@ def chosen_skill(
     kind: str | None,
     domain: str | None = None,
 ) -> Chosen:
-    """The skill of a path: of a run, which stands for its last, of a stage in it, or of a file.
+    """The skill of a path: the last skill of a run, the skill of a stage, or a skill file.
 
-    It may be another of the run's ledger by `name`, and use further `actions`, which may be
-    imported. The `kind` of scenarios, if not given, is what the run is about, or the usual one of
-    the domain. The `domain` is what a file is for, or the run's if that is code that may be
-    imported. CgtorchError if there is none, or it cannot be read.
+    Args:
+        path: A run, a stage in it, or a file.
+        name: Another skill of the run's ledger.
+        actions: Additional actions, which may be imported.
+        kind: The kind of scenarios; by default the run's, or the domain's usual one.
+        domain: The domain of a file, or the run's domain if it is code that may be imported.
+
+    Raises:
+        CgtorchError: There is no such skill, or it cannot be read.
     """
     if path.is_file():
         made, kind, skill = lone_skill(path, actions, kind, domain or RunSettings.domain)
@@ -58,7 +63,7 @@ def chosen_skill(
 
 
 def stored_domain(path: Path) -> str | None:
-    """The domain's name of a run's or stage's folder; None without run, RunError if damaged."""
+    """The domain's name of a run or a stage; None without a run, RunError if it is damaged."""
     for folder in (path, path.absolute().parent):
         if (folder / "run.json").is_file():
             return from_plain(RunSettings, read_about(folder).get("settings")).domain
@@ -68,9 +73,9 @@ def stored_domain(path: Path) -> str | None:
 def last_skill(
     path: Path, trusted: Sequence[str] = (), domain: str | None = None
 ) -> tuple[Run, Skill]:
-    """The last skill of a run's folder, or the skill of a stage's folder such as RUN/S2.
+    """The last skill of a run, or the skill of a stage such as RUN/S2.
 
-    `trusted` and `domain` are those of `open_run`. RunError if there is no run or no skill yet.
+    For `trusted` and `domain` see `open_run`. RunError if there is no run, or no skill yet.
     """
     if (path / "run.json").is_file():
         run = open_run(path, trusted, domain)
@@ -86,9 +91,9 @@ def last_skill(
 def lone_skill(
     path: Path, names: Sequence[str] = (), kind: str | None = None, domain: str = RunSettings.domain
 ) -> tuple[Domain[Any], str, Skill]:
-    """The domain, kind of scenarios and skill of a file that stands for itself.
+    """The domain, kind of scenarios and skill of a skill file.
 
-    GraphError if it is no skill for a variant of the domain, ActionError if an action is unknown.
+    GraphError if it does not fit any variant of the domain, ActionError for an unknown action.
     """
     made = make_domain(domain)
     kind = made.usual_kind if kind is None else kind

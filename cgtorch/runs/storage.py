@@ -1,4 +1,4 @@
-"""Where a run stands after a stage, as files: safetensors and JSON, never code."""
+"""The state of a run after a stage, as files: safetensors and JSON, never code."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -27,11 +27,11 @@ from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
 MAX_BYTES = 2**30
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
-"""What makes unfitted models, by the name of their class; see `Domain.unfitted`."""
+"""Functions that make unfitted models, by class name; see `Domain.unfitted`."""
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
-    """Write named tensors with notes, whole or not at all."""
+    """Write named tensors with notes, completely or not at all."""
     plain = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
     write_bytes(path, safetensors.torch.save(plain, metadata=notes))
 
@@ -50,7 +50,7 @@ def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
 
 
 def load_dataset(path: Path) -> Dataset:
-    """Read a dataset; RunError if its tensors do not fit one another or are not finite."""
+    """Read a dataset; RunError if its tensors are not finite or do not fit one another."""
     data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
     if not data.whole():
         raise RunError(
@@ -71,13 +71,13 @@ def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) ->
 
 
 Models: TypeAlias = tuple[TransitionModel, SuccessClassifier, TransitionReport, SuccessReport]
-"""Γ and C with what their fits found."""
+"""Γ and C with the reports of their fits."""
 
 
 def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
-    """Read what `save_knowledge` wrote.
+    """Read data, Γ and C from a folder.
 
-    ModelError if a model file is damaged, RunError if it is another model's or has no report.
+    ModelError if a model file is damaged; RunError if it is another model's, or has no report.
     """
     gamma, classifier, report, second = load_models(folder, unfitted)
     data = load_dataset(folder / "data.safetensors")
@@ -86,7 +86,7 @@ def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
 
 
 def load_models(folder: Path, unfitted: Unfitted) -> Models:
-    """Γ and C of what `save_knowledge` wrote, without the data; errors are those."""
+    """Read Γ and C without the data; for errors see `load_knowledge`."""
     gamma, first_report = load_model_and_report(folder / GAMMA, unfitted)
     classifier, second_report = load_model_and_report(folder / CLASSIFIER, unfitted)
     if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
@@ -102,7 +102,7 @@ def load_models(folder: Path, unfitted: Unfitted) -> Models:
 
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a report: JSON's lists as tuples, and the learning curve, if it has one."""
+    """The fields of a report: JSON's lists as tuples, and the learning curve if there is one."""
     found: dict[str, Any] = _frozen(report)
     if found.get("learning_curve") is not None:
         found["learning_curve"] = LearningCurve(**found["learning_curve"])
@@ -110,7 +110,7 @@ def _fields(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _frozen(value: Any) -> Any:
-    """JSON's lists as the tuples they were, at any depth."""
+    """JSON's lists as tuples, at any depth."""
     if isinstance(value, dict):
         return {name: _frozen(one) for name, one in value.items()}
     return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
@@ -151,12 +151,12 @@ def load_result(path: Path) -> dict[str, Any]:
 
 
 def is_count(value: Any) -> bool:
-    """Whether a value of a file is a number of things."""
+    """Whether a value from a file is a count."""
     return type(value) is int and 0 <= value < 2**53
 
 
 def is_share(value: Any) -> bool:
-    """Whether a value of a file says how many succeeded of how many that were tried."""
+    """Whether a value from a file contains the counts `succeeded` and `tried`."""
     return (
         isinstance(value, dict)
         and is_count(value.get("tried"))
@@ -173,13 +173,13 @@ def _is_score(value: Any) -> bool:
 
 
 def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
-    """One plain object per scenario, by the names of its fields; fields without numbers are out."""
+    """One plain object per scenario, by field names; fields without numbers are left out."""
     parts = {name: value.tolist() for name, value in vars(scenarios).items() if value[:1].numel()}
     return [{name: rows[i] for name, rows in parts.items()} for i in range(len(scenarios))]
 
 
 def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioBatch:
-    """Scenarios like others from what `scenarios_to_list` gave; RunError if a field is wrong."""
+    """Scenarios like `like`, from the data of `scenarios_to_list`; RunError if a field is wrong."""
     if not isinstance(data, list):
         raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
     parts: dict[str, Tensor] = vars(like)
@@ -235,7 +235,7 @@ def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]
 
 
 def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
-    """Write all that the next stage needs into a folder."""
+    """Write everything that the next stage needs into a folder."""
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
     save_scenarios(folder / "scenarios.json", progress.solved, progress.missed)
@@ -247,7 +247,7 @@ def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
 
 
 def load_progress(run: Run, folder: Path) -> Progress[Any]:
-    """Read what `save_progress` wrote."""
+    """Read the files of `save_progress`."""
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
     knowledge = load_knowledge(folder, run.domain.unfitted()) if run.learns else None
     progress = Progress(None, solved, missed, knowledge)

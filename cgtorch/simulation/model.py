@@ -116,9 +116,10 @@ class ModelEnvironment:
         return self.first_state[scenario], self.percepts[scenario]
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """The percepts that Γ predicts for controls (n, U); as they were where one is not possible.
+        """Lanes with the percepts that Γ predicts for controls (n, U), and (n,) which are possible.
 
-        A control that is not finite, such as that of a lane without a message, never is.
+        Percepts stay as they were where a control is not possible. A control that is not finite,
+        such as that of a lane without a message, is never possible.
         """
         moved = control.isfinite().all(1) & ~self.lost(lanes)
         rows = rows_where(moved)

@@ -82,7 +82,7 @@ def rollout(
 
 
 def most_steps(actions: ActionSet, max_transitions: int) -> int:
-    """Actions that a graph can execute if each of its transitions is the longest sub-skill."""
+    """The number of actions of a graph each of whose transitions is the longest sub-skill."""
     longest = max([max_transitions, *action_table(actions).limits])
     return max(MAX_STEPS, min(longest * max_transitions, LARGEST))
 

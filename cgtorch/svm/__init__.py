@@ -1,4 +1,4 @@
-"""Kernel machines in torch, as exact as libsvm's: SVC, SVR, grid search, learning on, storage."""
+"""Kernel machines in torch, as exact as libsvm: SVC, SVR, grid search, updates, storage."""
 
 from cgtorch.svm import inputs as inputs
 from cgtorch.svm.grid_search import Choice as Choice

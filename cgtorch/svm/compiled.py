@@ -1,6 +1,6 @@
-"""RBF machines as compiled code knows them, and what it says of many rows.
+"""RBF machines in the form of compiled code, and their values for many rows.
 
-The same numbers as torch's but for the last digits; a row's do not depend on the rows beside it.
+Values equal torch's except for the last digits. A row's values do not depend on other rows.
 """
 
 import math
@@ -17,7 +17,7 @@ LOG2E = math.log2(math.e)
 def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor) -> Any:
     """An RBF machine of centres (m, d), weights (m, k), bias (k,) and gamma ().
 
-    None where nothing is compiled or there is no room for it.
+    None if nothing is compiled, or the machine is too large.
     """
     (m, d), k = centres.shape, len(bias)
     machine, most = structure("Machine", centres.dtype), constants("machine_limits", centres.dtype)
@@ -36,7 +36,7 @@ def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Ten
 def machine_values(
     x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
 ) -> tuple[Tensor, Tensor] | None:
-    """What `rbf_predict` of `cgtorch.svm.rbf_predict` says, or None as of `machine_structure`."""
+    """The result of `cgtorch.svm.rbf_predict.predict_rbf`, or None as in `machine_structure`."""
     machine = machine_structure(centres, weights, bias, gamma)
     if machine is None:
         return None
@@ -48,9 +48,9 @@ def machine_values(
 
 
 WORTH_SHARING = 2**19
-"""Kernel values that are worth one more thread: about a quarter of a millisecond."""
+"""Kernel values for which one more thread pays off: about a quarter of a millisecond."""
 
 
 def threads_for(rows: int, centres: int) -> int:
-    """Threads that are worth it for so many kernel values."""
+    """The number of threads that pays off for so many kernel values."""
     return max(1, min(threads(), rows * centres // WORTH_SHARING))

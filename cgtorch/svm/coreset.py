@@ -1,9 +1,9 @@
-"""Fewer rows that cover as much: what a machine keeps of its data when there is too much of it.
+"""Coresets: which training rows a machine keeps if there are too many.
 
-A dual solution does not change when rows that are no support vectors are left out, so support
-vectors are kept. The places left go to the rows farthest from all kept so far (the greedy
-k-centre of Gonzalez 1985), so that of the rows left out none is farther from a kept one than
-twice what the best choice of as many rows could reach.
+A dual solution does not change if rows that are not support vectors are left out, so support
+vectors are kept. The remaining places go to the rows farthest from all kept ones (the greedy
+k-centre of Gonzalez 1985). No omitted row is then farther from a kept one than twice the optimum
+for as many rows.
 """
 
 import torch
@@ -16,8 +16,8 @@ from cgtorch.svm.machine import KernelMachine
 def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
     """Indices, ascending, of at most `limit` of the rows (n, d).
 
-    Those to `keep` (n,) bool, such as support vectors, are wanted before all others; if they are
-    more than the limit, the same choice is made among them. SettingsError if that is below 1.
+    Rows in `keep` (n,) bool, such as support vectors, come first. If they are more than the limit,
+    the same choice is made among them. SettingsError for a limit below 1.
     """
     if limit < 1:
         raise SettingsError(f"the coreset's limit is {limit}; keep at least 1 row")
@@ -33,7 +33,7 @@ def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
 
 
 def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
-    """Indices (count,) of rows (n, d), each farthest from `covered` (m, d) and those before."""
+    """Indices (count,) of rows (n, d), each farthest from `covered` (m, d) and the rows before."""
     if len(covered):
         nearest = torch.cdist(rows, covered).amin(1)
     else:
@@ -50,7 +50,7 @@ def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
 
 
 def shrink_to_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
-    """Keep at most `limit` training rows (n, d) of a machine, in place: indices (m,), ascending."""
+    """Keep at most `limit` training rows (n, d) of a machine, in place; ascending indices (m,)."""
     keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
     keep[machine.support] = True
     chosen = coreset(features, keep, limit)

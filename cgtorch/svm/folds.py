@@ -11,9 +11,9 @@ from cgtorch.svm.problems import Targets
 
 
 def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Tensor:
-    """Fold numbers (n,): drawn for a number of folds, stratified for classes, or those given.
+    """Fold numbers (n,): random for a number of folds, stratified for classes, or as given.
 
-    SettingsError for fewer than two folds, DataError for too few rows or given folds that are none.
+    SettingsError for fewer than two folds, DataError for too few rows or impossible given folds.
     """
     rows = targets.y.shape[1]
     if not isinstance(folds, int):
@@ -24,7 +24,7 @@ def fold_numbers(folds: Any, targets: Targets, generator: torch.Generator) -> Te
 
 
 def plain_folds(rows: int, count: int, generator: torch.Generator) -> Tensor:
-    """Random fold numbers (n,), the folds' sizes differing by at most one."""
+    """Random fold numbers (n,); the sizes of folds differ by at most one."""
     if count < 2:
         raise SettingsError(f"folds is {count}; cross-validation needs at least 2")
     if rows < count:
@@ -46,7 +46,7 @@ def stratified_folds(signs: Tensor, count: int, generator: torch.Generator) -> T
 
 
 def given_folds(folds: Any, rows: int) -> Tensor:
-    """Fold numbers (n,) from 0 on, of any whole numbers that were given."""
+    """Fold numbers (n,) from 0 on, from any integers."""
     numbers = inputs.as_tensor(folds, "folds").cpu()
     whole = numbers.shape == (rows,) and torch.equal(numbers, numbers.floor())
     if not whole or bool((numbers < 0).any()) or len(numbers.unique()) < 2:
@@ -55,5 +55,5 @@ def given_folds(folds: Any, rows: int) -> Tensor:
 
 
 def training_masks(folds: Tensor) -> Tensor:
-    """Masks (F, n) of the rows that each of the F folds trains on."""
+    """Masks (F, n) of the rows on which each of the F folds trains."""
     return folds[None] != torch.arange(int(folds.max()) + 1)[:, None]

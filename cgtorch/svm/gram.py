@@ -1,4 +1,4 @@
-"""The radial basis kernel, exp(-gamma |x - s|^2), and its values among training rows."""
+"""The radial basis kernel, exp(-gamma |x - s|^2), and its values between training rows."""
 
 import math
 from functools import cached_property
@@ -22,9 +22,9 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
 
 
 def resolve_gamma(gamma: str | float, x: Tensor) -> float:
-    """The number that `gamma` stands for on training rows x (n, d).
+    """The value of `gamma` for training rows x (n, d).
 
-    "scale" is 1 / (d var(x)) over the whole array, as in scikit-learn; SettingsError if it is
+    "scale" is 1 / (d var(x)) over the whole array, as in scikit-learn. SettingsError if `gamma` is
     neither that nor a positive number.
     """
     if gamma == "scale":
@@ -36,10 +36,10 @@ def resolve_gamma(gamma: str | float, x: Tensor) -> float:
 
 
 class Gram:
-    """Kernel values between all pairs of n training rows, computed when they are first asked for.
+    """Kernel values between all pairs of n training rows, computed when first needed.
 
-    Rows of the matrices are filled up with finite numbers to whole vectors of compiled code. How
-    many threads that may use changes no value.
+    Rows of the matrices are padded with finite numbers to whole vectors of compiled code. The
+    number of threads changes no value.
     """
 
     def __init__(self, rows: Tensor, gamma: float, threads: int = 1) -> None:
@@ -76,6 +76,6 @@ class Gram:
         return found
 
     def _filled(self, matrix: Tensor, kind: torch.dtype | None = None) -> Tensor:
-        """A matrix (m, n) with columns of zeros up to whole vectors of numbers of a type."""
+        """A matrix (m, n) padded with columns of zeros to whole vectors of numbers of a type."""
         more = -matrix.shape[1] % (VECTOR // (kind or matrix.dtype).itemsize)
         return torch.nn.functional.pad(matrix, (0, more))

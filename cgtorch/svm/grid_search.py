@@ -1,8 +1,8 @@
-"""Cross-validated choice of C, gamma and epsilon in one batched solve, as exact as libsvm's.
+"""Cross-validated choice of C, gamma and epsilon in one batched solve, as exact as libsvm.
 
-One kernel matrix per gamma serves every fold, every C, every epsilon and every output: a fold
-only fixes its held-out coefficients to 0, and their decision values come free as K beta + b. The
-problems of each cost start from the solutions for the cost before.
+One kernel matrix per gamma serves every fold, C, epsilon and output. A fold only fixes its held-out
+coefficients to 0, and their decision values K beta + b come at no extra cost. The problems of each
+cost start from the solutions for the next smaller cost.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from cgtorch.svm.threads import one_thread_each
 
 @dataclass(frozen=True)
 class Choice:
-    """The best cell for one output."""
+    """The best hyper-parameters for one output."""
 
     C: float
     gamma: float
@@ -35,7 +35,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class GridResult:
-    """Scores of every cell; axes are gamma (G), epsilon (E), C (N), output (K), fold (F), row (n).
+    """Scores of grid points; axes are gamma (G), epsilon (E), C (N), output (K), fold (F), row (n).
 
     Attributes:
         C: Costs, ascending (N,).
@@ -43,9 +43,9 @@ class GridResult:
         epsilon: Tube widths (E,), 0 for a classifier.
         scores: Score on the held-out rows of each fold (G, E, N, K, F), more is better.
         held_out: Decision value of each row from the fold that held it out (G, E, N, K, n).
-        gap: Largest relative duality gap of a cell's solutions (G, E, N, K).
+        gap: Largest relative duality gap of a grid point's solutions (G, E, N, K).
         folds: Fold number of each row (n,).
-        best: Best cell of each output; of equal scores the first, with the smallest C.
+        best: The best grid point of each output; of equal scores the first, with the smallest C.
     """
 
     C: Tensor
@@ -65,7 +65,7 @@ class GridResult:
 
 @dataclass(frozen=True)
 class _Task:
-    """What the cells of a grid share: rows (n, d), masks of training rows (F, n), folds (n,)."""
+    """What all grid points share: rows (n, d), masks of training rows (F, n), folds (n,)."""
 
     model: KernelMachine
     rows: Tensor
@@ -90,11 +90,8 @@ def grid_search(
 ) -> GridResult:
     """Score every (gamma, epsilon, C) by cross-validation.
 
-    DataError for data that the model's `fit` would refuse, or too few rows for the folds, and
-    SettingsError for an empty grid, a value that is not positive, or an unknown score.
-
     Args:
-        model: An `SVC` or `SVR` whose settings are used where the grid has none.
+        model: An `SVC` or `SVR`, whose settings are used where the grid has none.
         x: Rows (n, d).
         y: Labels (n,), or targets (n,) or (n, k).
         C: Costs to try.
@@ -103,6 +100,10 @@ def grid_search(
         folds: Number of folds, or fold numbers (n,).
         seed: Seed or generator of the folds.
         scoring: A name in `SCORES`; accuracy for `SVC` and r2 for `SVR` if None.
+
+    Raises:
+        DataError: The model's `fit` would refuse the data, or there are too few rows for the folds.
+        SettingsError: An empty grid, a value that is not positive, or an unknown score.
     """
     score = score_of(scoring or model.scoring)
     rows = model.training_rows(x)
@@ -129,7 +130,7 @@ def grid_search(
 
 
 def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Values (G, E, N, K, n) and gaps (G, E, N, K), whatever the number of processes."""
+    """Values (G, E, N, K, n) and gaps (G, E, N, K), for any number of processes."""
     # The largest gammas, which have most support vectors, go first, so that no process ends late.
     order = sorted(range(len(widths)), key=lambda place: -widths[place])
 
@@ -167,7 +168,7 @@ def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tenso
 
 
 def scaled_start(before: Problems, found: State, problems: Problems) -> State:
-    """A start from solutions for smaller costs, times the best number from 1 to the cost ratio."""
+    """A start from solutions for smaller costs, times the best factor from 1 to the cost ratio."""
     ratio = problems.cap / before.cap
     linear = (before.z * found.beta - before.epsilon[:, None] * found.beta.abs()).sum(1)
     square = (found.product * found.beta).sum(1)
@@ -181,7 +182,7 @@ def scaled_start(before: Problems, found: State, problems: Problems) -> State:
 
 
 def _axis(values: Any, name: str) -> tuple[float, ...]:
-    """The positive numbers of one axis of the grid, in the order given."""
+    """The positive numbers of one axis of the grid, in the given order."""
     given = [values] if isinstance(values, int | float) else list(values)
     if not given:
         raise SettingsError(f"the grid has no value of {name}; give at least one")
@@ -189,7 +190,7 @@ def _axis(values: Any, name: str) -> tuple[float, ...]:
 
 
 def _best(task: _Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice, ...]:
-    """The best cell of each output by scores (G, E, N, K, F)."""
+    """The best grid point of each output by scores (G, E, N, K, F)."""
     choices = []
     for mean in scores.mean(-1).unbind(-1):
         g, e, n = (int(i) for i in torch.unravel_index(mean.argmax(), mean.shape))

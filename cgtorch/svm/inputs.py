@@ -1,6 +1,6 @@
-"""Checks at the door: training data as float64 tensors, and the memory that a fit would take.
+"""Input checks: training data as float64 tensors, and the memory that a fit needs.
 
-Data that cannot be used end in a DataError, and settings in a SettingsError, that says which.
+A DataError or SettingsError says which data or setting cannot be used.
 """
 
 import operator
@@ -14,7 +14,7 @@ from torch import Tensor
 from cgtorch.ground.errors import DataError, SettingsError
 
 MAX_MEMORY = 4 * 1024**3
-"""Bytes that a fit may use for kernel matrices."""
+"""The number of bytes that a fit may use for kernel matrices."""
 
 
 def as_tensor(values: Any, name: str) -> Tensor:
@@ -34,7 +34,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
 
 
 def _from_array(values: Any) -> Tensor:
-    """A copy of what numpy understands, whatever its strides, byte order and number type."""
+    """A copy of an array-like, whatever its strides, byte order and number type."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":
         raise TypeError(f"its type is {array.dtype}")
@@ -58,7 +58,7 @@ def as_targets(values: Any, rows: int) -> Tensor:
 
 
 def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:
-    """The two classes (2,), ascending, and each row's sign (n,): -1 first class, 1 second."""
+    """The two classes (2,), ascending, and the sign of each row (n,): -1 first class, 1 second."""
     labels = as_tensor(values, "y")
     if labels.shape != (rows,):
         raise DataError(f"y has shape {tuple(labels.shape)}; pass one label per row, ({rows},)")
@@ -77,16 +77,16 @@ def as_given(result: Tensor, example: Any) -> Any:
 
 
 def memory(rows: int) -> int:
-    """Bytes that a fit on so many rows takes for kernel matrices, at most.
+    """The largest number of bytes that a fit to so many rows needs for kernel matrices.
 
-    The solver keeps the kernel in float32 and float64 and, for the free rows, their rows of it, a
-    block and its factor in float64: at most 36 bytes for each pair.
+    The solver keeps the kernel in float32 and float64 and, for the free rows, their rows, a block
+    and its factor in float64: at most 36 bytes per pair.
     """
     return 36 * rows * rows
 
 
 def check_memory(rows: int) -> None:
-    """DataError where the kernel matrices of a fit would not fit in `MAX_MEMORY`."""
+    """DataError if the kernel matrices of a fit would not fit in `MAX_MEMORY`."""
     if (needed := memory(rows)) > MAX_MEMORY:
         most = int((MAX_MEMORY / memory(1)) ** 0.5)
         raise DataError(
@@ -110,7 +110,7 @@ def not_negative(value: Any, name: str) -> float:
 
 
 def as_number(value: Any) -> float:
-    """`value` as a float, NaN where it is no number."""
+    """`value` as a float, NaN if it is no number."""
     try:
         return float(value)
     except (TypeError, ValueError, RuntimeError, OverflowError):

@@ -1,7 +1,7 @@
-"""Learning curves: what more rows would bring, from one batched exact solve.
+"""Learning curves: scores by the number of training rows, from one batched exact solve.
 
-Every size, fold and output is a dual problem on the same kernel matrix, in which the rows that it
-must not learn from have the box [0, 0]; the values on all rows, used or not, come with it.
+Every size, fold and output is a dual problem with the same kernel matrix. Rows that it must not
+learn from have the box [0, 0]. The values on all rows, used or not, come at no extra cost.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ from cgtorch.svm.solver import solve
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """Scores by the number of rows trained on, more is better.
+    """Scores by the number of training rows; more is better.
 
     Attributes:
-        sizes: Rows trained on (S,).
+        sizes: Numbers of training rows (S,).
         train_scores: Score on these rows, by size and fold (S, F).
         test_scores: Score on the rows that the fold holds out, by size and fold (S, F).
     """
@@ -39,7 +39,7 @@ class LearningValues:
     """Values on all rows of every model of a learning curve.
 
     Attributes:
-        sizes: Rows trained on (S,).
+        sizes: Numbers of training rows (S,).
         values: Decision values or predictions, by size, fold and output (S, F, k, n).
         targets: Signs or targets (k, n).
         used: Whether a row was trained on, by size and fold (S, F, n).
@@ -59,7 +59,7 @@ class LearningValues:
         return self.values[-1, self.folds, :, index].T
 
     def scored(self, scoring: str) -> LearningCurve:
-        """Scores by a name in `SCORES`, averaged over the outputs; SettingsError if unknown."""
+        """Scores by a name in `SCORES`, averaged over outputs; SettingsError for another name."""
         score = score_of(scoring)
 
         def mean(value: Tensor, rows: Tensor) -> float:
@@ -76,8 +76,8 @@ class LearningValues:
 def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
     """Up to `count` sizes, each twice the one before, that plain or stratified `folds` allow.
 
-    The largest is all that any fold of `rows` leaves, less at most two rows. Sizes under 16 rows
-    are left out, as hardly anything can be learnt from them.
+    The largest is what any fold of `rows` leaves, less at most two rows. Sizes below 16 rows are
+    left out, as almost nothing can be learned from them.
     """
     most = rows - rows // folds - 2  # each of two classes may leave one row over in the same fold
     return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)
@@ -94,13 +94,12 @@ def learning_values(
 ) -> LearningValues:
     """Values on all rows of models trained on the first rows of each training fold.
 
-    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on
-    the first so many of the rows outside the fold, in the order given. Shuffle rows whose order
-    means something.
+    The definition is that of scikit-learn's `learning_curve`: for every fold and size, train on the
+    first rows outside the fold, in the given order. Shuffle rows whose order has a meaning.
 
-    Arguments are those of `grid_search`, and so are errors; a gamma of "scale" is that of all rows.
-    The sizes are numbers of rows to train on (S,), SettingsError if there is none, or one below 1
-    or beyond the smallest training fold.
+    For arguments and errors see `grid_search`. A gamma of "scale" is that of all rows. The `sizes`
+    are numbers of training rows (S,). SettingsError if there are none, or if one is below 1 or
+    larger than the smallest training fold.
     """
     rows = model.training_rows(x)
     targets = model.targets(y, rows)

@@ -1,7 +1,7 @@
-"""What SVC and SVR share: the fit, centres, weights and bias as buffers, and the values they give.
+"""The common base of SVC and SVR: the fit, the buffers, and the values.
 
 A classifier is a regression of signs without a tube, in which a coefficient can only have the sign
-of its row; so the two differ in their targets, the weights of rows, and what they say of values.
+of its row. So the two differ in their targets, the weights of rows, and the meaning of values.
 """
 
 from abc import ABC, abstractmethod
@@ -21,11 +21,11 @@ from cgtorch.svm.rbf_predict import predict_rbf
 from cgtorch.svm.solver import solve, start_at
 
 PerOutput: TypeAlias = float | Sequence[float]
-"""A number, or one for each."""
+"""One number, or one per output."""
 
 
 class FittedModule(nn.Module):
-    """A module whose buffers take their sizes from a state dict, as a fit does from its data."""
+    """A module whose buffers take their sizes from a state dict, as they do from data in a fit."""
 
     def _load_from_state_dict(
         self, state_dict: Mapping[str, Any], prefix: str, *args: Any, **kwargs: Any
@@ -41,12 +41,12 @@ class KernelMachine(FittedModule, ABC):
     """A function sum_j w_j exp(-gamma |x - c_j|^2) + b with k outputs.
 
     The buffers are the whole fitted state: `centres` (m, d), `weights` (m, k), `bias` (k,),
-    `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality
-    gap of each output, `cost` (k,) its C, and what a subclass adds. Before `fit` they are empty.
+    `gamma_value` (), `support` (m,) the training rows that are centres, `gap` (k,) the duality gap
+    of each output, `cost` (k,) its C, and those of a subclass. Before `fit` they are empty.
 
     Args:
-        C: Cost of a violation, one or one per output.
-        epsilon: Half width of the tube without loss, one or one per output.
+        C: Cost of a violation, one number or one per output.
+        epsilon: Half width of the tube without loss, one number or one per output.
         gamma: Width parameter of the kernel: "scale" or a positive number.
     """
 
@@ -59,7 +59,7 @@ class KernelMachine(FittedModule, ABC):
     cost: Tensor
 
     scoring: ClassVar[str]
-    """The score, of `cgtorch.svm.scores`, by which models are compared if no other is named."""
+    """The default score, of `cgtorch.svm.scores`, for comparing models."""
 
     def __init__(self, C: PerOutput, epsilon: PerOutput, gamma: str | float) -> None:
         super().__init__()
@@ -72,15 +72,15 @@ class KernelMachine(FittedModule, ABC):
 
     @abstractmethod
     def targets(self, y: Any, rows: Tensor) -> Targets:
-        """What is to be learnt of rows (n, d)."""
+        """The targets of rows (n, d)."""
 
     @abstractmethod
     def own_state(self, targets: Targets) -> dict[str, Tensor]:
-        """The buffers that a subclass adds, after a fit."""
+        """The additional buffers of a subclass, after a fit."""
 
     @property
     def fitted(self) -> bool:
-        """Whether there is something to predict with."""
+        """Whether the machine can predict."""
         return len(self.centres) > 0
 
     def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
@@ -109,25 +109,28 @@ class KernelMachine(FittedModule, ABC):
         return self
 
     def learn_on(self, x: Any, y: Any) -> Self:
-        """`fit`, warm, with the C, epsilon and gamma of the last fit, whoever made it."""
+        """A warm `fit` with the C, epsilon and gamma of the last fit."""
         self.C, self.gamma = self.cost.tolist(), float(self.gamma_value)
         return self.fit(x, y, warm=True)
 
     def training_rows(self, x: Any) -> Tensor:
-        """Rows (n, d) in float64 that are finite and not too many for the memory."""
+        """Rows (n, d) in float64, after checking that they are finite and fit into memory."""
         rows = inputs.as_rows(x)
         inputs.check_memory(len(rows))
         return rows
 
     def gram(self, rows: Tensor, gamma: float | None = None, most_threads: int = 0) -> Gram:
-        """The kernel values among training rows (n, d), if given with another gamma or threads."""
+        """The kernel values between training rows (n, d), by default with the machine's gamma.
+
+        `most_threads` limits the threads of compiled code; 0 is no limit.
+        """
         width = resolve_gamma(self.gamma if gamma is None else gamma, rows)
         return Gram(rows, width, most_threads or threads())
 
     def problems(
         self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
     ) -> Problems:
-        """Problems (k P) of each output and mask (P, n); the machine's C and epsilon if None."""
+        """Problems (k P) for each output and mask (P, n), by default with the machine's own C."""
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
@@ -152,7 +155,7 @@ class KernelMachine(FittedModule, ABC):
         return self._values(x, with_nearest=False)[0]
 
     def values_and_distance(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Values (..., k) and the squared distance (...) to the nearest centre, in one go."""
+        """Values (..., k) and the squared distance (...) to the nearest centre, at once."""
         values, exponent = self._values(x, with_nearest=True)
         distance = exponent.clamp_min(0) / (self.gamma_value * LOG2E)
         return values, distance.reshape(x.shape[:-1])
@@ -180,12 +183,12 @@ class KernelMachine(FittedModule, ABC):
             )
 
     def _asked(self, x: Any) -> Tensor:
-        """What a prediction is asked for: tensors as they are, all else checked and converted."""
+        """The input of a prediction: tensors as they are, anything else checked and converted."""
         self._check_fitted()
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
     def _start(self, gram: Gram, problems: Problems, unit: Tensor) -> State:
-        """This machine as a start for a new fit, whose first rows are those it was fitted on."""
+        """This machine as a start for a new fit, whose first rows are those of the last fit."""
         self._check_fitted()
         if len(self.bias) != len(problems.z) or int(self.support.max()) >= len(gram):
             raise DataError(

@@ -1,4 +1,4 @@
-"""Whether a model that was trained on more data may replace the one before it."""
+"""The decision whether a model that was trained on more data replaces the old one."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The comparison of a model with its successor on data that neither was fitted on.
+    """The comparison of a model with its successor on held-out data.
 
     Attributes:
-        accepted: Whether the successor takes over.
-        rows: Rows compared on.
+        accepted: Whether the successor replaces the model.
+        rows: Number of rows compared.
         before: Mean error of the model.
         after: Mean error of its successor.
-        tolerance: By how much `after` may exceed `before`: two standard errors of the difference.
+        tolerance: How much `after` may exceed `before`: two standard errors of the difference.
     """
 
     accepted: bool
@@ -34,11 +34,11 @@ class Acceptance:
 
 
 def accept_model(before: Tensor, after: Tensor) -> Acceptance:
-    """Accept a successor unless its errors (n,) are worse, by more than the comparison's noise.
+    """Accept a successor unless its errors (n,) are worse by more than the comparison's noise.
 
-    The noise is taken as two standard errors of the mean of the differences, row by row: of equal
-    successors one in forty is refused. Where the models answer alike it is nearly zero, so it does
-    not let many small losses through. Without rows to compare on the successor is accepted.
+    The noise is two standard errors of the mean of the row-wise differences, so one in forty
+    equally good successors is refused. It is almost zero if the models give almost equal answers,
+    so many small losses cannot add up. Without rows to compare, the successor is accepted.
     """
     rows = len(before)
     if rows < 2:

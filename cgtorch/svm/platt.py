@@ -17,7 +17,7 @@ _SMALLEST_STEP = 1e-10
 def probability(decision: Tensor, slope: Tensor, offset: Tensor) -> Tensor:
     """P(positive | decision) = 1 / (1 + exp(slope decision + offset)), any shape.
 
-    A decision has the same probability, bit for bit, whatever others come with it.
+    A decision has the same probability, bit for bit, in any batch.
     """
     return sigmoid(-(slope * decision + offset))
 
@@ -28,10 +28,10 @@ def _loss(logit: Tensor, target: Tensor) -> Tensor:
 
 
 def fit_platt(decision: Tensor, signs: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope () and offset () by which held-out decision values (n,) tell the signs (n,), float64.
+    """Slope () and offset () for held-out decision values (n,) with signs (n,), float64.
 
-    Newton's method with backtracking on the regularised targets (N+ + 1) / (N+ + 2) and
-    1 / (N- + 2) (Lin, Lin & Weng 2007, algorithm 1).
+    Newton's method with backtracking on the regularised targets (N+ + 1) / (N+ + 2) and 1 / (N- +
+    2) (Lin, Lin & Weng 2007, algorithm 1).
     """
     f = decision.double()
     positive = signs > 0

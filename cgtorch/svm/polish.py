@@ -1,13 +1,14 @@
-"""Exact solutions from nearly right ones: full Newton steps on statuses.
+"""Exact solutions from nearly exact ones, by full Newton steps on the active set.
 
-A primal-dual active set (Hintermueller, Ito & Kunisch 2003): free coefficients solve their
-equations with a ridge h that leaves less violation than is asked for, those that leave their boxes
-are bound, and bound ones on the wrong side are freed. The ridge rounds the corners of the loss over
-a width h C (Chapelle 2007), so that a residual r asks for the coefficient soft(r, epsilon) / h,
-clipped to its box. From a solution whose statuses are nearly right this ends within a few steps,
-long before the values of other methods are right; where the number of changes grows it is given up.
+This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003). Free coefficients solve
+their equations with a small ridge h. Those that leave their boxes become bound, and bound ones on
+the wrong side become free. The ridge rounds the corners of the loss over a width h C (Chapelle
+2007), so that a residual r determines the coefficient soft(r, epsilon) / h, clipped to its box.
+From a solution whose statuses are nearly right, it ends within a few steps, long before the values
+of other methods are exact. It gives up if the number of changes grows.
 
-Statuses are -2 and 2 on a bound, 0 at zero, and -1 and 1 free below and above zero.
+The status of a coefficient is -2 or 2 on a bound, 0 at zero, and -1 or 1 if it is free below or
+above zero.
 """
 
 import torch
@@ -23,8 +24,8 @@ _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the othe
 def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
     """The solution of a single problem, without the axis of problems, or None.
 
-    The kernel matrix (n, n) is positive semidefinite, and the feasible coefficients of the start
-    say who is free and who is bound; a solution violates no condition by more than the tolerance.
+    The kernel matrix (n, n) must be positive semidefinite. The feasible coefficients of the start
+    determine the first statuses. A solution violates no condition by more than the tolerance.
     """
     beta, bias, z = start.beta, start.bias, problem.z
     h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()
@@ -51,7 +52,7 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
 
 
 def _asked(problem: Problems, h: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
-    """The coefficients (n,) that residuals ask for, and their statuses."""
+    """The coefficients (n,) that residuals determine, and their statuses."""
     width = problem.epsilon
     value = (residual - torch.clamp(residual, -width, width)) / h
     clipped = inside(problem, value)
@@ -66,10 +67,10 @@ def _statuses(value: Tensor, clipped: Tensor) -> Tensor:
 def _step(
     kernel: Tensor, problem: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor
 ) -> tuple[Tensor, Tensor, Tensor] | None:
-    """Newton step of the coefficients (n,) and the bias (), and the former's product with K (n,).
+    """Newton step of the coefficients (n,) and the bias (), and its product with K (n,).
 
-    Bound coefficients go to their bounds; the free ones solve (K_FF + h) d + shift = right with
-    coefficients that sum to 0. None where K is not positive definite.
+    Bound coefficients go to their bounds. The free ones solve (K_FF + h) d + shift = right with
+    coefficients that sum to 0. None if K is not positive definite.
     """
     free = (status.abs() == 1).nonzero().flatten()
     bounds = (status == 2) * problem.upper + (status == -2) * problem.lower
@@ -89,7 +90,7 @@ def _step(
 
 
 def _product(kernel: Tensor, d: Tensor) -> Tensor:
-    """K d (n,) of coefficients of which often few are not zero."""
+    """K d (n,) for coefficients of which often few are not zero."""
     rows = d.nonzero().flatten()
     if _SPARSE * len(rows) > len(d):
         return kernel @ d
@@ -99,8 +100,8 @@ def _product(kernel: Tensor, d: Tensor) -> Tensor:
 def _with_pivot(problem: Problems, h: Tensor, residual: Tensor, status: Tensor) -> Tensor:
     """Statuses (n,) with one coefficient freed if none is free, as the bias needs an equation.
 
-    The sum of the coefficients says which way the bias has to go, and the first coefficient that
-    leaves its bound on that way is the one to free.
+    The sum of the coefficients determines the direction of the bias. The first coefficient that
+    leaves its bound in this direction becomes free.
     """
     if bool((status.abs() == 1).any()):
         return status
@@ -122,9 +123,10 @@ def _with_pivot(problem: Problems, h: Tensor, residual: Tensor, status: Tensor) 
 def _changed(
     problem: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor
 ) -> Tensor:
-    """Statuses (n,) after a step: out of the box is bound, on the wrong side of a bound free.
+    """Statuses (n,) after a step.
 
-    Free coefficients speak for themselves, as their residuals are the rounding of their factor.
+    Free coefficients out of their box become bound. Bound ones on the wrong side become free. For
+    free coefficients, residuals are not tested, as they are only rounding errors.
     """
     bound = _statuses(beta, inside(problem, beta))
     bound = bound * (status * bound >= 0)  # from one side to the other only by way of zero

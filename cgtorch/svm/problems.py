@@ -1,7 +1,7 @@
-"""The dual problems of C-SVC and epsilon-SVR as batches, and how near a solution is.
+"""The dual problems of C-SVC and epsilon-SVR as batches, and measures of optimality.
 
-Both are min 1/2 beta' K beta - z' beta + epsilon |beta|_1 with lower <= beta <= upper and
-1' beta = 0 (Chang & Lin 2011, eq. 2 and 10); a row held out for validation has the box [0, 0].
+Both are min 1/2 beta' K beta - z' beta + epsilon |beta|_1 with lower <= beta <= upper and 1' beta =
+0 (Chang & Lin 2011, eq. 2 and 10). A row held out for validation has the box [0, 0].
 """
 
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Targets:
-    """What k outputs are to say of n rows, and the same as the solver sees it.
+    """The targets of k outputs on n rows, and their form in the solver.
 
-    The problem of (y - mean) / unit with C / unit and epsilon / unit has the coefficients
-    beta / unit, so that what counts as small in the solver does not depend on the targets' unit.
+    The problem of (y - mean) / unit with C / unit and epsilon / unit has the coefficients beta /
+    unit. So the solver's tolerances do not depend on the unit of the targets.
 
     Attributes:
         y: Targets, or the signs -1 and 1 of two classes (k, n).
         z: (y - mean) / unit (k, n).
         mean: Of the targets (k,), 0 for signs.
         unit: A power of two near the standard deviation of the targets (k,), 1 for signs.
-        classes: The two labels that the signs stand for (2,), None for a regression.
+        classes: The two labels of the signs (2,), None for a regression.
         single: Whether there is one output that was given as (n,).
     """
 
@@ -44,7 +44,7 @@ class Batch:
     """Tensors whose first axis is that of P problems."""
 
     def take(self, index: Tensor | int) -> Self:
-        """The problems of `index` (Q,), or a single one without that axis."""
+        """The problems `index` (Q,), or a single one without that axis."""
         return type(self)(*(value[index] for value in vars(self).values()))
 
     def put(self, index: Tensor | int, other: Self) -> None:
@@ -53,7 +53,7 @@ class Batch:
             value[index] = getattr(other, name)
 
     def to(self, device: torch.device) -> Self:
-        """The same on a device."""
+        """The same batch on a device."""
         return type(self)(*(value.to(device) for value in vars(self).values()))
 
 
@@ -61,8 +61,8 @@ class Batch:
 class Problems(Batch):
     """A batch of P dual problems over the same n rows: targets z (P, n) and costs `cap` (P,).
 
-    The boxes reach from `lower` (P, n), at most 0, to `upper` (P, n), at least 0; the insensitive
-    tubes have the half widths `epsilon` (P,).
+    The boxes reach from `lower` (P, n), at most 0, to `upper` (P, n), at least 0. The half widths
+    of the tubes are `epsilon` (P,).
     """
 
     z: Tensor
@@ -74,11 +74,11 @@ class Problems(Batch):
 
 @dataclass(frozen=True)
 class State(Batch):
-    """Where each of P problems over n rows stands; also the answer.
+    """The state of P problems over n rows, or their solution.
 
-    Coefficients `beta` (P, n) are in their boxes, with the sum 0; the `product` K beta (P, n) is
-    without the biases (P,) and has held-out rows, too. The largest violation (P,) of the optimality
-    conditions is as libsvm counts it.
+    Coefficients `beta` (P, n) are in their boxes, with sum 0. The `product` K beta (P, n) excludes
+    the biases (P,) and includes held-out rows. The largest violation (P,) of the optimality
+    conditions is that of libsvm.
     """
 
     beta: Tensor
@@ -93,7 +93,7 @@ def inside(problems: Problems, beta: Tensor) -> Tensor:
 
 
 def feasible(problems: Problems, beta: Tensor) -> Tensor:
-    """The feasible point (P, n) nearest to `beta` (P, n): clip(beta - shift) whose sum is 0."""
+    """The feasible point (P, n) nearest to `beta` (P, n): clip(beta - shift) with sum 0."""
     low = (beta - problems.upper).amin(-1, keepdim=True)
     high = (beta - problems.lower).amax(-1, keepdim=True)
     for _ in range(100):
@@ -107,7 +107,7 @@ def feasible(problems: Problems, beta: Tensor) -> Tensor:
 
 
 def at_zero(problems: Problems) -> State:
-    """The beginning, of which nothing is known."""
+    """The start at zero."""
     zero, unknown = torch.zeros_like(problems.z), torch.full_like(problems.cap, torch.inf)
     return State(zero, zero.clone(), torch.zeros_like(unknown), unknown)
 
@@ -146,7 +146,7 @@ def relative_gap(problems: Problems, found: State) -> Tensor:
 
 
 def middle_bias(problems: Problems, found: State) -> Tensor:
-    """Biases (P,), in the middle of optimal ones where not unique (Chang & Lin 2011, 4.1.5)."""
+    """Biases (P,), in the middle of the optimal ones if not unique (Chang & Lin 2011, 4.1.5)."""
     beta, box = found.beta, torch.maximum(problems.upper, -problems.lower) * 1e-9
     inside = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
     width = problems.epsilon[:, None]

@@ -1,15 +1,16 @@
-"""The hot path: values of an RBF machine with the fewest passes over memory.
+"""Values of an RBF machine with few passes over memory; this is the hot path.
 
-With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2): one product of the matrix
-2 s [C, -1/2, -|c|^2 / 2] with the columns (x, |x|^2, 1)', one exp2 in place, and one product of the
-weights with that, in chunks whose buffer stays in cache. Both x and c are taken from the centres'
-mean, so that an offset of the features costs no digits.
+With s = gamma log2(e), the kernel is exp2(2 s x'c - s |x|^2 - s |c|^2). It takes one product of the
+matrix 2 s [C, -1/2, -|c|^2 / 2] with the columns (x, |x|^2, 1)', one exp2 in place, and one product
+of the weights with that, in chunks whose buffer stays in cache. The centres' mean is subtracted
+from both x and c, so that an offset of the features costs no digits.
 
-Rows are columns in here, because a product of few outputs and many rows is faster that way round.
+Rows are stored as columns here, because a product with few outputs and many rows is faster that
+way.
 
-A row has the same values, bit for bit, in whatever batch it comes and on however many threads:
-the products and exp2 round odd sizes in other ways, so rows are filled up to multiples of 48,
-centres to multiples of 16 and outputs to 2, with weight 0, and sums over features are products
+A row has the same values, bit for bit, in any batch and on any number of threads. Products and exp2
+round odd sizes differently, so rows are padded to multiples of 48, centres to multiples of 16 and
+outputs to multiples of 2, with weight 0. Sums over features are computed as products
 (docs/decisions/models.md).
 """
 
@@ -40,9 +41,10 @@ def predict_rbf(
 ) -> tuple[Tensor, Tensor]:
     """Values (n, k) of rows x (n, d): sum_j w_j exp(-gamma |x - c_j|^2) + bias (k,).
 
-    There are centres (m, d), at least one, weights (m, k) and gamma (), and gradients of all but
-    gamma. With the values come gamma |x - c|^2 log2(e) (n,) of the nearest centres, which cost one
-    pass over the exponents and no kernel evaluation; they are (0,) if not asked for.
+    There are centres (m, d), at least one, weights (m, k) and gamma (). There are gradients for all
+    arguments except gamma. Also returned are gamma |x - c|^2 log2(e) (n,) of the nearest centres,
+    which cost one pass over the exponents and no kernel evaluation; they are (0,) without
+    `with_nearest`.
     """
     tensors = x, centres, weights, bias, gamma
     if torch.is_grad_enabled() and any(each.requires_grad for each in tensors):
@@ -66,14 +68,14 @@ def predict_rbf(
 
 
 def chunk_rows(centres: int, item: int) -> int:
-    """Rows per chunk so that the buffer of `centres` columns of `item` bytes stays in cache."""
+    """Rows per chunk, so that the buffer of `centres` columns of `item` bytes stays in cache."""
     row = max(1, centres * item)
     fast = min(_LARGEST_CHUNK, max(_SMALLEST_CHUNK, _CHUNK_BYTES // row))
     return max(1, min(fast, _MOST_BYTES // row) // _ROWS) * _ROWS
 
 
 def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
-    """Base-2 exponents (n, m) of the kernel, with a graph."""
+    """Base-2 exponents (n, m) of the kernel, differentiable."""
     mean = centres.detach().mean(0)
     rows, others = x - mean, centres - mean
     inner = torch.addmm((others * others).sum(1), rows, others.T, alpha=-2)
@@ -84,7 +86,7 @@ def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
 def _filler(
     centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor, chunk: int
 ) -> Callable[[Tensor, Tensor, Tensor], None]:
-    """What writes a machine's values, with centres and outputs filled up as the module says."""
+    """A function that writes a machine's values, with centres and outputs padded."""
     (m, d), k = centres.shape, len(bias)
     missing = -m % _CENTRES
     mean = centres.mean(0)[:, None]

@@ -1,7 +1,7 @@
-"""Fewer centres: a machine of a given size that answers nearly like the exact one.
+"""Reduced sets: a machine with fewer centres and nearly the same values.
 
-The centres are picked by pivoted Cholesky (Fine & Scheinberg 2001), the greedy choice of those
-that the others explain least, and their weights fitted by QR to the exact model's answers.
+Pivoted Cholesky decomposition (Fine & Scheinberg 2001) greedily picks the centres that the others
+explain least. Their weights are fitted to the exact model's values by QR decomposition.
 """
 
 from copy import deepcopy
@@ -22,7 +22,7 @@ _RIDGES = tuple(10.0**-power for power in range(1, 11))
 
 
 def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
-    """Indices (<= count,) of the rows x (n, d) that pivoted Cholesky picks, largest rest first."""
+    """Indices (at most count,) of rows x (n, d), picked by pivoted Cholesky decomposition."""
     rest = x.new_ones(len(x))
     factor, chosen = rest.new_zeros(count, len(x)), []
     for step in range(min(count, len(x))):
@@ -40,11 +40,11 @@ def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
 
 
 def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
-    """A machine with at most `centres` centres fitted to the values of a fitted one on rows (n, d).
+    """A machine with at most `centres` centres, fitted to the values of a fitted one on rows x.
 
-    These are at least 8 rows of the region where it will be asked. Three of four fit the weights,
-    the fourth chooses the ridge, by answers in the type that the machine computes in, so that
-    weights too large for it are not chosen. The probabilities of an `SVC` keep its Platt
+    The rows (n, d) should be at least 8 from the region where the machine will be used. Three
+    quarters of them fit the weights. The others choose the ridge, with values in the type in which
+    the machine computes, so that weights too large for it are avoided. An `SVC` keeps its Platt
     parameters. ModelError if the machine is not fitted, SettingsError for less than one centre or
     fewer rows.
     """
@@ -78,7 +78,7 @@ def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
 
 
 def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
-    """Ridge regression (m, k) of truth (n, k) on design (n, m) by QR of the stacked system."""
+    """Ridge regression (m, k) of `truth` (n, k) on `design` (n, m), by QR of the stacked system."""
     size = design.shape[1]
     penalty = (ridge * len(design) ** 0.5) * torch.eye(size).to(design)
     penalty[-1, -1] = 0

@@ -1,4 +1,4 @@
-"""How well values fit the truth: the scores that a grid search and a learning curve can use."""
+"""Scores of values against the truth, for grid searches and learning curves."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -33,7 +33,7 @@ def neg_mean_absolute_error(value: Tensor, truth: Tensor) -> Tensor:
 
 
 Score: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Values and truth (..., n) to scores (...), more is better."""
+"""Maps values and truth (..., n) to scores (...); more is better."""
 
 SCORES: dict[str, Score] = {
     score.__name__: score for score in (accuracy, balanced_accuracy, r2, neg_mean_absolute_error)
@@ -41,7 +41,7 @@ SCORES: dict[str, Score] = {
 
 
 def score_of(name: str) -> Score:
-    """The score of a name in `SCORES`; SettingsError if there is none."""
+    """The score with a name in `SCORES`; SettingsError if there is none."""
     if name not in SCORES:
         raise SettingsError(f"scoring is {name!r}; choose one of {sorted(SCORES)}")
     return SCORES[name]

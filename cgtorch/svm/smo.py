@@ -1,10 +1,10 @@
-"""Sequential minimal optimisation of dual problems: compiled (smo.c), and plain NumPy without.
+"""Sequential minimal optimisation of dual problems: compiled (smo.c), and in plain NumPy.
 
-Fan, Chen & Lin, "Working set selection using second order information for training support
-vector machines", JMLR 6 (2005), WSS 2, on the doubled form of Chang & Lin (2011, eq. 11): each
-coefficient is the difference of two in [0, upper] and [0, -lower]. It converges for every
-positive semidefinite kernel from every feasible start. Plain code is slow, but sure: compiled code
-is tested against it, and it runs where there is no compiler.
+Fan, Chen & Lin, "Working set selection using second order information for training support vector
+machines", JMLR 6 (2005), WSS 2, on the doubled form of Chang & Lin (2011, eq. 11): each coefficient
+is the difference of two in [0, upper] and [0, -lower]. It converges for every positive semidefinite
+kernel from every feasible start. The plain code is slow. It serves as the reference of the tests,
+and runs without a compiler.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from cgtorch.native import function, structure
 from cgtorch.svm.problems import Problems, State, relative_gap
 
 GAP = 5e-3
-"""Relative duality gap above which the tolerance falls."""
+"""The relative duality gap above which the tolerance is reduced."""
 
 _FINER, _FINEST = 0.25, 1e-3  # of the tolerance, at a time and at most
 _TAU = 1e-12
@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 def compiled_smo_steps(
     matrix: Tensor, problems: Problems, start: State, tolerance: float, worth: float, threads: int
 ) -> State | None:
-    """Take P problems on until they are solved or have cost too much; None without a compiler.
+    """Continue P problems until they are solved or have cost too much; None without a compiler.
 
-    As `smo_steps`, but with a matrix of `cgtorch.svm.gram.Gram`, in whose type the steps are made
-    (gradients are in double precision all the same). A problem ends at the kernel values that it is
-    worth: a thousand million take about a quarter of a second. Threads change no result.
+    Like `smo_steps`, but with a matrix of `cgtorch.svm.gram.Gram`, whose type is that of the steps
+    (gradients are in double precision in any case). A problem ends after `worth` kernel values; a
+    thousand million take about a quarter of a second. Threads change no result.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:
@@ -53,10 +53,10 @@ def compiled_smo_steps(
 def smo_steps(
     kernel: Tensor, problems: Problems, start: State, tolerance: float, most: int
 ) -> State:
-    """Take problems on from feasible coefficients until they are solved or have had `most` steps.
+    """Continue P problems from feasible coefficients until they are solved, or after `most` steps.
 
-    The kernel (n, n) has to be positive semidefinite; a problem is solved where its violation, as
-    libsvm counts it, is below the tolerance.
+    The kernel (n, n) must be positive semidefinite. A problem is solved when its violation, as in
+    libsvm, is below the tolerance.
     """
     matrix: Array = kernel.numpy()
     found = start.take(torch.arange(len(start.bias)))
@@ -84,7 +84,7 @@ def _solve(
     tolerance: float,
     most: int,
 ) -> tuple[float, float]:
-    """Solve one problem in place; the bias, in the middle of what is optimal, and the violation."""
+    """Solve one problem in place; the bias, in the middle of optimal ones, and the violation."""
     diagonal = matrix.diagonal()
     for step_number in range(most + 1):
         # What a step up of each coefficient gains, and what a step down costs.

@@ -1,9 +1,9 @@
 """Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
-Sequential minimal optimisation (compiled, or plain where there is no compiler) solves most of them.
-Where costs are large and many coefficients free, or where a solution has to be exact, it would take
-millions of steps; so exact steps are tried on the statuses that it has come to
-(`cgtorch.svm.polish`), in turns with longer and longer runs of it, the last of which has no end.
+Sequential minimal optimisation (compiled, or plain without a compiler) solves most of them. With
+large costs and many free coefficients, or for an exact solution, it would take millions of steps.
+So runs of it alternate with exact steps from their statuses (`cgtorch.svm.polish`). The runs get
+longer and longer, and the last one has no limit.
 """
 
 from dataclasses import replace
@@ -18,13 +18,13 @@ from cgtorch.svm.problems import Problems, State, at_zero, feasible, middle_bias
 from cgtorch.svm.smo import compiled_smo_steps, smo_steps
 
 EXACT = 1.25e-8
-"""Violation of a final fit: a relative duality gap of about 1e-7."""
+"""The tolerance of a final fit: a relative duality gap of about 1e-7."""
 
 ROUGH = 1e-3
-"""Violation where scores are compared, as libsvm's default."""
+"""The tolerance where scores are compared, as libsvm's default."""
 
 _WORTH = 1 / 80, 5e6
-"""Kernel values of the first turn: a share of n^3, as the cost of a factor, and some more."""
+"""Kernel values of the first run: a share of n^3, as the cost of a factor, and a constant."""
 _TURNS = 4  # each twice as long as the one before, to a tenth of its violation
 _ENDLESS = 2e7  # steps of the last one
 _ROUNDING = 1e-12  # of C, below which no violation can be told
@@ -45,7 +45,7 @@ def solve(
     """Feasible solutions of P problems, computed on the CPU, wherever their tensors are.
 
     They start from feasible coefficients, if given, and violate no condition of optimality by more
-    than the tolerance, as libsvm counts it. ModelError if one could not be solved.
+    than the tolerance, as defined in libsvm. ModelError if a problem could not be solved.
     """
     device, cpu = problems.z.device, torch.device("cpu")
     problems, left = problems.to(cpu), torch.arange(len(problems.z))
@@ -67,7 +67,7 @@ def solve(
 
 
 def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: int) -> State:
-    """The problems after a turn of minimal optimisation."""
+    """The problems after a run of minimal optimisation."""
     last, n = turn == _TURNS, len(gram)
     aim = tolerance if last else max(tolerance, ROUGH * 0.1**turn)
     worth = _ENDLESS * n if last else (_WORTH[0] * n**3 + _WORTH[1]) * 2**turn
@@ -77,7 +77,7 @@ def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: i
 
 
 def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, tolerance: float) -> None:
-    """Write what exact steps make of the problems `rows` (R,), and exact products, in place."""
+    """Write the results of exact steps for problems `rows` (R,), and exact products, in place."""
     found.product[rows] = found.beta[rows] @ gram.matrix
     for row in rows.tolist():
         exact = polish(gram.matrix, problems.take(row), found.take(row), tolerance)
@@ -86,7 +86,7 @@ def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, toleranc
 
 
 def _check(problems: Problems, found: State) -> None:
-    """ModelError where problems are far from solved."""
+    """ModelError if problems are far from solved."""
     gap = relative_gap(problems, found)
     if bool((gap > _OFF).any()):
         raise ModelError(

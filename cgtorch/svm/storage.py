@@ -1,4 +1,4 @@
-"""Models on disk: safetensors with a JSON header, never pickle, written all or not at all."""
+"""Models on disk: safetensors with a JSON header, never pickle, written whole or not at all."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -18,23 +18,23 @@ from cgtorch.svm.svr import SVR
 
 VERSION = 3
 MAX_BYTES = 1024**3
-"""Largest model file that `load_model` reads."""
+"""The size of the largest model file that `load_model` reads."""
 
 Model: TypeAlias = nn.Module
-"""A machine, or a model around one, such as Γ and C: it has the machine as `machine`, buffers of
-its own, and a method `shapes(features)` that gives their shapes by name."""
+"""A machine, or a model around one, such as Γ and C. The latter has the machine as `machine`, its
+own buffers, and a method `shapes(features)` that gives their shapes by name."""
 Kinds: TypeAlias = Mapping[str, Callable[[], Model]]
 MACHINES: Kinds = {"SVC": SVC, "SVR": SVR}
-"""What makes an unfitted machine, by the name of its class."""
+"""Functions that make unfitted machines, by class name."""
 
 _SETTINGS = {"kernel": "rbf", "degree": 3, "coef0": 0.0}
-"""What every file says of its kernel; machines with another one cannot be read."""
+"""The kernel settings in every file; machines with other ones cannot be read."""
 _POSITIVE = ("gamma_value", "scale", "spread", "reach")
 _MAY_BE_INFINITE = ("platt", "gap")
 
 
 def _machine(model: Model) -> tuple[str, KernelMachine]:
-    """The machine of a model, and what the names of its buffers begin with."""
+    """The machine of a model, and the prefix of the names of its buffers."""
     place, machine = (
         ("", model) if isinstance(model, KernelMachine) else ("machine.", model.machine)
     )
@@ -45,8 +45,8 @@ def _machine(model: Model) -> tuple[str, KernelMachine]:
 def save_model(path: str | Path, model: Model, report: Any = None) -> None:
     """Write a machine, or a model around one such as Γ or C, and a report of its fit to one file.
 
-    The report is a dataclass or JSON value. The file is replaced only when all of the new one is on
-    disk; ModelError if it cannot be written, or the model is not fitted.
+    The report is a dataclass or JSON value. An existing file is replaced only when the new one is
+    complete. ModelError if it cannot be written, or the model is not fitted.
     """
     _machine(model)[1]._check_fitted()
     if is_dataclass(report) and not isinstance(report, type):
@@ -64,14 +64,14 @@ def save_model(path: str | Path, model: Model, report: Any = None) -> None:
 
 
 def load_model(path: str | Path, kinds: Kinds = MACHINES) -> Model:
-    """The model of `load_model_and_report` alone."""
+    """The model in a file; see `load_model_and_report`."""
     return load_model_and_report(path, kinds)[0]
 
 
 def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Model, Any]:
-    """What `save_model` wrote: the model, in evaluation mode, and the report as JSON values.
+    """Read a file of `save_model`: the model, in evaluation mode, and the report as JSON values.
 
-    What makes unfitted models comes by the names of their classes; machines alone if not given.
+    `kinds` are functions that make unfitted models, by class name; by default those of machines.
     ModelError if the file is missing, damaged, of another version, too large, or no model.
     """
     path = Path(path)
@@ -135,7 +135,7 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
 
 
 def _wrong(name: str, value: Tensor, expected: Tensor) -> str:
-    """What is wrong with a tensor by itself, nothing if nothing is."""
+    """What is wrong with a single tensor, "" if nothing is."""
     floating = expected.is_floating_point()
     if value.dtype not in ((torch.float32, torch.float64) if floating else (expected.dtype,)):
         return f"type {value.dtype}"

@@ -13,11 +13,11 @@ from cgtorch.svm.problems import Targets
 
 
 class SVC(KernelMachine):
-    """Support vector classifier for two classes, the problem of libsvm's C-SVC.
+    """Support vector classifier for two classes: the problem of libsvm's C-SVC.
 
-    Besides the buffers of `KernelMachine`, where the arguments are told, there are `classes` (2,)
-    and the Platt parameters `platt` (2,), NaN until they are given (`cgtorch.svm.platt.fit_platt`).
-    They belong to the hyper-parameters: no fit changes them.
+    For arguments see `KernelMachine`. Besides its buffers there are `classes` (2,) and the Platt
+    parameters `platt` (2,), NaN until they are set (`cgtorch.svm.platt.fit_platt`). Like
+    hyper-parameters, they are not changed by a fit.
     """
 
     classes: Tensor
@@ -46,7 +46,7 @@ class SVC(KernelMachine):
             return inputs.as_given(self.values(self._asked(x))[..., 0], x)
 
     def predict(self, x: Any) -> Any:
-        """The class (...) on whose side of the decision boundary each row lies."""
+        """The class (...) of each row."""
         with torch.no_grad():
             second = self.values(self._asked(x))[..., 0] > 0
             return inputs.as_given(self.classes[second.long()], x)

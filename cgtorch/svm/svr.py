@@ -11,11 +11,11 @@ from cgtorch.svm.problems import Targets
 
 
 class SVR(KernelMachine):
-    """Support vector regression, the problem of libsvm's epsilon-SVR for every output.
+    """Support vector regression: the problem of libsvm's epsilon-SVR for every output.
 
-    The outputs are solved together on one kernel matrix and predict from the union of their
-    support vectors. Besides the buffers of `KernelMachine`, where the arguments are told, there are
-    `tube` (k,), the epsilon of each output, and `squeeze` (), whether targets were given as (n,).
+    The outputs are solved together on one kernel matrix, and predict from the union of their
+    support vectors. For arguments see `KernelMachine`. Besides its buffers there are `tube` (k,),
+    the epsilon of each output, and `squeeze` (), whether targets were given as (n,).
     """
 
     squeeze: Tensor

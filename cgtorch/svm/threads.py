@@ -1,7 +1,7 @@
-"""One thread inside torch, for work that is shared out to threads or processes of its own.
+"""One torch thread each, for work in several threads or processes.
 
-How work is shared out never changes a result: a piece of work is computed by one thread alone,
-wherever it ends up.
+The distribution of work never changes a result: a piece of work is computed by one thread alone,
+wherever that is.
 """
 
 import os
@@ -15,7 +15,7 @@ import torch
 
 @contextmanager
 def one_thread_each() -> Iterator[int]:
-    """Let torch compute in the calling thread alone, and yield how many threads it used before."""
+    """Let torch use one thread in this context, and yield the number of threads before."""
     count = torch.get_num_threads()
     if count == 1:
         yield count
@@ -28,10 +28,10 @@ def one_thread_each() -> Iterator[int]:
 
 
 def kept_threads(count: int) -> ThreadPoolExecutor:
-    """`count` threads of one torch thread each, which wait for more work while the process lives.
+    """`count` threads with one torch thread each, which live as long as the process.
 
     A thread that ends holds a lock of MKL for a moment, even after Python has joined it. A process
-    that is forked just then waits for that lock for ever.
+    that is forked at that moment would wait for that lock for ever.
     """
     return _threads_of(os.getpid(), count)
 

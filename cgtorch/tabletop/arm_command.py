@@ -1,4 +1,4 @@
-"""What a robot's driver is told to grasp an object: an arm's way with times, as plain data."""
+"""Commands for a robot's driver to grasp an object: an arm's way with times, as plain data."""
 
 from typing import Any
 
@@ -14,15 +14,15 @@ from cgtorch.tabletop.physics.plan import way_of
 from cgtorch.tabletop.world.percepts import parts_of
 
 EVERY = 5
-"""Ticks between two rows of a command: 50 ms."""
+"""Simulation ticks between two rows of a command: 50 ms."""
 
 
 def arm_command(robot: Robot, percept: Tensor) -> dict[str, Any] | None:
     """The fields of an exported state machine's `ArmCommand` for a percept (D,), or None.
 
-    It tells names of arm and joints, times (s), positions at these (rad or m), and those of the
-    gripper's joints. The way begins with the arms at home. Everything is planned for the table as
-    it is seen, so give percepts with its side (yaw) where it may be turned.
+    They are the names of arm and joints, times (s), positions at these times (rad or m), and those
+    of the gripper's joints. The way begins with the arms at home. Everything is planned for the
+    table as it is seen, so use percepts with the table's side (yaw) if it may be turned.
 
     Raises:
         DataError: D is no length of a percept of the tabletop.

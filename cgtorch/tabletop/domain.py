@@ -1,4 +1,4 @@
-"""The tabletop as a domain: what a run about a robot before a table is made of."""
+"""The tabletop as a domain: a robot in front of a table."""
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping
@@ -66,22 +66,23 @@ WORTH_SHARING = 16  # grasps
 THRIFT = {"kinematic": 1, "mujoco": 4}  # see `Scenes`
 _Asked: TypeAlias = Callable[[Robot, Tensor, Tensor], Tensor]
 GRASPS: Mapping[str, _Asked] = {"way": graspable, "posture": has_posture}
-"""What has to be there for a grasp to succeed, by the setting `grasp`."""
+"""What a successful grasp needs, by the setting `grasp`."""
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
-"""The actions of section VI by what their networks read."""
+"""The actions of section VI, by the input of their networks."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
-"""Networks that read the percept itself can hold for scenarios near to one another only; those in
-the edge's frame for many, if they are evolved on many kinds."""
+"""How missed scenarios are grouped, by the input of networks. Networks that read the percept itself
+can only solve scenarios that are close to each other. Networks in the edge's frame can solve many,
+if they are evolved on diverse ones."""
 
 
 class Tabletop(Domain[Scenarios]):
     """A robot that reaches objects on a table (section VI).
 
     Attributes:
-        robot: the robot.
-        tabletop: what is perceived of table and object, in `cgtorch.tabletop.world.PERCEPTS`.
-        obstacles: how many boxes a scenario may have.
-        networks: what networks read, a key of `ACTIONS`.
+        robot: The robot.
+        tabletop: The percept of table and object, a key of `cgtorch.tabletop.world.PERCEPTS`.
+        obstacles: Maximum number of boxes in a scenario.
+        networks: The input of networks, a key of `ACTIONS`.
     """
 
     settings: TabletopSettings
@@ -113,7 +114,7 @@ class Tabletop(Domain[Scenarios]):
         networks: str = "edge",
         physics: Physics | None = None,
     ) -> None:
-        """A tabletop; without a robot that of the settings is loaded, or RobotError raised."""
+        """A tabletop; by default with the robot of the settings, which can raise a RobotError."""
         super().__init__(settings)
         self.robot = robot or load_robot(*self._files())
         if self.settings.world == "mujoco":
@@ -124,7 +125,7 @@ class Tabletop(Domain[Scenarios]):
         self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
 
     def for_run(self, kind: str, method: str) -> "Tabletop":
-        """See `Domain.for_run`: what "auto" stands for."""
+        """See `Domain.for_run`: the values of settings that are "auto"."""
         s = self.settings
         tabletop = usual_percept(kind) if s.percept == "auto" else s.percept
         networks = "percept" if method == "paper" else "edge"
@@ -138,7 +139,7 @@ class Tabletop(Domain[Scenarios]):
         return self._under(world=name)
 
     def other_measures(self) -> Mapping[str, "Tabletop"]:
-        """See `Domain.other_measures`: in physics with touches allowed, or failing."""
+        """See `Domain.other_measures`: in physics, with touches allowed or failing."""
         if self.settings.world != "mujoco":
             return {}
         if self.settings.touch == "fails":
@@ -148,8 +149,8 @@ class Tabletop(Domain[Scenarios]):
     def variants(self, kind: str) -> Iterable["Tabletop"]:
         """See `Domain.variants`.
 
-        Networks in the edge's frame are of the same size whatever they were evolved with; for these
-        it is the percept that a run about such scenarios has.
+        Networks in the edge's frame have the same size for all percepts; for these, the percept is
+        that of a run with such scenarios.
         """
         percepts = sorted(PERCEPTS, key=lambda percept: percept != usual_percept(kind))
         every = itertools.product(ACTIONS, (0, 1), percepts)
@@ -160,7 +161,7 @@ class Tabletop(Domain[Scenarios]):
         return Tabletop(self.settings, self.robot, *given)
 
     def watched(self, physics: Physics) -> "Tabletop":
-        """The same with other physics, such as one that is watched."""
+        """The same tabletop with other physics, such as observed physics."""
         given = self.tabletop, self.obstacles, self.networks, physics
         return Tabletop(self.settings, self.robot, *given)
 
@@ -173,7 +174,7 @@ class Tabletop(Domain[Scenarios]):
         return draw_of(kind)(count, generator)
 
     def tests(self, kind: str) -> Scenarios:
-        """See `Domain.tests`: of an edge, five evenly spaced objects as in the paper."""
+        """See `Domain.tests`: for an edge, five evenly spaced objects as in the paper."""
         return stage_scenarios(kind if kind in EDGES else "near", 5 if kind in EDGES else 0)
 
     def world(self, scenarios: Scenarios) -> ObservedTabletop:
@@ -209,7 +210,7 @@ class Tabletop(Domain[Scenarios]):
         return self._clear_motion(percept.device)(percept, control)
 
     def noisy(self, percept: Tensor) -> Tensor:
-        """See `Domain.noisy`: the boxes of obstacles that are not there are never seen."""
+        """See `Domain.noisy`: boxes of absent obstacles have no noise."""
         there = parts_of(percept).present.repeat_interleave(BOX, -1)
         size = percept.shape[-1] - there.shape[-1]
         return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
@@ -237,7 +238,7 @@ class Tabletop(Domain[Scenarios]):
     def summary(
         self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
     ) -> ModelSummary:
-        """See `Domain.summary`: each figure beside the best that a percept allows."""
+        """See `Domain.summary`: figures are shown beside the best possible from percepts."""
         return tabletop_summary(self._scenes(kind), knowledge, fresh, generator)
 
     def imagine(
@@ -248,14 +249,14 @@ class Tabletop(Domain[Scenarios]):
         generator: Generator,
         device: torch.device | str = "cpu",
     ) -> ModelEnvironment:
-        """See `Domain.imagine`; compiled rollouts know these models."""
+        """See `Domain.imagine`; these models are compiled."""
         return imagine(
             knowledge, percepts, replicas, generator, device,
             possible=self._clear_motion(device), noisy=self.noisy, compiled=compiled_models,
         )  # fmt: skip
 
     def _clear_motion(self, device: torch.device | str) -> ClearMotion:
-        """MoveBase's own check, with more room, so that the world's noise blocks no way found."""
+        """MoveBase's own check with a margin, so that the world's noise does not block a motion."""
         footprint = torch.tensor(self.robot.description.footprint, device=device)
         more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
         return ClearMotion(footprint + more)
@@ -282,7 +283,7 @@ class Tabletop(Domain[Scenarios]):
         return cls(settings, load_robot(*_stored(folder)))
 
     def stored_options(self, folder: Path) -> Mapping[str, str]:
-        """See `Domain.stored_options`: a robot that is not built in is taken from the run."""
+        """See `Domain.stored_options`: a robot that is not built in is read from the run."""
         pairs = zip(_stored(folder), robot_files(), strict=True)
         if all(own.read_bytes() == built_in.read_bytes() for own, built_in in pairs):
             return {"urdf": "", "robot": TabletopSettings.robot}
@@ -308,17 +309,17 @@ class Tabletop(Domain[Scenarios]):
 
 
 def _stored(folder: Path) -> tuple[Path, Path]:
-    """Where a run keeps its robot's URDF and description."""
+    """The paths of a robot's URDF and description in a run."""
     return folder / "robot" / "robot.urdf", folder / "robot" / "robot.json"
 
 
 def usual_percept(kind: str) -> str:
-    """What runs about such scenarios perceive, in `PERCEPTS`, if nothing else is said."""
+    """The default percept of a run with such scenarios, a key of `PERCEPTS`."""
     return "yaw" if kind.startswith("general") else "box"
 
 
 def _shared(asked: _Asked, robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """What is asked of many rows, shared out among all ranks; with few, one can try a domain."""
+    """The answers for many rows, which all ranks share; with few rows, each computes all."""
     if len(position) < WORTH_SHARING:
         return asked(robot, position, table)
     mine, rows = distributed.share(len(position)), len(position)

@@ -1,7 +1,7 @@
-"""Networks that see and act from the edge nearest to the object, as `world.edge_frame` has it.
+"""Networks in the frame of the table edge nearest to the object (`world.edge_frame`).
 
-They need not learn that a table that is turned, or seen from another side, is still the same table:
-what a node says of one edge holds for all.
+They do not have to learn that a turned table, or one seen from another side, is the same: what a
+node does at one edge, it does at all.
 """
 
 from torch import Tensor
@@ -21,10 +21,10 @@ from cgtorch.tabletop.world.routes import first_motion
 
 
 class EdgeNN(ContinuousNN):
-    """From the scene to a pose to stand at, both in the edge's frame; sent as a motion to there.
+    """Maps the scene to a pose of the base, both in the edge's frame; sends the motion to it.
 
-    The pose is x, y (m) and heading (rad) of the base. Obstacles are not looked at: whether one is
-    in the way is MoveBase's to say, and where else to go then another node's.
+    The pose is x, y (m) and heading (rad). Obstacles are not read: MoveBase fails if one is in the
+    way, and another node can then choose another pose.
     """
 
     native_kind = "EDGE"
@@ -39,18 +39,18 @@ class EdgeNN(ContinuousNN):
         return table_scene(edge_frame(percept), percept)
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
-        """The motions (n, 3) to the poses that the network says."""
+        """The motions (n, 3) to the network's poses."""
         frame = edge_frame(lanes.percept)
         seen = table_scene(frame, lanes.percept)
         return motion_to(frame, one_hidden_layer(seen, parameters, self.hidden, self.outputs))
 
 
 class EdgeWayNN(EdgeNN):
-    """An `EdgeNN` that looks at obstacles: it sends the first motion of a route to its pose.
+    """An `EdgeNN` that avoids obstacles: it sends the first motion of a route to its pose.
 
-    Where the straight way is blocked by what is seen, that leads past a corner; asked again from
-    there, it sends the next one (`cgtorch.tabletop.world.routes`). The footprint (m) is x min,
-    x max, y min, y max of the base with the room that it keeps.
+    If the straight motion is blocked, the route leads past a corner. Visited again there, the node
+    sends the next motion (`cgtorch.tabletop.world.routes`). The footprint (m) is x min, x max, y
+    min, y max of the base with a margin.
     """
 
     native_kind = "EDGE_WAY"
@@ -67,13 +67,13 @@ class EdgeWayNN(EdgeNN):
         self.plain_arguments = {"footprint": footprint}
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
-        """The first motions (n, 3) of routes to the poses that the network says."""
+        """The first motions (n, 3) of routes to the network's poses."""
         motion = super().network(lanes, parameters)
         return first_motion(lanes.percept, motion, lanes.percept.new_tensor(self.footprint))
 
 
 class EdgeBranchingNN(BranchingNN):
-    """From the scene in the edge's frame to one of two branches."""
+    """Maps the scene in the edge's frame to one of two branches."""
 
     native_kind = "EDGE_BRANCHING"
     plain_module = "cgtorch.tabletop.plain_edge_networks"
@@ -88,10 +88,10 @@ class EdgeBranchingNN(BranchingNN):
 
 
 def edge_actions(percept_size: int = 9) -> ActionSet:
-    """The actions of section VI with networks that see and act from the nearest edge."""
+    """The actions of section VI with networks in the frame of the nearest edge."""
     return named_actions(EdgeNN(percept_size), EdgeBranchingNN(percept_size))
 
 
 def edge_way_actions(percept_size: int, footprint: tuple[float, float, float, float]) -> ActionSet:
-    """The same where there may be obstacles: networks that drive around what is seen."""
+    """The same for scenarios with obstacles: the networks drive around these."""
     return named_actions(EdgeWayNN(percept_size, footprint), EdgeBranchingNN(percept_size))

@@ -1,4 +1,4 @@
-"""The networks of `cgtorch.tabletop.edge_networks`, one percept at a time, in plain Python."""
+"""The networks of `cgtorch.tabletop.edge_networks` for one percept at a time, in plain Python."""
 
 import math
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ TURN_STEPS = 12
 class Frame(NamedTuple):
     """The frame of the edge nearest to the object, in the robot's base frame.
 
-    Origin at the object (m), x axis at `yaw` (rad) into the table, y to the right of it where
-    `mirror` is -1; `extent` from the object to the nearest edge, the one opposite, and the ends of
-    the table at positive and at negative y (m).
+    Its origin is the object (m), and its x axis points at `yaw` (rad) into the table; y is to the
+    right of it if `mirror` is -1. `extent` is from the object to the nearest edge, the opposite
+    one, and the ends of the table at positive and at negative y (m).
     """
 
     origin: tuple[float, float]
@@ -36,7 +36,7 @@ class Frame(NamedTuple):
 
 
 class EdgeNN(ContinuousNN):
-    """From the scene to a pose to stand at, both in the edge's frame; sent as a motion to there."""
+    """Maps the scene to a pose of the base, both in the edge's frame; sends the motion to it."""
 
     def sees(self, percept: list[float]) -> list[float]:
         """The scene without obstacles."""
@@ -64,10 +64,10 @@ class EdgeWayNN(EdgeNN):
 
 
 class EdgeBranchingNN(BranchingNN):
-    """From the scene in the edge's frame to one of two branches."""
+    """Maps the scene in the edge's frame to one of two branches."""
 
     def sees(self, percept: list[float]) -> list[float]:
-        """The scene, obstacles too."""
+        """The scene, including obstacles."""
         frame = edge_frame(percept)
         return table_scene(frame, percept) + obstacles(frame, percept)
 
@@ -109,7 +109,7 @@ def table_scene(frame: Frame, percept: list[float]) -> list[float]:
 
 
 def obstacles(frame: Frame, percept: list[float]) -> list[float]:
-    """Of each obstacle its centre's x and y and half its mean side (m)."""
+    """For each obstacle, its centre's x and y and half its mean side (m)."""
     seen: list[float] = []
     for i in range(9 if (len(percept) - 7) % 4 else 7, len(percept), 4):
         x0, x1, y0, y1 = percept[i : i + 4]
@@ -139,7 +139,7 @@ def wrapped(angle: float) -> float:
 
 
 def things(percept: list[float]) -> list[Rectangle]:
-    """The table, and boxes around the obstacles that are there."""
+    """The table, and boxes around present obstacles."""
     found = [table(percept)]
     for i in range(9 if (len(percept) - 7) % 4 else 7, len(percept), 4):
         x0, x1, y0, y1 = percept[i : i + 4]
@@ -191,7 +191,7 @@ def shortest(
 
 
 def corners(thing: Rectangle, footprint: Box) -> list[Point]:
-    """Of a thing that is wider by what the base needs to turn there."""
+    """The corners of a thing enlarged by what the base needs to turn there."""
     x, y, yaw, *sizes = thing
     reach = ROOM * math.hypot(
         max(map(abs, footprint[:2])) + CLEARANCE, max(map(abs, footprint[2:])) + CLEARANCE

@@ -1,4 +1,4 @@
-"""What Riano & McGinnity report of the four experiments: section VI, figures 3 to 10."""
+"""The results that Riano & McGinnity report: section VI, figures 3 to 10."""
 
 import tomllib
 from importlib.resources import files
@@ -15,15 +15,15 @@ EXPERIMENTS = {
         _FILES.joinpath("published.toml").read_text("utf-8")
     ).items()
 }
-"""By stage; of all together under ""."""
+"""By stage, and for all together under ""."""
 
 ROOM = 14.0  # cm around the paper's drawings
 
 
 def stage_drawing(edge: str, footprint: tuple[float, float, float, float]) -> str:
-    """The paper's schematic drawing of an experiment as SVG, the robot's left to the left, in cm.
+    """The paper's schematic drawing of an experiment as SVG, seen by the robot, in cm.
 
-    The robot is drawn by its footprint x min, x max, y min, y max (m), with the test placements.
+    The robot is drawn by its footprint x min, x max, y min, y max (m), with the test scenarios.
     """
     from jinja2 import Environment
 

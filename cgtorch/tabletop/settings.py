@@ -9,12 +9,12 @@ from cgtorch.domains.settings import DomainSettings, option
 
 WORLDS = "kinematic", "mujoco"
 PHYSICS_DEFAULTS = {"labels": 1600, "transitions": 800, "practice": 60}
-"""What pays where each label costs a simulation of some seconds."""
+"""Defaults in physics, where each label costs a simulation of some seconds."""
 
 
 @dataclass(frozen=True)
 class TabletopSettings(DomainSettings):
-    """The robot, its world's noise and its percepts; SettingsError for a value that cannot work."""
+    """The robot, its world's noise and its percepts; SettingsError for an impossible value."""
 
     run_defaults: ClassVar[Mapping[str, Any]] = {"labels": 5500}
     usual_stage: ClassVar[str] = "S2"

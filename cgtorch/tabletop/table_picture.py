@@ -1,4 +1,4 @@
-"""Scenes from above: where the objects stood and which of them a skill reached."""
+"""Scenes from above: where objects are, and which of them a skill reached."""
 
 import math
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -36,20 +36,20 @@ def draw_table_top(
     footprint: Box = FOOTPRINT,
     title: str = "",
 ) -> "Figure":
-    """Top view in scale, as the robot sees it: away from it is up, its left is left.
+    """Top view to scale, as the robot sees it: away from it is up, its left is left.
 
-    Green circles are objects the skill reached, red crosses those it missed, a black ring marks
-    the test placements; blue outlines are the robots at their start, each with its heading.
+    Green circles are objects that the skill reached, red crosses those it missed, and black rings
+    mark test scenarios. Blue outlines are robots at their start, with their heading.
 
     Args:
-        scenarios: the B scenarios.
+        scenarios: The B scenarios.
         succeeded: (B,) bool.
-        targets: (B,) bool, the test placements; none if not given.
-        footprint: base x min, x max, y min, y max (m).
-        title: stands before the counts.
+        targets: (B,) bool, the test scenarios; none by default.
+        footprint: Base x min, x max, y min, y max (m).
+        title: A text before the counts.
 
     Raises:
-        DataError: another number of results or targets than scenarios.
+        DataError: The numbers of results or targets and of scenarios differ.
     """
     from matplotlib.figure import Figure
 
@@ -84,10 +84,10 @@ def draw_placements(
     footprint: Box = FOOTPRINT,
     title: str = "",
 ) -> "Figure":
-    """`draw_table_top` of scenarios at one table, `draw_scenes` of others; of many, some.
+    """`draw_table_top` for a single table, `draw_scenes` for several; of many scenarios, some.
 
-    Test placements and what was missed are drawn first, the others evenly spread; the figure's
-    label says how many are drawn.
+    Test scenarios and missed ones are drawn first, the others evenly spread. The figure's label
+    says how many are drawn.
     """
     one_table = len(torch.unique(scenarios.table, dim=0)) < 2
     some = _some(succeeded, targets, MOST_MARKS if one_table else SCENES)
@@ -102,7 +102,7 @@ def draw_placements(
 
 
 def _some(good: Tensor, targets: Tensor, most: int) -> Tensor:
-    """Indices of at most so many rows: test placements and misses first, then evenly spread."""
+    """Indices of at most `most` rows: test scenarios and misses first, then evenly spread."""
     order = torch.arange(len(good))
     first = order[targets | ~good][:most]
     rest = order[~targets & good]
@@ -115,10 +115,10 @@ def _some(good: Tensor, targets: Tensor, most: int) -> Tensor:
 def draw_scenes(
     scenarios: Scenarios, succeeded: Tensor, *, footprint: Box = FOOTPRINT, title: str = ""
 ) -> "Figure":
-    """Each scene in a panel of its own, all in one scale, for tables that differ.
+    """Each scene in its own panel, all to the same scale, for different tables.
 
     Marks are those of `draw_table_top`; obstacles are grey. The world's x is up, y to the left.
-    DataError if there is another number of results than scenarios, or no scenario.
+    DataError if the numbers of results and scenarios differ, or there is no scenario.
     """
     from matplotlib.figure import Figure
 
@@ -176,7 +176,7 @@ def _draw_all(
 
 
 def _name_edges(axes: "Axes", table: Tensor) -> None:
-    """What the table's edges are called, as the robot sees them."""
+    """Write the names of the table's edges, as the robot sees them."""
     yaw, half = table[2], table[3:5] / 2 + 0.07
     for name, side, turn in (
         ("near", (-1, 0), 0), ("far", (1, 0), 0), ("left", (0, 1), 90), ("right", (0, -1), -90),
@@ -189,7 +189,7 @@ def _name_edges(axes: "Axes", table: Tensor) -> None:
 
 
 def _draw_robots(axes: "Axes", poses: Tensor, footprint: Box) -> None:
-    """Robots at poses (n, 3), some of them if they are many."""
+    """Robots at poses (n, 3); some of them if there are many."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     poses = poses[:: max(1, -(-len(poses) // MOST_ROBOTS))]
@@ -226,7 +226,7 @@ def _draw_objects(axes: "Axes", at: Tensor, good: Tensor, marks: Tensor) -> None
 
 
 def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, float]:
-    """Limits around everything, the robot's left to the left; the size in inches that suits."""
+    """Set limits around everything; returns the suitable size in inches."""
     from matplotlib.ticker import MultipleLocator
 
     size = (4.2, 4.2)
@@ -249,7 +249,7 @@ def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, f
 
 
 def _bounds(scenarios: Scenarios, footprint: Box) -> tuple[Tensor, Tensor]:
-    """Least and largest x, y (2,) of all that is in at least one scenario."""
+    """Least and largest x, y (2,) of everything in at least one scenario."""
     base = max(abs(v) for v in footprint) * 1.2
     obstacles = scenarios.obstacles[present(scenarios.obstacles)]
     boxes = bounding_box(torch.cat([scenarios.table[:, :5], obstacles]))

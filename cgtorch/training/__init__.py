@@ -1,1 +1,1 @@
-"""The paper's protocol: from a domain to a skill that has been tested, in stages or rounds."""
+"""The paper's protocol: from a domain to a tested skill, in stages or rounds."""

@@ -1,7 +1,7 @@
-"""The autonomous loop: act, collect what succeeds and what fails, improve, until a goal is met.
+"""The automatic loop: try the skill, collect successes and failures, improve, until a goal is met.
 
-Nobody tells the robot about stages. A round improves the skill on what was missed so far and tries
-it on fresh scenarios; what succeeds joins W, what fails joins M.
+There are no stages. A round improves the skill on the scenarios missed so far and tries it on fresh
+scenarios. Successes join W, failures join M.
 """
 
 import time
@@ -32,15 +32,15 @@ ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
 
 
 def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
-    """Improve in rounds until the goal holds or what may be spent is spent.
+    """Improve in rounds until the goal is reached or its limits are.
 
-    A run that has stages or rounds goes on from its last one. `goal.minutes` are those of this
-    call, `goal.rounds` all the run's; a round that has begun is finished. Returned is the result of
-    every stage and round, as in its result.json.
+    A run with stages or rounds continues from its last one. `goal.minutes` limits this call,
+    `goal.rounds` the whole run; a round that has begun is finished. Returned are the results of all
+    stages and rounds, as in their result.json.
 
     Raises:
-        NotImprovedError: a round ended and there is still no skill at all.
-        RunError: a file cannot be written or read.
+        NotImprovedError: A round ended, and there is still no skill.
+        RunError: A file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
     last = run.folder / run.stages[-1] if run.stages else None
@@ -63,7 +63,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
 
 
 def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
-    """Whether the last round's skill meets the goal, given the results of all rounds."""
+    """Whether the last round's skill reaches the goal, given the results of all rounds."""
     last = _decisions(rounds[-1:])
     if not last:
         return False
@@ -73,7 +73,7 @@ def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
 
 
 def _decisions(rounds: list[dict[str, Any]]) -> list[tuple[int, int]]:
-    """How many placements succeeded and how many were tried in each decisive test."""
+    """Successes and trials of each decisive test."""
     tests = [r.get("decisive") for r in rounds]
     return [(t["succeeded"], t["tried"]) for t in tests if t is not None]
 
@@ -81,7 +81,7 @@ def _decisions(rounds: list[dict[str, Any]]) -> list[tuple[int, int]]:
 def _round(
     training: Training, goal: Goal, number: int, decisions: int, progress: Progress[Any]
 ) -> Made:
-    """Make one round and keep it in the run; `decisions` were made before."""
+    """Make one round and store it in the run, after `decisions` decisive tests."""
     run, name = training.run, round_name(number)
     generator = stage_generator(run.domain, run.settings.seed, name)
     if not len(progress.missed):  # as at the very beginning
@@ -135,9 +135,10 @@ def _tested(
     progress: Progress[Any],
     generator: Generator,
 ) -> tuple[Progress[Any], list[Score], bool]:
-    """Try a round's skill on fresh scenarios, which join W or M: the tests, and if the goal holds.
+    """Try a round's skill on fresh scenarios, which join W or M.
 
-    There is a second test, which decides, if the first makes it worth it.
+    Returned are the progress, the scores of the tests, and whether the goal is reached. If the
+    first test is good enough, a second one decides.
     """
     domain, scores = training.run.domain, list[Score]()
     if domain.rewarded:  # what counts is the mean of the returns
@@ -166,7 +167,10 @@ def _tested(
 def act(
     run: Run, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
 ) -> Score:
-    """A skill on up to `most` fresh scenarios, until `enough` are missed; all are without one."""
+    """Try a skill on up to `most` fresh scenarios, until `enough` are missed.
+
+    Without a skill, all are missed.
+    """
     domain: Domain[Any] = run.domain
     parts = list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
@@ -179,7 +183,7 @@ def act(
 
 
 def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
-    """W and M with what succeeded and what failed."""
+    """W and M with the successes and failures."""
     solved = progress.solved.joined(score.scenarios[score.succeeded])
     missed = progress.missed.joined(score.scenarios[~score.succeeded])
     return replace(progress, solved=solved, missed=missed)

@@ -1,4 +1,4 @@
-"""What a training works with, and what it knows before its first stage."""
+"""The inputs of a training, and the state before its first stage."""
 
 import time
 from collections.abc import Callable
@@ -33,17 +33,21 @@ from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, save_progress
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
-"""Makes a context in which a long step runs under a message."""
+"""Makes a context that shows a message during a long step."""
 
 OWN = 40  # the generator of what C is judged by, derived like an island's
 
 
 @dataclass(frozen=True)
 class Training:
-    """What a training works with.
+    """The inputs of a training.
 
-    Populations are evaluated on the device, and between two notes of where an evolution stands are
-    at least `checkpoint_seconds`.
+    Attributes:
+        run: The run.
+        watch: Receives all events.
+        working: Shows a message during a long step.
+        device: Where populations are evaluated.
+        checkpoint_seconds: The least time between two checkpoints, s.
     """
 
     run: Run
@@ -53,7 +57,7 @@ class Training:
     checkpoint_seconds: float = SECONDS
 
     def setup(self, journal: Journal | None = None) -> Setup[Any]:
-        """The run's settings in the terms of improvement."""
+        """The run's settings in the form that improvement needs."""
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
         replicas = 2 if run.learns or domain.noisy_world else 1
@@ -83,7 +87,7 @@ class Training:
     def _imagine(
         self, knowledge: Any, scenarios: Any, percepts: torch.Tensor, replicas: int, *how: Any
     ) -> Environment:
-        """Skills are evolved in Γ and C, or in the world itself under other noise each time."""
+        """The environment of an evolution: Γ and C, or the world itself with other noise."""
         if self.run.learns:
             return self.run.domain.imagine(knowledge, percepts, replicas, *how)
         copies = [scenarios.with_noise(copy) for copy in range(replicas)]
@@ -92,7 +96,7 @@ class Training:
 
 
 def evolution_settings(run: Run) -> EvolutionSettings:
-    """How populations evolve: as published for the method of the paper, else the default way."""
+    """The settings of evolutions: as published for the paper's method, else the defaults."""
     s, rewarded = run.settings, run.domain.rewarded
     # Of continuous scores lexicase selection would leave one to three distinct parents.
     by_rank = s.method == "paper" or rewarded
@@ -114,9 +118,10 @@ def evolution_settings(run: Run) -> EvolutionSettings:
 
 
 def initial_progress(training: Training) -> Progress[Any]:
-    """Data, labels, Γ and C before the first stage (section V), made once and kept in the run.
+    """Data, labels, Γ and C before the first stage (section V), made once and stored in the run.
 
-    A run evolved in the world has none. Work goes side by side where compiled code may use threads.
+    A run that evolves in the world itself has none. Work is done in parallel if compiled code may
+    use threads.
     """
     run, working = training.run, training.working
     nothing = run.like()

@@ -21,37 +21,37 @@ FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the mem
 
 @dataclass(frozen=True)
 class Score:
-    """How a skill did: `succeeded` (B,) bool, and `returns` (B,) where the world gives rewards."""
+    """The result of a skill: `succeeded` (B,) bool, and `returns` (B,) with rewards."""
 
     scenarios: Any
     succeeded: Tensor
     returns: Tensor | None = None
 
     def of(self, rows: Tensor) -> "Score":
-        """The score on some of the scenarios, a mask (B,)."""
+        """The score on some of the scenarios, given as a mask (B,)."""
         returns = None if self.returns is None else self.returns[rows]
         return Score(self.scenarios[rows], self.succeeded[rows], returns)
 
     @property
     def tried(self) -> int:
-        """How many scenarios."""
+        """Number of scenarios."""
         return len(self.succeeded)
 
     @property
     def successes(self) -> int:
-        """How many of them succeeded."""
+        """Number of successes."""
         return int(self.succeeded.sum())
 
     @property
     def mean_return(self) -> float | None:
-        """The mean of the returns; None if there are none, or an episode was not finished."""
+        """The mean return; None without rewards, or if an episode did not finish."""
         if self.returns is None or not len(self.returns) or not self.returns.isfinite().all():
             return None
         return float(self.returns.double().mean())
 
 
 def joined(scores: list[Score]) -> Score:
-    """The scores of several batches, at least one."""
+    """The score of several batches, at least one."""
     first, *more = (s.scenarios for s in scores)
     returns = [s.returns for s in scores if s.returns is not None]
     return Score(
@@ -62,7 +62,7 @@ def joined(scores: list[Score]) -> Score:
 
 
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
-    """How a skill does on scenarios."""
+    """The score of a skill on scenarios."""
     trial = try_skill(skill, domain.world(scenarios), record=False)
     return Score(scenarios, trial.succeeded, trial.returns)
 
@@ -77,8 +77,8 @@ def evaluate_skill(
 ) -> Score:
     """Try a skill on `count` fresh scenarios of a kind, drawn with their noise from a seed.
 
-    `done` is told of how many more scenarios it has been tried. SettingsError if the kind is
-    unknown, the count negative, or the skill for other percepts.
+    `done` is called with the number of further scenarios tried. SettingsError if the kind is
+    unknown, the count is negative, or the skill reads other percepts.
     """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
@@ -96,9 +96,9 @@ def evaluate_skill(
 def robust_successes(
     score: Score, skill: Skill, knowledge: Knowledge, domain: Domain[Any], seed: int
 ) -> Score | None:
-    """The score where the models predict a robust success (`cgtorch.domains.robust_success`).
+    """The score where the models predict robust success (`cgtorch.domains.robust_success`).
 
-    None where they were learned from percepts of another length.
+    None if the models were learned from percepts of another length.
     """
     percepts = first_percepts(domain.world(score.scenarios))
     if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
@@ -110,13 +110,13 @@ def robust_successes(
 def under_other_noise(
     skill: Skill, domain: Domain[Any], solved: Any, seed: int, most: int = OTHER_NOISE
 ) -> Score:
-    """How a skill does on what it solved, W, at most so many, when it meets other noise."""
+    """The score of a skill on W, on at most `most` scenarios of it, under other noise."""
     pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
     return try_on(skill, domain, solved[pick].with_noise(FRESH_COPY))
 
 
 def check_percepts(skill: Skill, size: int, where: str) -> None:
-    """SettingsError if networks of a skill, or in it, do not read percepts as long as they are."""
+    """SettingsError if a network in the skill, at any level, reads percepts of another length."""
     for index in skill.graph.action[0].unique().tolist():
         action = skill.actions.actions[index] if index >= 0 else None
         reads = getattr(action, "percept_size", size)

@@ -1,4 +1,4 @@
-"""What stages and rounds are about, and where their random numbers come from."""
+"""The scenarios of stages and rounds, and their random numbers."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +17,7 @@ _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 
 @dataclass(frozen=True)
 class Exercise:
-    """What a stage is to solve: so many tests of its own, then what failed before, then practice.
+    """The scenarios of a stage: its own tests, then earlier failures, then practice.
 
     `targets` (B,) bool are all but practice; `draw` gives fresh scenarios to test accepted skills.
     """
@@ -29,9 +29,9 @@ class Exercise:
 
 
 def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
-    """All stages up to one, of a run that has them or can still make them.
+    """All stages up to `stage`, which the run must have or still be able to make.
 
-    SettingsError if its scenarios have no such stage, RunError if it has gone on in rounds.
+    SettingsError if there is no such stage, RunError if the run has continued in rounds.
     """
     every, usual = tuple(run.domain.stages), run.domain.usual_kind
     if stage not in every:
@@ -51,7 +51,7 @@ def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
 
 
 def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
-    """The randomness of one stage or round; it does not depend on how those before it went."""
+    """The generator of one stage or round; it does not depend on the results of earlier ones."""
     if stage in domain.stages:
         offset = list(domain.stages).index(stage) + 1
     else:
@@ -60,7 +60,7 @@ def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
 
 
 def exercise(run: Run, stage: str, missed: Any, practice: int, generator: Generator) -> Exercise:
-    """The scenarios of a stage: its tests, earlier failures, random practice."""
+    """The scenarios of a stage: its tests, earlier failures, and random practice."""
     kind, domain = run.domain.stages[stage], run.domain
 
     def draw(generator: Generator) -> Any:

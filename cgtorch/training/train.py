@@ -1,4 +1,4 @@
-"""Algorithm 1 over a domain's stages, such as the four experiments of section VI."""
+"""Algorithm 1 over the stages of a domain, such as the four experiments of section VI."""
 
 import time
 from collections.abc import Callable
@@ -37,16 +37,16 @@ FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 METHODS = {"compose": improve, "paper": grow}
 
 Made: TypeAlias = tuple[Progress[Any], dict[str, Any]]
-"""Where a stage or round has ended, and its result."""
+"""The progress after a stage or round, and its result."""
 
 
 class NotImprovedError(CgtorchError, RuntimeError):
-    """Within its budget a stage found no skill that meets eq. 1."""
+    """A stage found no skill that meets eq. 1 within its budget."""
 
 
 @dataclass
 class Tally:
-    """What one stage cost, the skill it accepted last, and the fittest individual it has seen."""
+    """The cost of a stage, the last skill it accepted, and the fittest individual."""
 
     generations: int = 0
     transitions: int = 0
@@ -57,7 +57,7 @@ class Tally:
     best: float = -inf  # its fitness
 
     def count(self, event: Event) -> None:
-        """Take note of what an event says."""
+        """Update by an event."""
         if isinstance(event, GenerationDone):
             self._add(1, event.generation, event.seconds)
         elif isinstance(event, EvolutionRecalled):
@@ -73,7 +73,7 @@ class Tally:
             self.champion, self.best = found.champion, found.best
 
     def result(self, before: Progress[Any], skill: Skill, seconds: float) -> dict[str, Any]:
-        """What the results of stages and of rounds tell alike, given where theirs began."""
+        """The common part of the results of stages and rounds, given the progress before."""
         accepted = self.accepted
         lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
         return {
@@ -89,12 +89,12 @@ class Tally:
 
 
 def train(training: Training, stage: str) -> list[dict[str, Any]]:
-    """Make all stages up to one, except those the run has; the results as in each result.json.
+    """Make all stages up to one, except those that the run has; returns their results.
 
     Raises:
-        NotImprovedError: a stage ended without a skill that meets eq. 1.
-        RunError: a file cannot be written or read, or the run has gone on in rounds.
-        SettingsError: no such stage, or the run is about scenarios that have none.
+        NotImprovedError: A stage ended without a skill that meets eq. 1.
+        RunError: A file cannot be written or read, or the run has continued in rounds.
+        SettingsError: There is no such stage, or none for the run's kind of scenarios.
     """
     run = training.run
     names = stages_to_make(run, stage)
@@ -115,7 +115,7 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
 def _stage(
     training: Training, name: str, names: tuple[str, ...], before: Progress[Any]
 ) -> Progress[Any]:
-    """Make one stage and keep it in the run."""
+    """Make one stage and store it in the run."""
     run = training.run
     generator = stage_generator(run.domain, run.settings.seed, name)
     # The published protocol knows the tests only.
@@ -157,10 +157,10 @@ def make_stage(
     generator: Generator,
     test: Callable[[Progress[Any], Tally], Made | None],
 ) -> Made:
-    """Make one stage or round and keep it in the run; NotImprovedError if there is no skill.
+    """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
-    `test` tries its skill on fresh scenarios: from where it has come to and what that cost to where
-    it ends and its result; None if there is no skill.
+    `test` tries the skill on fresh scenarios. It maps the progress and its cost to the final
+    progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
 
@@ -190,7 +190,7 @@ def _keep(
     before: Progress[Any],
     made: Made,
 ) -> None:
-    """Write what a stage or round has come to, the first rank only."""
+    """Write the result of a stage or round, on the first rank only."""
     run, (after, result) = training.run, made
     again = None
     if accepted is not None and run.domain.noisy_world:
@@ -207,11 +207,11 @@ def _keep(
 
 
 def finished_generations(run: Run) -> int:
-    """Generations of all finished stages."""
+    """Number of generations of all finished stages."""
     return sum(load_result(run.folder / name / "result.json")["generations"] for name in run.stages)
 
 
 def counts(kind: str, score: Score) -> dict[str, Any]:
-    """A score as a result.json holds it."""
+    """A score in the form of result.json."""
     about = {"scenarios": kind, "tried": score.tried, "succeeded": score.successes}
     return about if score.returns is None else {**about, "mean_return": score.mean_return}

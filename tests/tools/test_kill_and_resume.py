@@ -29,7 +29,7 @@ def test_a_difference_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     results = iter([{"S0/skill.json": 1, "x": 2}, {"S0/skill.json": 3, "x": 2}])
     monkeypatch.setattr(kill_and_resume, "train", train)
-    monkeypatch.setattr(kill_and_resume, "told", lambda run: next(results))
+    monkeypatch.setattr(kill_and_resume, "results_of", lambda run: next(results))
     result = CliRunner().invoke(command, [str(tmp_path)])
     assert result.exit_code == 1
     assert "differs in S0/skill.json" in result.output

@@ -15,7 +15,7 @@ TURNS = math.ceil(math.pi / TURN_STEP)
 
 
 class ArrayModels:
-    """What `PlainModels` say of rows (n, 7) of percepts and (n, 3) of motions."""
+    """`PlainModels` for rows (n, 7) of percepts and (n, 3) of motions."""
 
     def __init__(self, models: PlainModels):
         self.models = models
@@ -37,7 +37,7 @@ class ArrayModels:
         return sigmoid(-(slope * decision + offset))
 
     def gamma(self, percept: Array, motion: Array) -> tuple[Array, Array]:
-        """Γ(p, u): the next percepts (n, 7), and how novel (n,) each motion is."""
+        """Γ(p, u): the next percepts (n, 7), and the novelty (n,) of each motion."""
         models, (a, b) = self.models, self.models.sides
         low, high, placed = percept[:, 0:4:2], percept[:, 1:4:2], percept[:, 4:6]
         centre, extent, turn = (low + high) / 2, high - low, motion[:, 2]
@@ -97,7 +97,7 @@ class ArrayModels:
 
 
 def overlap(polygon: Array, box: Array, axes: Array) -> Mask:
-    """(...) whether convex polygons (..., V, 2) and boxes (4, ...) share a point.
+    """(...) whether convex polygons (..., V, 2) and boxes (4, ...) overlap.
 
     `axes` (..., K, 2) are the polygons' own normals.
     """

@@ -1,4 +1,4 @@
-"""What the machine can do of a kernel evaluation: two products and an exp2, each alone."""
+"""The machine's ceiling for a kernel evaluation: two products and an exp2, each alone."""
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -42,15 +42,15 @@ class Shape:
 def against_ceiling(
     label: str, work: Work, shape: Shape, gap: float, repeats: int, count: int
 ) -> Comparison:
-    """How much of what `count` cores could do of this shape `work` reaches.
+    """The share of what `count` cores can do for this shape that `work` reaches.
 
     Args:
-        label: of the case.
-        work: the evaluation.
-        shape: of the products that it needs.
-        gap: how far its result is from the exact one.
-        repeats: samples; each is a few milliseconds.
-        count: threads.
+        label: Of the case.
+        work: The evaluation.
+        shape: Of the products that it needs.
+        gap: The difference of its result from the exact one.
+        repeats: Number of samples; each takes a few milliseconds.
+        count: Number of threads.
     """
     with ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         steps = {name: _fastest(_ways(name, shape, pool, count)) for name in STEPS}
@@ -80,7 +80,7 @@ def against_ceiling(
 
 
 def _alone(work: Work, shape: Shape, repeats: int) -> float:
-    """What one thread reaches of one core's ceiling, which a busy machine hardly disturbs."""
+    """The share of one core's ceiling that one thread reaches; other load hardly disturbs it."""
     with torch_threads(1):
         steps = [
             _fastest([_step(name, shape, chunk, shape.rows // chunk) for chunk in CHUNKS], CPU)
@@ -91,7 +91,7 @@ def _alone(work: Work, shape: Shape, repeats: int) -> float:
 
 
 def _fastest(works: Iterable[Work], clock: Clock = WALL) -> Work:
-    """The one of `works` with the lowest median of seven; a lucky call says nothing of the rest."""
+    """The one of `works` with the lowest median of seven calls."""
     known = list(works)
     times = in_turns(known, 7, clock)
     return known[min(range(len(known)), key=lambda i: times[i].median)]

@@ -1,4 +1,4 @@
-"""How long a command keeps one waiting, from the shell's prompt on."""
+"""The time until a command answers, from the shell's prompt on."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ COMMAND = [sys.executable, "-m", "cgtorch.commands.train"]
 
 
 def cold_start(effort: Effort) -> Line:
-    """Seconds until the help is there, and until a run has evolved for the first time."""
+    """Seconds until the help appears, and until a run has evolved its first generation."""
     cases: dict[str, tuple[Callable[[], float], float]] = {
         "cgtorch-train --help": (_help, 1.0),
         "a run's first generation, tried in the world": (_first_generation, 10.0),

@@ -1,4 +1,4 @@
-"""Γ as it is fitted, against what the machine can do of its kernel evaluation."""
+"""The fitted Γ, beside the machine's ceiling for its kernel evaluation."""
 
 import copy
 from functools import partial

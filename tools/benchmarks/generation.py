@@ -1,4 +1,4 @@
-"""One generation of evolution, split into what it is made of."""
+"""The time of one generation of evolution, by part."""
 
 import statistics
 import tempfile
@@ -24,14 +24,14 @@ from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
 from cgtorch.simulation.engines import engine_of
 
 MODELS = ("Γ", "C", "networks")
-"""What a generation is for; the rest is overhead."""
+"""The necessary parts of a generation; the rest is overhead."""
 INSIDE = (*MODELS, "possible motions")
-"""What compiled code can be told to do more than once, in the order of lanes.h."""
+"""The parts that compiled code can repeat, in the order of kinds.h."""
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 MORE, TRIES = 2, 4
 LOOKED_AT, LATER = (1, 10, 50), (10,)
-"""Generations of an evolution, of which a search of a training has 5 to more than 100; events of
-others, one in twenty, have histograms, which take 1 ms more."""
+"""The generations that are measured, of which a search in a training has 5 to more than 100. One
+event in twenty has histograms, which take 1 ms more."""
 HISTOGRAMS_EVERY = 20  # generations
 
 
@@ -40,8 +40,8 @@ class Looked:
     """A generation in the middle of an evolution.
 
     Attributes:
-        population: its individuals.
-        seconds: of rollouts, selection, operators and logging; these are all that it takes.
+        population: Its individuals.
+        seconds: Of rollouts, selection, operators and logging, which are all of its time.
     """
 
     population: Population
@@ -49,7 +49,7 @@ class Looked:
 
 
 def overhead_share(effort: Effort) -> Line:
-    """What part of a generation is neither Γ, C nor the networks."""
+    """Overhead outside model inference, as a share of a generation."""
     parts = (*_parts(workload(), LOOKED_AT, effort), *_parts(larger_workload(), LATER, effort))
     return Line(
         name="overhead_share",
@@ -73,7 +73,7 @@ def _parts(work: Workload, numbers: tuple[int, ...], effort: Effort) -> list[Com
 
 
 def _sample(work: Workload, numbers: tuple[int, ...]) -> dict[int, dict[str, float]]:
-    """Seconds of each of `PARTS` in each of the generations that are looked at."""
+    """Seconds of each of `PARTS` in each of the measured generations."""
     looked = one_evolution(work, POPULATION, numbers)
     return {number: generation_split(work, each) for number, each in looked.items()}
 
@@ -119,19 +119,19 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     watch, settings = Stopwatch(), EvolutionSettings(population=size)
     select = watch.around("selection", settings.selection)
     settings = EvolutionSettings(population=size, selection=select)
-    evaluated, selected, logged = list[tuple[float, float]](), list[float](), list[float]()
+    evaluated, received, logged = list[tuple[float, float]](), list[float](), list[float]()
     selection, populations = list[float](), dict[int, Population]()
     seed = torch.Generator().manual_seed(2)
     with _timed_evaluations(evaluated), _logger(work) as log:
         evolution = search.evolve(work.environment, work.actions, settings, seed)
         for generation in islice(evolution, max(numbers) + 2):
-            selected.append(time.perf_counter())
+            received.append(time.perf_counter())
             selection.append(watch.taken().get("selection", 0.0))
             log(_event(generation))
             logged.append(time.perf_counter())
             if generation.number in numbers:
                 populations[generation.number] = generation.population
-    logs = [end - begin for begin, end in zip(selected, logged, strict=True)]
+    logs = [end - begin for begin, end in zip(received, logged, strict=True)]
     logging = statistics.mean(
         statistics.median(logs[i::HISTOGRAMS_EVERY])
         for i in range(min(HISTOGRAMS_EVERY, len(logs)))
@@ -139,7 +139,7 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     found = {}
     for number in numbers:
         begin, end = evaluated[number]
-        rest = selected[number] - end + evaluated[number + 1][0] - logged[number]
+        rest = received[number] - end + evaluated[number + 1][0] - logged[number]
         selected = selection[number + 1]  # after the event, before the next is evaluated
         seconds = {
             "rollouts": end - begin,
@@ -189,12 +189,12 @@ def _logger(work: Workload) -> Iterator[TensorBoardWatch]:
 
 
 def rollout_parts(work: Workload, population: Population) -> list[float]:
-    """Seconds that Γ, C, networks and checks of motions take of an evaluation on all cores.
+    """Seconds of Γ, C, networks and checks of motions in an evaluation on all cores.
 
-    Each is done `MORE` times again wherever it is done, and the evaluation takes so much longer.
-    What is done again finds everything in the CPU's caches, so this is rather too little, and the
-    rest, which is overhead, too much. No clock is read within: to read it takes longer than some of
-    these parts, and what has not been completed by then goes on afterwards.
+    Each part is repeated `MORE` times wherever it runs, and the additional time of the evaluation
+    is measured. Repeated work finds everything in the CPU's caches, so these times are rather too
+    small, and the overhead too large. No clock is read within an evaluation: reading it takes
+    longer than some of the parts, and unfinished work continues beyond it.
     """
     engine = engine_of(work.actions, work.environment)
     assert engine is not None, "this line measures compiled code; install a C compiler"  # noqa: S101
@@ -212,7 +212,7 @@ def rollout_parts(work: Workload, population: Population) -> list[float]:
 
 
 def _least_seconds(work: Callable[[], object]) -> float:
-    """The least of several: one that was interrupted is longer than what it is taken from."""
+    """The least of several times, as interrupted calls take longer."""
     found = []
     for _ in range(TRIES):
         begin = time.perf_counter()

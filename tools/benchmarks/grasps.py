@@ -1,4 +1,4 @@
-"""Grasps that are labelled with the way of the arm, against those with a posture alone."""
+"""Grasp labels that require a way of the arm, beside those that require a posture only."""
 
 from functools import partial
 
@@ -17,7 +17,7 @@ from cgtorch.tabletop.kinematics import graspable, has_posture, load_robot
 from cgtorch.tabletop.world.geometry import rotate
 
 LOST = 0.1
-"""Share of the objects with a posture that may be without a way; more says that something broke."""
+"""The largest share of the objects with a posture that may have no way; more indicates a bug."""
 
 
 def grasp_way(effort: Effort) -> Line:

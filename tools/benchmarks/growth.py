@@ -1,4 +1,4 @@
-"""What more individuals cost, and what more room for nodes: time and memory."""
+"""The cost of more individuals, and of more room for nodes: time and memory."""
 
 import ctypes
 import itertools
@@ -36,7 +36,7 @@ REPEATS = 5  # where one call takes long
 
 
 def growth_10x(effort: Effort) -> Line:
-    """What ten times the population costs: of rollouts, and of a whole generation.
+    """The cost of ten times the population: of rollouts, and of a whole generation.
 
     Selection of 10,000 may take long, so a quick run leaves the generation out.
     """
@@ -102,7 +102,7 @@ def _generations(work: Workload, fewer: int, more: int, repeats: int) -> Compari
 
 
 def generation(work: Workload, population: Population, capacity: int = CAPACITY) -> EvolutionState:
-    """Evaluate a population and make the next one, whose graphs may have so many nodes."""
+    """Evaluate a population and make the next one, with graphs of at most `capacity` nodes."""
     settings = EvolutionSettings(population=len(population), capacity=capacity)
     state = EvolutionState(population, 0, population[:1], 0.0)
     keep = torch.zeros(work.environment.num_scenarios, dtype=torch.bool)
@@ -112,7 +112,7 @@ def generation(work: Workload, population: Population, capacity: int = CAPACITY)
 
 
 def padding(effort: Effort) -> Line:
-    """What twice the room for nodes costs graphs that do not need it: in rollouts, in all."""
+    """The cost of twice the room for nodes, for graphs that do not need it: in rollouts, in all."""
     work, population = workload(), evolved_population()
     graphs, capacities = population.graphs, (2 * CAPACITY, CAPACITY)
     successors = [generation(work, population, c).population for c in capacities]
@@ -161,7 +161,7 @@ def _arrow(memory: list[float]) -> str:
 
 
 def peak_memory(work: Work) -> float:
-    """MiB by which a call raises the memory of this process at most; 0 where nobody tells."""
+    """The peak memory of a call, in MiB; 0 if the system does not report it."""
     try:
         # What the allocator only keeps for later goes back, and the peak begins anew.
         ctypes.CDLL(None).malloc_trim(0)
@@ -174,6 +174,6 @@ def peak_memory(work: Work) -> float:
 
 
 def _memory(name: str) -> float:
-    """MiB of this process, as Linux tells it."""
+    """A memory figure of this process from Linux, in MiB."""
     rows = Path("/proc/self/status").read_text().splitlines()
     return int(next(row for row in rows if row.startswith(name)).split()[1]) / 1024

@@ -1,4 +1,4 @@
-"""Answers of kernel machines: against scikit-learn, and against what the machine can do."""
+"""Predictions of kernel machines, beside scikit-learn and the machine's ceiling."""
 
 from functools import partial
 
@@ -95,7 +95,7 @@ def _machine(centres: Tensor, weights: Tensor, bias: Tensor) -> SVR:
 
 
 def inference_ceiling(effort: Effort) -> Line:
-    """The same on all cores, as a share of what the machine can do."""
+    """The same on all cores, as a share of the machine's ceiling."""
     rows = int(65_536 * effort.size)  # a multiple of every chunk, so that no step does less
     count = cores()
     with torch_threads(count):

@@ -1,4 +1,4 @@
-"""How a line is measured: checked equal first, then timed in turns with what it is compared to."""
+"""The measurement of a line: check that results are equal, then time both sides in turns."""
 
 import os
 import statistics
@@ -16,22 +16,22 @@ Work = Callable[[], object]
 Clock = Callable[[], float]
 
 WALL: Clock = time.perf_counter
-"""What a user waits for; the only honest clock where several threads work."""
+"""The time that a user waits, and the only meaningful clock for several threads."""
 CPU: Clock = time.process_time
-"""Seconds that this process computed, which other programs on the machine disturb least."""
+"""CPU seconds of this process, which other programs disturb least."""
 
 
 class DisagreementError(CgtorchError, AssertionError):
-    """Two ways that should give the same result do not, so that timing them says nothing."""
+    """Two alternatives that should give the same result do not, so their times mean nothing."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a run may take.
+    """How long a measurement may take.
 
     Attributes:
         repeats: Samples of each alternative, at least 5.
-        size: Factor on the sizes that a line can shrink without changing what it says.
+        size: Factor on the sizes that a line can shrink without changing its meaning.
     """
 
     repeats: int
@@ -142,14 +142,14 @@ def in_turns(
     calls: Sequence[int] | None = None,
     warm_up: int = 1,
 ) -> list[Timing]:
-    """Time each of `works` `repeats` times, A B A B ..., after calls that are not timed.
+    """Time each of `works` `repeats` times, A B A B ..., after untimed calls.
 
     Args:
         works: What to time.
         repeats: Samples of each.
         clock: `WALL` or `CPU`.
-        calls: Calls in one sample of each, one where not given; more for what is over in a moment.
-        warm_up: Calls of each that are not timed.
+        calls: Calls in one sample of each, 1 by default; more for very short calls.
+        warm_up: Untimed calls of each.
 
     Returns:
         Seconds per call of each.
@@ -168,7 +168,7 @@ def in_turns(
 
 
 def timing(samples: Sequence[float]) -> Timing:
-    """What is told of samples, in seconds."""
+    """The median and extremes of samples, in seconds."""
     return Timing(statistics.median(samples), min(samples), max(samples), len(samples))
 
 

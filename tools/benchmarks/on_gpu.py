@@ -1,4 +1,4 @@
-"""A GPU beside all cores of its machine: rollouts and whole generations, which must be alike."""
+"""A GPU beside all cores of its machine: rollouts and whole generations, with equal results."""
 
 import copy
 from collections.abc import Callable
@@ -30,12 +30,12 @@ from cgtorch.tabletop.world import ClearMotion
 
 GPU = torch.device("cuda", 0)
 GENERATIONS = {10_000: 10, 100_000: 40, 1_000_000: 80}
-"""How many times as fast as the cores whole generations of so many should be."""
+"""The target speed-up of whole generations over the cores, by population size."""
 ROLLOUTS = 100_000, 30
 
 
 def gpu_rollouts(effort: Effort) -> Line:
-    """Rollouts of evolved graphs that lie on the GPU."""
+    """Rollouts of evolved graphs on the GPU."""
     (size, target), work, there = ROLLOUTS, workload(), _there()
     population = later_population(int(size * effort.size))
     moved = population.graphs.to(GPU)
@@ -59,7 +59,7 @@ def gpu_rollouts(effort: Effort) -> Line:
 
 
 def gpu_generation(size: int, effort: Effort) -> Line:
-    """Evaluation, ranking, selection and operators of a generation that lives on the GPU."""
+    """Evaluation, ranking, selection and operators of a generation on the GPU."""
     work, there, population = workload(), _there(), later_population(int(size * effort.size))
     ours = _generation(work, there, population.to(GPU), GPU)
     other = _generation(work, work.environment, population, torch.device("cpu"))

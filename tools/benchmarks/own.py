@@ -1,4 +1,4 @@
-"""What users bring, actions and worlds written in torch, beside the same built in or by hand."""
+"""User-defined actions and worlds in torch, beside built-in ones, or ones written by hand."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -118,7 +118,7 @@ class Points(ScenarioBatch):
 
 
 class Drift(World):
-    """A point that goes where it is told, and a little further: about the least a world can do."""
+    """A point that goes where it is told, and a little further: about the simplest world."""
 
     control_size = SAID
 
@@ -143,7 +143,7 @@ def drifted(state: Tensor, control: Tensor) -> Tensor:
 
 
 class Drive(Action):
-    """A network that drives by itself: all that a node does is a user's own code."""
+    """A network that drives by itself: the whole node is user code."""
 
     outcomes: tuple[str, ...] = ("success", "failure")
     num_parameters = HIDDEN * (SEEN + 1) + SAID * (HIDDEN + 1)
@@ -157,7 +157,7 @@ class Drive(Action):
 
 
 def by_hand(seen: Tensor, weights: Tensor) -> Tensor:
-    """What networks (n, 36) say (n, 3) of percepts (n, 7), the usual way in torch."""
+    """Outputs (n, 3) of networks (n, 36) for percepts (n, 7), as usually written in torch."""
     first, b1, second, b2 = weights.split([HIDDEN * SEEN, HIDDEN, SAID * HIDDEN, SAID], 1)
     w1, w2 = first.unflatten(1, (HIDDEN, SEEN)), second.unflatten(1, (SAID, HIDDEN))
     hidden = torch.baddbmm(b1[..., None], w1, seen[..., None]).sigmoid()
@@ -165,7 +165,7 @@ def by_hand(seen: Tensor, weights: Tensor) -> Tensor:
 
 
 def loop_by_hand(place: Tensor, weights: Tensor) -> Tensor:
-    """Episodes of all networks at once, as one would write them."""
+    """Episodes of all networks at once, as usually written by hand."""
     state = place
     for _ in range(STEPS):
         state = drifted(state, by_hand(state, weights))
@@ -173,7 +173,7 @@ def loop_by_hand(place: Tensor, weights: Tensor) -> Tensor:
 
 
 def own_world(effort: Effort) -> Line:
-    """A world written in torch, of which the library knows nothing."""
+    """A world written in torch, which the library does not know."""
     sets = {
         "own action": (ActionSet(("Drive",), (Drive(),)), (0,), 1),
         "network → step": (

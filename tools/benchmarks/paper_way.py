@@ -1,7 +1,8 @@
-"""Rollouts the paper's way: one individual, one scenario, one row at a time.
+"""Rollouts as in the paper: one individual, one scenario, one row at a time.
 
-A state machine in plain Python, asking scikit-learn's SVR and SVC about one row where a state needs
-them; the rest is arithmetic on Python's own floats, which for single rows beats any array.
+It is a state machine in plain Python that calls scikit-learn's SVR and SVC for one row where a
+state needs them. All else is arithmetic on Python floats, which are faster than arrays for single
+rows.
 """
 
 import math

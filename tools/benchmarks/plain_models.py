@@ -1,4 +1,4 @@
-"""Γ and C in the hands of somebody without this library: numbers, and machines of scikit-learn."""
+"""Γ and C without this library: numbers, and machines of scikit-learn."""
 
 from dataclasses import dataclass
 from typing import Any

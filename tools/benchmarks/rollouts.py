@@ -1,4 +1,4 @@
-"""Rollouts of the batched engine against other ways to do the same work."""
+"""Rollouts of the batched engine, beside other implementations of the same work."""
 
 from collections.abc import Callable
 from functools import partial
@@ -31,7 +31,7 @@ PAPER_SAMPLE = 40  # individuals that run the paper's way, half of them in a qui
 QUICK_SAMPLE = 100  # individuals that run the strong CPU way in a quick run
 CLOSE = 0.01  # m: networks turn the rounding of float32 into more with each of twenty motions
 EQUAL = 0.999
-"""Share of lanes that must end alike: arithmetic in another order turns a decision now and then."""
+"""The share of lanes that must end equally: another order of arithmetic changes some decisions."""
 
 Way = Callable[[], tuple[Any, Any, Any]]
 """Success, last percepts and transitions of some individuals on all scenarios."""

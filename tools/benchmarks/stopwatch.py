@@ -1,4 +1,4 @@
-"""Where the time of one call goes, by timers around the parts that it is made of."""
+"""The time of one call by part, with timers around its parts."""
 
 import time
 from collections import defaultdict

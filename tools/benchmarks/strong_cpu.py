@@ -1,8 +1,8 @@
-"""Rollouts the strong CPU way: NumPy over all scenarios of an individual, a process per core.
+"""Rollouts with the usual means of CPUs: NumPy over scenarios, one individual per process.
 
-Scikit-learn predicts all rows of a step that need it at once, lanes that have ended leave, and each
-process is sent its share of the individuals in a few large pieces. What it does not have is what a
-struct of tensors gives: batches across individuals.
+Scikit-learn predicts all rows of a step at once, finished lanes leave, and each process gets its
+share of the individuals in a few large pieces. It lacks batches across individuals, which a struct
+of tensors allows.
 """
 
 import multiprocessing

@@ -1,8 +1,8 @@
-"""Rollouts the usual tensor way: every action for every lane at every step, then `torch.where`.
+"""Rollouts in the usual tensor style: all actions for all lanes at each step, `torch.where`.
 
-That is what a function of one lane becomes under vmap: a branch computes both of its sides, and no
-lane can leave before the last one. The models, networks and numbers are the library's own, so what
-is compared is the way of batching alone. Γ and C see all lanes in one call per step.
+This is what a function of one lane becomes under vmap: a branch computes both of its sides, and no
+lane can leave before the last one. The models, networks and numbers are the library's own, so only
+the batching is compared. Γ and C see all lanes in one call per step.
 """
 
 from dataclasses import replace

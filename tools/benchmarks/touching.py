@@ -1,4 +1,4 @@
-"""Postures that are asked whether they touch something, against pytorch-kinematics in torch."""
+"""Collision tests of postures, beside pytorch-kinematics in torch."""
 
 import math
 from functools import partial
@@ -20,7 +20,7 @@ from cgtorch.tabletop.kinematics.touching import touches, touches_in_torch
 
 TABLE = torch.tensor([[0.9, 0.1, 0.3, 0.8, 1.2, 0.7]])
 BORDERLINE = 1e-3
-"""Share of postures that may be said otherwise, as they graze a box by a rounding."""
+"""The share of postures whose results may differ, as rounding decides them."""
 
 
 def touching(effort: Effort) -> Line:

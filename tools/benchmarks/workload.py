@@ -1,4 +1,4 @@
-"""The work that all lines about rollouts share: real models, real scenarios, seeded populations."""
+"""The common workload of lines about rollouts: real models and scenarios, seeded populations."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -20,7 +20,7 @@ from cgtorch.tabletop.settings import TabletopSettings
 
 SCENARIOS = 20
 GENERATIONS = 10
-"""After which a population is said to have evolved: most first graphs do next to nothing."""
+"""The number of generations of an evolved population; most initial graphs do almost nothing."""
 CAPACITY = EvolutionSettings().capacity
 NODES = EvolutionSettings().initial_nodes
 POPULATION = 1000

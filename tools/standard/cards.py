@@ -1,10 +1,9 @@
-"""Two card games of POPGym that are nothing but memory: RepeatFirstEasy and RepeatPreviousEasy.
+"""Two memory games of POPGym: RepeatFirstEasy and RepeatPreviousEasy.
 
 Morad et al., "POPGym: Benchmarking partially observable reinforcement learning", ICLR 2023. A deck
-of 52 cards is dealt one by one, and only the suit of a card is seen. The control says which of the
-four suits is to be named, by preferences among them. Returns are between -1 and 1. POPGym names no
-threshold; its authors publish mean returns of recurrent networks, to which those reached here can
-be compared.
+of 52 cards is dealt one by one, and only the suit of a card is seen. The control names one of the
+four suits, by preferences among them. Returns are between -1 and 1. POPGym has no threshold; its
+authors publish mean returns of recurrent networks for comparison.
 """
 
 import torch

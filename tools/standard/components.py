@@ -1,6 +1,6 @@
 """This library on the standard tasks with one part of its search changed or left out.
 
-What a part is worth is the difference to `standard.ours`, which has them all, over the same seeds.
+The value of a part is the difference to `standard.ours`, which has them all, over the same seeds.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ SETTINGS: Mapping[str, EvolutionSettings] = {
     "population of 24": replace(REWARDS, population=24),
     "population of 96": replace(REWARDS, population=96),
 }
-"""Other settings, by what is other about them."""
+"""Other settings, by what differs."""
 
 LEFT_OUT: Mapping[str, tuple[str, ...]] = {
     "no linear network": ("Linear",),
@@ -31,14 +31,14 @@ LEFT_OUT: Mapping[str, tuple[str, ...]] = {
     "no recurrent network": ("Recur",),
     "no delays, no recurrent network": ("Delay", "Recur"),
 }
-"""Actions that are not there."""
+"""Actions that are left out, by name."""
 
 COMPONENTS = (*SETTINGS, *LEFT_OUT)
-"""The names that these searches go by."""
+"""The names of these searches."""
 
 
 def search(trial: Trial) -> None:
-    """Search as the trial's library says, which is one of the `COMPONENTS`."""
+    """Search in the way of the trial's library, which is one of the `COMPONENTS`."""
     settings = SETTINGS.get(trial.library, REWARDS)
     searched(trial, settings, without(ACTIONS, LEFT_OUT.get(trial.library, ())))
 
@@ -46,7 +46,7 @@ def search(trial: Trial) -> None:
 def without(
     actions: Callable[[int, int], ActionSet], names: tuple[str, ...]
 ) -> Callable[[int, int], ActionSet]:
-    """The same actions, but those of these names."""
+    """The same actions without those of these names."""
 
     def some(percept: int, control: int) -> ActionSet:
         every = actions(percept, control)

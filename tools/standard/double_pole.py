@@ -38,9 +38,11 @@ START = 4.5 * DEGREE  # of the long pole; all else is 0
 FEW = 5  # lanes up to which floats are faster than arrays
 
 GRID = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Where in its range each of four numbers of the state begins, in the test of generalisation."""
+"""The places in its range of each of four numbers of the initial state, in the test of
+generalisation."""
 RANGES = (2.16, 1.35, 3.6 * DEGREE, 8.6 * DEGREE)
-"""Of position and velocity of the cart, angle and angular velocity of the long pole: ± these."""
+"""The ranges (±) of position and velocity of the cart, angle and angular velocity of the long
+pole."""
 LONG_RUN, SHORT_RUN = 100_000, 1000
 ENOUGH = 200  # of the 625 starts of the grid
 SHAKING = 100  # steps of which the damping fitness adds up how much there is

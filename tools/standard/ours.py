@@ -12,13 +12,13 @@ from cgtorch.simulation import rollout
 from standard.measure import Player, Trial
 
 STARTS = 4
-"""Episodes of an individual, where they do not all begin alike; each generation has other ones."""
+"""Episodes per individual, where initial states differ; each generation has new ones."""
 MOST = 10**6
-"""Transitions of a run at most: episodes end by themselves."""
+"""The maximum number of transitions of a run; episodes end by themselves."""
 
 
 ACTIONS: Callable[[int, int], ActionSet] = reward_actions
-"""What graphs are made of, for percepts and controls of these lengths."""
+"""The actions of graphs, for percepts and controls of these lengths."""
 
 
 def search(trial: Trial) -> None:
@@ -44,7 +44,7 @@ def searched(
 
 
 def player_of(graphs: Graphs, actions: ActionSet) -> Player:
-    """What plays the episodes of a world once by a graph; one that does not end returns -inf."""
+    """A function that plays the episodes of a world by a graph; unfinished ones return -inf."""
 
     def play(world: object) -> Tensor:
         found = rollout(graphs, actions, world, max_transitions=MOST)  # type: ignore[arg-type]

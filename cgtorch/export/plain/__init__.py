@@ -1,1 +1,1 @@
-"""What goes into an exported state machine as it stands: plain Python, and nothing else."""
+"""The parts of exported state machines, copied as they are: plain Python, nothing else."""

@@ -1,6 +1,7 @@
-"""State machines in the manner of SMACH and YASMIN, in plain Python.
+"""State machines similar to those of SMACH and YASMIN, in plain Python.
 
-What is added is a limit on transitions, after which a skill hands back to the one it is in.
+In addition, the number of transitions is limited: a skill that exceeds its limit returns to the one
+that contains it.
 """
 
 import logging
@@ -10,19 +11,19 @@ from dataclasses import dataclass, field
 SUCCESS, FAILURE, TIMEOUT = "success", "failure", "timeout"
 
 log = logging.getLogger("skill")
-"""Tells every action at level DEBUG: machine, label, outcome."""
+"""Logs every action at level DEBUG: machine, label, outcome."""
 
 
 @dataclass
 class Userdata:
-    """What all states share.
+    """The data that all states share.
 
     Attributes:
-        percept: what the robot perceives now.
-        message: what one action says to a later one.
-        has_message: whether one has said something yet.
-        memory: the common memory.
-        steps: actions executed so far.
+        percept: The present percept.
+        message: The message of an earlier action.
+        has_message: Whether a message has been sent yet.
+        memory: The common memory.
+        steps: Number of actions executed so far.
     """
 
     percept: list[float]
@@ -33,7 +34,7 @@ class Userdata:
 
 
 class State:
-    """What a node does; `parameters` are those of the node."""
+    """The action of a node, with the node's `parameters`."""
 
     outcomes: tuple[str, ...] = ()
 
@@ -41,7 +42,7 @@ class State:
         self.parameters = parameters
 
     def execute(self, userdata: Userdata) -> str:
-        """Do it, keep what is perceived in `userdata.percept`, and return one of `outcomes`."""
+        """Execute the action, store a new percept in `userdata.percept`, and return an outcome."""
         raise NotImplementedError(f"{type(self).__name__} is to be filled in")
 
 
@@ -62,7 +63,7 @@ class StateMachine(State):
         self.states[label], self.transitions[label] = state, transitions
 
     def execute(self, userdata: Userdata) -> str:
-        """Run from the start to an end; timeout after too many transitions or actions."""
+        """Run from the start to an end, or to a timeout after too many transitions or actions."""
         label = self.start
         for _ in range(self.max_transitions):
             if userdata.steps >= self.max_steps:

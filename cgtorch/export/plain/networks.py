@@ -7,14 +7,14 @@ from cgtorch.export.plain.machine import SUCCESS, State, Userdata
 
 
 class Network(State):
-    """One hidden layer; the parameters are W1, b1, W2, b2 one after the other, row by row."""
+    """One hidden layer; the parameters are W1, b1, W2, b2, row by row."""
 
     def __init__(self, parameters: Sequence[float], inputs: int, hidden: int, outputs: int):
         super().__init__(parameters)
         self.inputs, self.hidden, self.outputs = inputs, hidden, outputs
 
     def sees(self, percept: list[float]) -> list[float]:
-        """What of the percept the network reads."""
+        """The part of the percept that the network reads."""
         return percept[: self.inputs]
 
     def output(self, percept: list[float]) -> list[float]:
@@ -25,36 +25,36 @@ class Network(State):
 
 
 class ContinuousNN(Network):
-    """From the percept to a motion, sent as message."""
+    """Maps the percept to a motion, which is sent as a message."""
 
     outcomes = (SUCCESS,)
 
     def motion(self, percept: list[float]) -> list[float]:
-        """What is sent."""
+        """The motion."""
         return self.output(percept)
 
     def execute(self, userdata: Userdata) -> str:
-        """Send it."""
+        """Send the motion."""
         userdata.message[: self.outputs] = self.motion(userdata.percept)
         userdata.has_message = True
         return SUCCESS
 
 
 class BranchingNN(Network):
-    """From the percept to one of two branches: the larger output wins."""
+    """Maps the percept to one of two branches: the larger output decides."""
 
     outcomes = ("out1", "out2")
 
     def execute(self, userdata: Userdata) -> str:
-        """Choose."""
+        """Select a branch."""
         one, two = map(sigmoid, self.output(userdata.percept))
         return self.outcomes[two > one]
 
 
 class RecurrentNN(State):
-    """From the percept, and its own places in the memory, to a motion, sent as message.
+    """Maps the percept and its part of the memory to a motion, which is sent as a message.
 
-    The parameters are W with R, b, V, c one after the other, row by row.
+    The parameters are W with R, b, V, c, row by row.
     """
 
     outcomes = (SUCCESS,)
@@ -72,7 +72,7 @@ class RecurrentNN(State):
         self.first = hidden * (inputs + hidden + 1)
 
     def execute(self, userdata: Userdata) -> str:
-        """Remember, and send."""
+        """Update the memory and send the motion."""
         seen = userdata.percept[: self.inputs] + [userdata.memory[i] for i in self.memory]
         state = [math.tanh(x) for x in light_layer(self.parameters[: self.first], seen)]
         for i, x in zip(self.memory, state, strict=True):
@@ -83,9 +83,9 @@ class RecurrentNN(State):
 
 
 class DelayNN(State):
-    """From the percept and its latest changes to a motion, sent as message.
+    """Maps the percept and its latest changes to a motion, which is sent as a message.
 
-    The parameters are V row by row, then c. Its own places in the memory hold earlier percepts.
+    The parameters are V row by row, then c. Its part of the memory contains earlier percepts.
     """
 
     outcomes = (SUCCESS,)
@@ -102,7 +102,7 @@ class DelayNN(State):
         self.inputs, self.outputs, self.memory = inputs, outputs, memory[: inputs * delays]
 
     def execute(self, userdata: Userdata) -> str:
-        """Send it, and remember the percept."""
+        """Send the motion and store the percept."""
         n = self.inputs
         window = userdata.percept[:n] + [userdata.memory[i] for i in self.memory]
         changes = [10 * (x - y) for x, y in zip(window, window[n:], strict=False)]
@@ -114,7 +114,7 @@ class DelayNN(State):
 
 
 class LinearNN(DelayNN):
-    """From the percept to a motion, sent as message; the parameters are V row by row, then c."""
+    """Maps the percept to a motion, which is sent; the parameters are V row by row, then c."""
 
 
 def sigmoid(x: float) -> float:
@@ -123,7 +123,7 @@ def sigmoid(x: float) -> float:
 
 
 def light_layer(parameters: Sequence[float], inputs: list[float]) -> list[float]:
-    """A layer whose weights are half of their parameters, and its biases a hundredth."""
+    """A linear layer with parameters multiplied by 0.5 for weights and 0.01 for biases."""
     weights = len(parameters) // (len(inputs) + 1) * len(inputs)
     light = [x * (0.5 if i < weights else 0.01) for i, x in enumerate(parameters)]
     return layer(light, inputs)

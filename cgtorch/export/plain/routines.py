@@ -1,4 +1,4 @@
-"""What a robot has to do for a skill: the classes of an exported state machine to fill in."""
+"""The classes of an exported state machine that have to be implemented for a robot."""
 
 import math
 from collections.abc import Sequence
@@ -9,16 +9,16 @@ from cgtorch.export.plain.machine import FAILURE, SUCCESS, State, Userdata
 
 @dataclass(frozen=True)
 class ArmCommand:
-    """What an arm does to grasp an object and lift it: where its joints are when.
+    """Joint positions over time for an arm to grasp an object and lift it.
 
     Attributes:
-        arm: its name in the robot description.
-        joints: names of its n joints in the URDF, from base to tool.
-        gripper: names of the gripper's g joints that have a motor.
+        arm: Its name in the robot description.
+        joints: Names of its n joints in the URDF, from base to tool.
+        gripper: Names of the gripper's g joints with a motor.
         times: T times (s) from the beginning, ascending.
         positions: T rows of n positions (rad or m), between which the joints move evenly.
-        openings: T rows of g positions of the gripper's joints (rad or m), open at first; from
-            where they close on, the object keeps them apart.
+        openings: T rows of g positions of the gripper's joints (rad or m), first open, then closed;
+            the object keeps the fingers apart.
         effort: g forces (N m or N) that the gripper's joints should not exceed.
     """
 
@@ -34,24 +34,24 @@ class ArmCommand:
 class MoveBase(State):
     """Carries out the message as a control.
 
-    That of a mobile robot is a motion in the frame its base is in before (x forward, y left):
-    straight by dx and dy (m), then a turn by dθ (rad, to the left).
+    For a mobile robot it is a motion in the present frame of its base (x forward, y left): straight
+    by dx and dy (m), then a turn by dθ (rad, to the left).
     """
 
     outcomes = (SUCCESS, FAILURE)
     control_size = 3
 
     def execute(self, userdata: Userdata) -> str:
-        """Fail without a message that is a motion; else `move`."""
+        """Fail without a message that is a motion; else call `move`."""
         motion = userdata.message[: self.control_size]
         if not userdata.has_message or not all(map(math.isfinite, motion)):
             return FAILURE
         return SUCCESS if self.move(userdata, *motion) else FAILURE
 
     def move(self, userdata: Userdata, *motion: float) -> bool:
-        """Carry the control out, then keep the new `userdata.percept`.
+        """Carry the control out, then store the new percept in `userdata.percept`.
 
-        False, without moving, where it cannot be carried out.
+        Return False, without moving, if it cannot be carried out.
         """
         raise NotImplementedError("MoveBase.move is to be filled in")
 
@@ -62,7 +62,7 @@ class Detect(State):
     outcomes = (SUCCESS,)
 
     def execute(self, userdata: Userdata) -> str:
-        """Keep the new percept."""
+        """Store the new percept."""
         userdata.percept = list(self.detect(userdata))
         return SUCCESS
 
@@ -77,7 +77,7 @@ class Grasp(State):
     outcomes = (SUCCESS, FAILURE)
 
     def execute(self, userdata: Userdata) -> str:
-        """Whether success is met."""
+        """Test success."""
         return SUCCESS if self.grasp(userdata) else FAILURE
 
     def grasp(self, userdata: Userdata) -> bool:
@@ -86,12 +86,13 @@ class Grasp(State):
         return command is not None and self.carry_out(command)
 
     def plan(self, userdata: Userdata) -> ArmCommand | None:
-        """How the object that is perceived is grasped; None if it cannot be.
+        """The arm command to grasp the perceived object; None if that is impossible.
 
-        `cgtorch.tabletop.arm_command.arm_command` says so of a percept, or a planner of your own.
+        `cgtorch.tabletop.arm_command.arm_command` computes it from a percept; you can also use your
+        own planner.
         """
         raise NotImplementedError("Grasp.plan, or Grasp.grasp, is to be filled in")
 
     def carry_out(self, command: ArmCommand) -> bool:
-        """Do what the command says; whether the gripper then holds the object."""
+        """Carry out the command; return whether the gripper then holds the object."""
         raise NotImplementedError("Grasp.carry_out is to be filled in")

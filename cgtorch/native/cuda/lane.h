@@ -1,5 +1,5 @@
-/* The vectors of real.h for a GPU, where a thread has one lane: a number, and what was compared, which
-   is 0 or -1. The same operations round alike on both, one after the other. */
+/* The vectors of real.h for a GPU, where a thread has one lane: a number, or the result of a comparison, 0 or
+   -1. Operations round as on the CPU, in the same order. */
 #pragma once
 
 #define WIDTH 1
@@ -95,5 +95,5 @@ INLINE vec vec_fma(vec a, vec b, vec c) { return vec(FN(fma)(a.part, b.part, c.p
 INLINE int thread_of_warp(void) { return (int)(threadIdx.x % WARP); }
 INLINE uint32_t bits_of(vwhole yes) { return yes.part < 0; }
 INLINE int first_of(uint32_t bits) { return (void)bits, 0; }
-/* The threads of a warp ask models together, so all go where one of them has to. */
+/* The threads of a warp evaluate models together, so all of them take part if one has to. */
 INLINE int any_of(uint32_t bits) { return __any_sync(EVERYONE, bits != 0); }

@@ -1,4 +1,4 @@
-/* What kernels are told beside the task. */
+/* The arguments of kernels beside the task. */
 #pragma once
 #ifndef __CUDACC_RTC__
 #include <stdint.h>

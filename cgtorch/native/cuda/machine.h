@@ -1,5 +1,5 @@
-/* RBF machines asked by the threads of a warp together. As many neighbouring threads as a vector of a
-   CPU has parts are a team, which sums up in the same order; each team has rows of its own. */
+/* RBF machines evaluated by the threads of a warp together. As many adjacent threads as a vector of a CPU has
+   parts form a team, which adds up in the same order; each team has its own rows. */
 #pragma once
 
 #define TEAM (64 / (int)sizeof(real))
@@ -19,7 +19,7 @@ INLINE vec team_least(vec v) {
   return v;
 }
 
-/* What a machine says of this team's rows, those of the threads `from`, without bias. */
+/* The values of a machine for this team's rows, those of the threads `from`, without bias. */
 INLINE void team_values(const Machine *f, const vec *x, const int *from, int outputs, int features,
                         vec total[MOST_OUTPUTS][TEAM_ROWS], vec *near) {
   const real *centres = f->centres + thread_of_warp() % TEAM;
@@ -55,7 +55,7 @@ INLINE void team_values(const Machine *f, const vec *x, const int *from, int out
   }
 }
 
-/* The rows that come next of those that `left` has, shared out among teams; what is left then. */
+/* The next rows of those in `left`, distributed to teams; returns the remaining ones. */
 INLINE uint32_t rows_of_team(uint32_t left, int *from) {
   UNROLLED for (int team = 0; team < TEAMS; team++)
     UNROLLED for (int r = 0; r < TEAM_ROWS; r++) {
@@ -66,7 +66,7 @@ INLINE uint32_t rows_of_team(uint32_t left, int *from) {
   return left;
 }
 
-/* As in rbf.h, for all threads of a warp at once, of which those with `bits` have a row. */
+/* As in rbf.h, for all threads of a warp at once; those in `bits` have a row. */
 INLINE void lanes_of_outputs(const Machine *f, const vec *x, uint32_t bits, int outputs, int features,
                              vec *values, vec *nearest) {
   vec scaled[MOST_FEATURES];

@@ -1,6 +1,6 @@
-/* Algorithm 3 on a GPU: a thread runs a lane of any graph from its beginning to its end and then takes
-   another one. Networks each thread asks alone, Γ and C a warp's threads ask together. Included where
-   the models are known (engine/models.h), and with sizes that are constants (cgtorch.simulation.gpu). */
+/* Algorithm 3 on a GPU: a thread runs a lane of any graph to its end and then takes another one. Each thread
+   evaluates networks by itself; the threads of a warp evaluate Γ and C together. Include it where the models
+   are defined (engine/models.h), with sizes as constants (cgtorch.simulation.gpu_engine). */
 #pragma once
 #include "engine/actions.h"
 #include "engine/advance.h"
@@ -8,7 +8,7 @@
 
 #define REFILL 8 /* threads without a lane, for whom it pays to look for new ones */
 
-/* What a thread is at. */
+/* The position of a thread. */
 typedef struct {
   GraphRows graph;
   const vec *errors;
@@ -80,7 +80,7 @@ INLINE void write_worth(const Task *task, const Launch *launch, const Run *run, 
   if (run->place < task->keep && !success) launch->lost[run->number] = 1;
 }
 
-/* One action of each thread's lane that has not ended; C once more of those that have, where it counts. */
+/* One action of each thread's lane that has not ended; and C for those that have, where it counts. */
 template <bool EVALUATES>
 INLINE Done one_action(const Task *task, Layout layout, const Run *run, Lanes *lanes) {
   const Program *program = task->program;
@@ -146,7 +146,7 @@ template <bool EVALUATES> INLINE void run_lanes(const Task *task, const Launch *
   add_up(launch->counts + EXECUTED, executed);
 }
 
-/* Machines in the memory that the threads of a block share, where there is room for them. */
+/* Machines in the shared memory of a block, if they fit. */
 INLINE const real *brought(const real *from, int64_t count, real **to) {
   real *here = *to;
   for (int64_t i = threadIdx.x; i < count; i += blockDim.x) here[i] = from[i];
@@ -158,7 +158,7 @@ INLINE void bring(Machine *f, real **to) {
   f->weights = brought(f->weights, f->m * f->k, to);
 }
 
-/* What is the same in all launches of these models and actions, as constants. */
+/* Sizes that are the same in all launches of these models and actions, as constants. */
 INLINE void know_sizes(Program *p, ModelEnvironment *e, Machine *gamma, Machine *classifier) {
   e->size = MOST_PERCEPT, e->controls = CONTROLS;
   p->depth = DEPTH, p->rows = ROWS, p->count = PRIMITIVES;
@@ -192,8 +192,7 @@ KERNEL __launch_bounds__(THREADS, BLOCKS) evaluations(ARGUMENTS) {
   run_all<true>(task, program, environment, models, launch, share);
 }
 
-/* A warp for each graph: whether its numbers stand for nodes and actions, and, if parameters count, are
-   finite. */
+/* One warp per graph: whether its numbers are valid nodes and actions and, if parameters count, finite. */
 KERNEL check(const __grid_constant__ Program program, const __grid_constant__ Launch launch, const int64_t graphs,
              const int parameters_count) {
   int64_t number = ((int64_t)blockIdx.x * blockDim.x + threadIdx.x) / WARP;
@@ -213,7 +212,7 @@ KERNEL check(const __grid_constant__ Program program, const __grid_constant__ La
   if (wrong) launch.counts[WRONG] = 1;
 }
 
-/* A thread for each graph: its fitness, and nothing of what it did where that does not count. */
+/* One thread per graph: its fitness; its results do not count if a number is not finite. */
 KERNEL fitness(const __grid_constant__ Task task, const __grid_constant__ Launch launch) {
   int64_t number = (int64_t)blockIdx.x * blockDim.x + threadIdx.x, count = task.count;
   if (number >= task.graphs) return;

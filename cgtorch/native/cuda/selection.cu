@@ -1,4 +1,4 @@
-/* Epsilon-lexicase selection on a GPU (engine/lexicase.c): a block sorts a group, a warp chooses a parent. */
+/* Epsilon-lexicase selection on a GPU (engine/lexicase.c): a block sorts a group, a warp selects a parent. */
 #include "real.h"
 #include "engine/cases.h"
 #include "selection.h"
@@ -6,7 +6,7 @@
 INLINE int64_t thread_of_grid(void) { return (int64_t)blockIdx.x * blockDim.x + threadIdx.x; }
 INLINE int64_t at_most(int64_t a, int64_t b) { return a < b ? a : b; }
 
-/* Where part `part` begins of what is split so that the first `larger` parts have one more. */
+/* Where part `part` begins, if the first `larger` parts have one more element than the others. */
 INLINE int64_t begin_of(int64_t part, int64_t smaller, int64_t larger) {
   return part * smaller + at_most(part, larger);
 }
@@ -41,8 +41,8 @@ KERNEL sort_groups(const __grid_constant__ Groups g) {
   }
 }
 
-/* Which candidates stand: bit c of thread t is candidate 32 c + t; `some` has a bit for each c of which
-   any stands, in all threads. */
+/* The surviving candidates: bit c of thread t is candidate 32 c + t; `some` has, in all threads, a bit for
+   each c with a survivor. */
 typedef struct {
   uint32_t mine, some;
 } Survivors;
@@ -53,7 +53,7 @@ INLINE Survivors survivors_of(uint32_t mine) {
     s.some |= (uint32_t)__any_sync(EVERYONE, mine >> c & 1) << c;
   return s;
 }
-/* Those whose score is the best of all that stand, or less by no more than `epsilon`. */
+/* The survivors whose score is at most `epsilon` below the best. */
 INLINE Survivors survivors_of_case(Survivors s, const real *score, real epsilon) {
   real best = -(real)INFINITY;
   int me = thread_of_warp();
@@ -74,14 +74,14 @@ INLINE Survivors survivors_of_case(Survivors s, const real *score, real epsilon)
   s.some = some;
   return s;
 }
-/* Whether all that stand have the same scores: they are in order of who was the first to have them. */
+/* Whether all survivors have the same scores; candidates are ordered by the first one with their scores. */
 INLINE int all_alike(Survivors s, const int32_t *leader) {
   if (!s.some) return 1;
   int low = __ffs((int)s.some) - 1, high = 31 - __clz((int)s.some);
   uint32_t first = __ballot_sync(EVERYONE, s.mine >> low & 1), last = __ballot_sync(EVERYONE, s.mine >> high & 1);
   return leader[low * WARP + __ffs((int)first) - 1] == leader[high * WARP + 31 - __clz((int)last)];
 }
-/* Candidate number `place` of those that stand; and how many these are. */
+/* The survivor number `place`; and the number of survivors. */
 INLINE int candidate(Survivors s, int64_t place) {
   for (uint32_t rest = s.some; rest; rest &= rest - 1) {
     int c = __ffs((int)rest) - 1;
@@ -100,7 +100,7 @@ INLINE int64_t how_many(Survivors s) {
   return count;
 }
 
-/* The next scenario, the same for all threads of a warp, of whom the first shuffles. */
+/* The next scenario, the same for all threads of a warp; the first one shuffles. */
 INLINE int64_t next_of_warp(int32_t *case_order, int64_t scenarios, int64_t place_in_order, uint64_t key) {
   int64_t found = 0;
   if (thread_of_warp() == 0) found = next_case(case_order, scenarios, place_in_order, key);

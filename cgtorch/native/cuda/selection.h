@@ -1,4 +1,4 @@
-/* What epsilon-lexicase selection on a GPU is told (cgtorch.evolution.gpu). */
+/* The arguments of epsilon-lexicase selection on a GPU (cgtorch.evolution.gpu). */
 #pragma once
 #ifndef __CUDACC_RTC__
 #include <stdint.h>
@@ -6,7 +6,8 @@
 
 #define CANDIDATES 1024 /* individuals of a group at most */
 
-/* Groups of `members`, of which the first `larger` have one more than `smaller`; so many parents each. */
+/* Groups of `members`, of which the first `larger` have one more than `smaller`; each group gives as many
+   parents as it has members on average. */
 typedef struct {
   const real *scores;     /* (P, B) in the order of members */
   const real *epsilon;    /* (G, B) */

@@ -1,4 +1,4 @@
-/* What standard headers have, for NVRTC, which has none. */
+/* Declarations of standard headers, which NVRTC lacks. */
 #pragma once
 
 typedef signed char int8_t;

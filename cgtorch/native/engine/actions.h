@@ -1,11 +1,11 @@
-/* The actions of section VI for those of a vector of lanes that are at nodes of one kind. */
+/* The actions of section VI, for the lanes of a vector that are at nodes of one kind. */
 #pragma once
 #include "kinds.h"
 #include "lanes.h"
 #include "networks.h"
 
-/* What an action did: the lanes with its second outcome, and those where it changed anything that a
-   later action could depend on. */
+/* The result of an action: the lanes with its second outcome, and those where it changed anything on which a
+   later action could depend. */
 typedef struct {
   vwhole second, changed;
 } Done;
@@ -13,7 +13,7 @@ typedef struct {
 #ifdef __cplusplus
 #define PART(again, part, what) what
 #else
-/* Does a part as often as it is asked for more than once; the results are the same. */
+/* Repeats a part if asked to; the results are the same. */
 #define PART(again, part, what)                              \
   for (int64_t left = (again) ? 1 + (again)[part] : 1; left > 0; left--) { \
     what;                                                    \
@@ -21,7 +21,7 @@ typedef struct {
   }
 #endif
 
-/* `ModelEnvironment.step` without the errors of Γ, which the lanes that have moved are still to get. */
+/* `ModelEnvironment.step` without the errors of Γ, which `add_errors` adds. */
 INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layout, Lanes *lanes,
                    vwhole here) {
   vec u[MOST_MESSAGE], after[MOST_PERCEPT], novelty;
@@ -42,8 +42,8 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
   return moves;
 }
 
-/* The errors of Γ in the moves that `here` have just made: those of each number of moves before for the
-   lanes that have made so many. */
+/* Adds the errors of Γ to the lanes `here` that have just moved; a lane's number of moves selects its errors.
+   */
 INLINE void add_errors(const ModelEnvironment *m, const vec *errors, Lanes *lanes, vwhole here) {
   for (uint32_t bits = bits_of(here); bits; bits = bits_of(here)) {
     real moves = lanes->moves[first_of(bits)];
@@ -55,7 +55,7 @@ INLINE void add_errors(const ModelEnvironment *m, const vec *errors, Lanes *lane
   }
 }
 
-/* Asks C where nobody has asked since the last move; those are what it gives. */
+/* Evaluates C where it is unknown since the last move; returns these lanes. */
 INLINE vwhole ask_chance(const ModelEnvironment *m, const int64_t *again, Layout layout,
                          Lanes *lanes, vwhole here) {
   vwhole unknown = here & (lanes->chance == UNKNOWN);
@@ -67,7 +67,7 @@ INLINE vwhole ask_chance(const ModelEnvironment *m, const int64_t *again, Layout
   return unknown;
 }
 
-/* What lanes that have ended are worth by eq. 3, 0 where anything is not finite. */
+/* The value of ended lanes by eq. 3, 0 where anything is not finite. */
 INLINE vec worth(Layout layout, const Lanes *lanes, vwhole *finite) {
   *finite = finite_vec(lanes->chance);
   for (int i = 0; i < layout.size; i++) *finite &= finite_vec(lanes->percept[i]);
@@ -85,8 +85,7 @@ INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {
   return MAKE(Done){every(0), here & other};
 }
 
-/* What networks say of percepts of lanes that are `here`, with weights of all or, in columns, of
-   each. */
+/* The outputs of networks for percepts of lanes `here`, with common weights or, in columns, those of each. */
 INLINE void answer_with(const Action *a, const real *weights, const vec *columns, const void *models,
                         Layout layout, const vec *percept, vwhole here, vec *out) {
   vec seen[MOST_SEEN];

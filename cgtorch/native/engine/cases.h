@@ -1,4 +1,4 @@
-/* Scores as epsilon-lexicase selection looks at them. */
+/* Scores for epsilon-lexicase selection. */
 #pragma once
 #include "draws.h"
 #include "order.h"
@@ -9,7 +9,7 @@ static inline int alike(const real *a, const real *b, int64_t count) {
   return i == count;
 }
 
-/* The same for equal scores. Multilinear: no step waits for the one before; there is one zero only. */
+/* A hash of scores. It is multilinear, so that no step waits for the one before; both zeros count as one. */
 static inline uint64_t hash_of(const real *scores, int64_t count) {
   uint64_t hash = 0;
   for (int64_t j = 0; j < count; j++)
@@ -17,8 +17,8 @@ static inline uint64_t hash_of(const real *scores, int64_t count) {
   return mixed(hash);
 }
 
-/* The scenario that comes as number `place`, when those before it have been moved to the front:
-   Fisher and Yates' shuffle as far as it is looked at. */
+/* The scenario number `place` of a random order; those before it have been moved to the front. It is Fisher
+   and Yates' shuffle, carried out as far as needed. */
 static inline int64_t next_case(int32_t *case_order, int64_t scenarios, int64_t place, uint64_t key) {
   int64_t at = place + pick(uniform(key, place), (int)(scenarios - place));
   int32_t found = case_order[at];
@@ -27,5 +27,5 @@ static inline int64_t next_case(int32_t *case_order, int64_t scenarios, int64_t 
   return found;
 }
 
-/* A number in [0, 1) with all the digits of a double. */
+/* A number in [0, 1) with the full precision of a double. */
 static inline double fine(uint64_t key, int64_t i) { return (double)(word(key, i) >> 11) * 0x1p-53; }

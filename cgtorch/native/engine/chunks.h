@@ -1,4 +1,4 @@
-/* What lanes begin with. */
+/* The initial lanes of rollouts. */
 #pragma once
 #include "task.h"
 #include <stdlib.h>
@@ -19,8 +19,7 @@ INLINE void fill_chunk(const ModelEnvironment *m, const int64_t *scenarios, Chun
   chunk->errors = errors;
 }
 
-/* The first `keep` scenarios in chunks, and then the others; NULL without memory for it, else to be
-   freed. */
+/* The first `keep` scenarios in chunks, then the others; to be freed, NULL without memory. */
 static Chunk *chunks_of(const ModelEnvironment *m, const int64_t *scenarios, int64_t total,
                         int64_t keep, int64_t *num_chunks) {
   int64_t each = m->errors ? m->error_draws * m->size : 0, from = 0;

@@ -1,4 +1,4 @@
-/* Short rows of numbers that lie anywhere: copied, and as the columns of vectors. */
+/* Copying short rows of numbers, and transposing them to columns of vectors. */
 #pragma once
 #include "real.h"
 
@@ -82,7 +82,7 @@ INLINE void into_columns_of(const real *const *rows, int count, vec *columns) {
 #endif
 }
 
-/* Copies a row; whether any number of it is another one. */
+/* Copies a row; returns whether any number differs. */
 INLINE int copied_row(const real *from, real *to, int64_t size) {
   int other = 0;
 #ifdef __AVX512DQ__ /* which needs no loop for what is not a whole vector */

@@ -1,10 +1,10 @@
-/* How far scores are from their median (cgtorch.evolution.selection.deviation). */
+/* Median absolute deviations of scores (cgtorch.evolution.selection.deviation). */
 #include "order.h"
 #include "library.h"
 #include <stdlib.h>
 
-/* The number at place k of `count` numbers in order, bit by bit: how many are less than what it is so
-   far is counted for a vector of numbers at once, which no sorting can be. */
+/* The k-th smallest of `count` numbers, found bit by bit: numbers below the present value are counted a
+   vector at a time, which sorting does not allow. */
 static real ranked(const real *numbers, whole *x, int64_t count, int64_t k) {
   pattern any = 0, all = ~(pattern)0;
   for (int64_t i = 0; i < count; i++) {

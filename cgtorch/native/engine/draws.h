@@ -1,4 +1,4 @@
-/* Random numbers that are functions of a key (cgtorch.ground.counter_rng). */
+/* Counter-based random numbers (cgtorch.ground.counter_rng). */
 #pragma once
 #ifndef __CUDACC_RTC__
 #include <math.h>
@@ -46,7 +46,7 @@ static inline int pick(float draw, int count) {
   return (int)(k < 0 ? 0 : k < count ? k : count - 1);
 }
 
-/* Where in an individual's numbers those of parameters of new nodes begin, and of its drift. */
+/* The indices where an individual's numbers for parameters of new nodes, and for its drift, begin. */
 #define FRESH ((int64_t)1 << 40)
 #define DRIFT ((int64_t)1 << 41)
 
@@ -74,8 +74,8 @@ static inline float power_of_two(float x) {
   return p;
 }
 
-/* Where number i of `count` comes in an order that follows from a key: Feistel's network on as many bits
-   as `count` needs, again as long as what comes out is too large (cgtorch.ground.counter_rng.shuffled). */
+/* The place of number i of `count` in a permutation that follows from a key: a Feistel network on as many
+   bits as `count` needs, repeated while the result is too large (cgtorch.ground.counter_rng.shuffled). */
 static inline int64_t shuffled(int64_t i, int64_t count, uint64_t key) {
   int bits = 2;
   while ((int64_t)1 << bits < count) bits++;

@@ -28,7 +28,7 @@ typedef struct {
   const int64_t *standard; /* (A,) whether parameters of new nodes are standard normal */
   int64_t *first;          /* (A + 1,) for `number_new_nodes`, unless nothing is mutated */
   int64_t individuals, elites, pairs, actions, pair_key, key;
-  int64_t width; /* nodes of the largest of the elite and of parents, set by `bred` */
+  int64_t width; /* nodes of the largest of the elite and of parents, set by `breed` */
 } Breeding;
 
 typedef struct {
@@ -53,7 +53,7 @@ static inline void read_graph(Graph *graph, const Graphs *from, int64_t row) {
   const int64_t *action = from->action + row * n, *edges = from->edges + row * n * o;
   int8_t place[MOST_NODES] = {0};
   int count = 0;
-  /* Without branches, as no CPU foresees them: what is no node is overwritten by the next. */
+  /* Without branches, which CPUs could not predict: an unused slot is overwritten by the next node. */
   for (int64_t i = 0; i < n; i++) {
     int used = action[i] != NO_NODE;
     place[i] = (int8_t)(used ? count : NO_NODE);
@@ -76,7 +76,7 @@ static inline void read_graph(Graph *graph, const Graphs *from, int64_t row) {
   graph->used = first_bits(count);
 }
 
-/* Nodes that the start leads to. */
+/* The nodes that the start leads to. */
 static inline uint64_t reached(const Graph *graph, int outcomes) {
   uint64_t seen = graph->start == NO_NODE ? 0 : bit(graph->start), wave = seen;
   while (wave) {
@@ -92,7 +92,7 @@ static inline uint64_t reached(const Graph *graph, int outcomes) {
   return seen;
 }
 
-/* Takes away what the start does not lead to; the others move up, in their order. */
+/* Removes nodes that the start does not lead to; the others move up in their order. */
 static inline void prune(Graph *graph, int outcomes) {
   uint64_t kept = reached(graph, outcomes);
   int8_t place[MOST_NODES];
@@ -113,7 +113,7 @@ static inline void prune(Graph *graph, int outcomes) {
   graph->used = first_bits(count);
 }
 
-/* A copy of the nodes that there are. */
+/* Copies the used nodes. */
 static inline void copy_graph(Graph *to, const Graph *from) {
   size_t count = (size_t)from->count;
   to->count = from->count;
@@ -124,7 +124,7 @@ static inline void copy_graph(Graph *to, const Graph *from) {
   memcpy(to->edges, from->edges, count * sizeof *to->edges);
 }
 
-/* Writes what the start leads to into the first slots. */
+/* Writes the nodes that the start leads to into the first slots. */
 static inline void write_reached(Graph *graph, const Graphs *to, int64_t row) {
   int64_t n = to->nodes, o = to->outcomes, count;
   int64_t *action = to->action + row * n, *edges = to->edges + row * n * o;

@@ -1,7 +1,7 @@
-/* The kinds of actions that compiled rollouts know, and the parts of them that can be timed. */
+/* The kinds of compiled actions, and the parts of rollouts that can be timed. */
 #pragma once
 
-/* RECURRENT and DELAY have a memory, which lanes of resumable.h alone have. */
+/* RECURRENT and DELAY have a memory, which only the lanes of resumable.h have. */
 enum {
   MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, EDGE, EDGE_WAY, EDGE_BRANCHING, RECURRENT,
   DELAY, IN_PYTHON

@@ -3,7 +3,7 @@
 #include "models.h"
 #include "program.h"
 
-/* Up to WIDTH lanes. Each part of a vector is one lane's, and none meets another. */
+/* Up to WIDTH lanes. Each part of a vector belongs to one lane; lanes are independent. */
 typedef struct {
   whole caller[MOST_DEPTH][WIDTH], outer[MOST_DEPTH][WIDTH]; /* what is left on the levels without */
   vec message[MOST_MESSAGE], moves, lost, chance;            /* the state of `ModelEnvironment` */
@@ -15,7 +15,7 @@ typedef struct {
   vec percept[MOST_PERCEPT];
 } Lanes;
 
-/* The same once more; of the levels without nothing is known at the beginning. */
+/* Copies lanes; outer levels need no values at the beginning. */
 INLINE void copy_lanes(const Lanes *from, int size, Lanes *to) {
   size_t skipped = offsetof(Lanes, message), end = offsetof(Lanes, percept) + (size_t)size * BYTES;
   memcpy((char *)to + skipped, (const char *)from + skipped, end - skipped);

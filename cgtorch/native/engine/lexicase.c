@@ -1,4 +1,4 @@
-/* Epsilon-lexicase selection (cgtorch.evolution.selection), one parent after the other. */
+/* Epsilon-lexicase selection (cgtorch.evolution.selection), one parent at a time. */
 #include "cases.h"
 #include "library.h"
 #include <stdlib.h>
@@ -9,15 +9,15 @@ typedef struct {
   real *cases;                 /* (B, vectors * WIDTH) */
   const real *epsilon;         /* (B,) */
   int64_t *members, *first;    /* individuals by row, and where those of each row begin */
-  int64_t *good, *good_first;  /* rows that stand after one scenario alone, and where they begin */
-  vwhole *survives;            /* (B, vectors) whether they do */
+  int64_t *good, *good_first;  /* rows that survive one scenario alone, and where they begin */
+  vwhole *survives;            /* (B, vectors) whether a row does */
   int64_t *top;                /* (B,) the first best row */
   int64_t key;                 /* of all parents' numbers */
   int64_t *chosen;             /* (count,) */
   _Atomic int failed;          /* for want of memory */
 } Lexicase;
 
-/* Numbers individuals of equal scores alike, in the order in which each first appears. */
+/* Gives individuals with equal scores the same row number, in order of first appearance. */
 static int64_t number_rows(const real *scores, int64_t individuals, int64_t scenarios, int64_t *row_of,
                            int64_t *table, int64_t size) {
   int64_t rows = 0;
@@ -51,9 +51,9 @@ static int64_t survivors(const real *score, real epsilon, const int64_t *rows, i
   return kept;
 }
 
-/* The same of rows that stand or do not, a vector at a time, in columns that are filled up with what is
-   worse than all: while many stand, that is faster than a list of them. `best` stands at `top` at
-   first; how many are left. */
+/* The same for rows with flags, a vector at a time, in columns padded with the worst score: with many
+   survivors, this is faster than a list of them. `best` is at `top` at first. Returns the number of
+   survivors. */
 static int64_t survivors_at_once(const real *score, real epsilon, real best, int64_t top,
                                  vwhole *survives, int64_t vectors) {
   if (!survives[top / WIDTH][top % WIDTH]) {
@@ -136,7 +136,7 @@ static void sort_members(const int64_t *row_of, int64_t individuals, int64_t row
   first[0] = 0;
 }
 
-/* Which rows stand after one scenario alone, for each scenario. */
+/* The survivors of each scenario alone. */
 static void survivors_of_one_case(Lexicase *l) {
   l->good_first[0] = 0;
   for (int64_t j = 0; j < l->scenarios; j++) {

@@ -1,4 +1,4 @@
-/* How much there is room for. What needs more runs in torch. For a GPU there is as much as is needed. */
+/* Sizes that compiled code supports. Larger ones run in torch. For a GPU, sizes are those needed. */
 #pragma once
 
 #ifndef MOST_DEPTH

@@ -14,7 +14,7 @@ INLINE vec lightly(const vec *x, const real *w, const vec *columns, int first, i
 INLINE int recurrent_weights(int inputs, int hidden, int outputs) {
   return hidden * (inputs + hidden + 1) + outputs * (hidden + 1);
 }
-/* What networks say of `x`, percepts and then their states, and their states afterwards. */
+/* The outputs of networks for `x`, percepts followed by their states, and their states afterwards. */
 INLINE void recurrent_layers(const vec *x, const real *w, const vec *columns, int inputs, int hidden,
                              int outputs, vec *state, vec *out) {
   int seen = inputs + hidden, b = hidden * seen, v = b + hidden;
@@ -32,7 +32,7 @@ INLINE void recurrent(const vec *x, const real *w, const vec *columns, int input
 INLINE int delay_weights(int inputs, int delays, int outputs) {
   return outputs * (inputs * (delays + 1) + 1);
 }
-/* What networks say of `x`, percepts and then earlier ones, the latest first. */
+/* The outputs of networks for `x`, percepts followed by earlier ones, the latest first. */
 INLINE void delayed(const vec *x, const real *w, const vec *columns, int inputs, int delays,
                     int outputs, vec *out) {
   vec seen[MOST_DELAYED];

@@ -3,7 +3,7 @@
 #include "limits.h"
 #include "real.h"
 
-/* Number i of the weights: of all lanes the same, or of each its own in `columns`. */
+/* Weight i: the same for all lanes, or each lane's own in `columns`. */
 INLINE vec weight(const real *w, const vec *columns, int i) {
   return columns ? columns[i] : vec_of(w[i]);
 }
@@ -30,5 +30,5 @@ INLINE void network(const vec *x, const real *w, const vec *columns, int inputs,
   else if (hidden == 3 && inputs == 9) layers(x, w, columns, 9, 3, outputs, out);
   else layers(x, w, columns, inputs, hidden, outputs, out);
 }
-/* The lanes that take a branch's second way. */
+/* The lanes with a branch's second outcome. */
 INLINE vwhole branch(const vec *out) { return sigmoid_vec(out[1]) > sigmoid_vec(out[0]); }

@@ -1,4 +1,4 @@
-/* Where Python has the whole environment (engine/models.h). */
+/* For environments in Python (engine/models.h). */
 #pragma once
 #include "models.h"
 

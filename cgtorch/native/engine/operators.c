@@ -1,4 +1,4 @@
-/* Crossover and mutation of nodes and edges of a whole population, one pair after the other. */
+/* Crossover and mutation of nodes and edges of a whole population, one pair at a time. */
 #include "crossover.h"
 #include "library.h"
 #include "mutation.h"
@@ -24,7 +24,7 @@ static void some_pairs(void *what, int64_t begin, int64_t end) {
   }
 }
 
-/* Nodes of the largest of some graphs. */
+/* The number of nodes of the largest of some graphs. */
 static int64_t most_nodes(const Graphs *graphs, const int64_t *rows, int64_t count) {
   int64_t most = 0;
   for (int64_t i = 0; i < count; i++) {
@@ -47,9 +47,8 @@ static int all_there(const int64_t *rows, int64_t count, int64_t individuals) {
   return there;
 }
 
-/* Numbers new nodes whose parameters are not standard normal -1, -2, ..., first those of action 0, and so
-   on, and writes the CSR offsets (A + 1,) by action to `first`; the last of them is how many there
-   are. 0 for want of memory. */
+/* Numbers new nodes whose parameters are not standard normal -1, -2, ..., by action, and writes CSR offsets
+   (A + 1,) to `first`; the last one is their number. Returns 0 without memory. */
 static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t total, int64_t actions,
                             const int64_t *standard, int64_t *first) {
   int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
@@ -66,9 +65,8 @@ static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t tot
   return 1;
 }
 
-/* Copies of the elite, then children of pairs; where they are mutated, they may have a node more, and
-   their new nodes are numbered. NO_PARENT where one of the elite or of the parents is none of the
-   individuals. */
+/* Copies the elite, then makes children of pairs. Mutated children may have one node more, and their new
+   nodes are numbered. Returns NO_PARENT if an index of the elite or of parents is not in the population. */
 int breed(Breeding *b, int64_t threads) {
   int64_t children = 2 * b->pairs;
   if (!all_there(b->elite, b->elites, b->individuals)) return NO_PARENT;
@@ -100,7 +98,7 @@ static void some_places(void *what, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end; i++) o->out[i] = shuffled(i, o->count, o->key);
 }
 
-/* An order (count,) of as many that follows from a key. */
+/* A permutation (count,) that follows from a key. */
 int shuffled_order(int64_t count, int64_t key, int64_t *out, int64_t threads) {
   Order order = {out, count, (uint64_t)key};
   in_parallel(some_places, &order, count, 4096, threads);

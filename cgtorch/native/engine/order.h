@@ -1,4 +1,4 @@
-/* The bits of numbers, and whole numbers in the order of numbers. */
+/* The bits of numbers, and integers with the order of numbers. */
 #pragma once
 #include "real.h"
 

@@ -1,4 +1,4 @@
-/* Parameters of children, one individual after the other. */
+/* Parameters of children, one individual at a time. */
 #define _DEFAULT_SOURCE /* of madvise */
 #include "library.h"
 #include "parameters.h"
@@ -8,7 +8,7 @@ EXPORT_STRUCT(Children)
 
 #define PIECE 16 /* words that are made at once */
 
-/* Steps of the `count` parameters of a node, whose words are those from number `first` on. */
+/* Perturbs the `count` parameters of a node, whose words begin at number `first`. */
 static inline void some_steps(const Children *c, uint64_t key, uint64_t limit, float sigma,
                               int64_t first, int64_t count, real *parameters) {
   uint64_t words[PIECE];
@@ -16,7 +16,7 @@ static inline void some_steps(const Children *c, uint64_t key, uint64_t limit, f
   for (int64_t begin = 0; begin < count; begin += PIECE) {
     int here = (int)(count - begin < PIECE ? count - begin : PIECE), hits = 0;
     for (int i = 0; i < PIECE; i++) words[i] = word(key, first + begin + i);
-    /* Without branches, as no CPU foresees them: each is written down, and stays if it is hit. */
+    /* Without branches, which CPUs could not predict: each value is written, and kept if it is hit. */
     for (int i = 0; i < here; i++) {
       which[hits] = i;
       hits += words[i] >> (64 - BITS) < limit;

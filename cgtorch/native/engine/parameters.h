@@ -1,10 +1,10 @@
-/* Parameters of children (cgtorch.evolution.parameters): copied from where the origins of nodes say or
-   drawn, with Gaussian steps where they are hit; and the drift of their strategies (eq. 2). */
+/* Parameters of children (cgtorch.evolution.parameters): copied from their origins or drawn, then perturbed
+   by Gaussian steps; and the drift of strategies (eq. 2). */
 #pragma once
 #include "draws.h"
 #include "real.h"
 
-/* `same` individuals come first, of whom all stays as it is. */
+/* The first `same` individuals stay unchanged. */
 typedef struct {
   const int64_t *action, *num_parameters; /* (P, N), and of each of so many actions */
   const int64_t *standard; /* (A,) whether parameters of new nodes are standard normal */
@@ -24,7 +24,7 @@ static inline int64_t parameters_at(const Children *c, int64_t slot) {
   return action < 0 || action >= c->actions ? 0 : c->num_parameters[action];
 }
 
-/* Where the parameters of a node come from; NULL where they are drawn. */
+/* The origin of a node's parameters; NULL if they are drawn. */
 static inline const real *origin_of(const Children *c, int64_t slot) {
   int64_t origin = c->origins[slot];
   return !origin ? NULL : origin > 0 ? c->old + (origin - 1) * c->most : c->fresh + (-origin - 1) * c->most;

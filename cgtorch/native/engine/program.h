@@ -1,7 +1,5 @@
-/* Graphs as they lie in tensors, with the sub-skills they use (cgtorch.simulation.compiled).
-
-   Nodes are counted from the first of all sub-skills, which are laid out once; after theirs come those
-   of the graph that runs. */
+/* Graphs as tensors, with the sub-skills that they use (cgtorch.simulation.compiled). Nodes count from the
+   first of all sub-skills, which are stored once; after these come the nodes of the graph that runs. */
 #pragma once
 #include "real.h"
 
@@ -34,7 +32,7 @@ typedef struct {
   int64_t nodes, seen, each;
 } Program;
 
-/* One of a program's graphs: where its nodes' rows begin, and what is counted from there. */
+/* One of a program's graphs: where its rows begin, and what counts from there. */
 typedef struct {
   const int64_t *action, *edges;
   const real *parameters;
@@ -45,7 +43,7 @@ INLINE GraphRows graph_of(const Program *p, int64_t graph) {
   return MAKE(GraphRows){p->action + row, p->edges + row * p->seen, p->parameters + row * p->each};
 }
 
-/* What unused slots hold is taken for action 0; nothing that is valid leads there. */
+/* Unused slots count as action 0; in a valid graph nothing leads there. */
 INLINE int64_t action_at(GraphRows g, int64_t place) { return g.action[place] < 0 ? 0 : g.action[place]; }
 
 /* A primitive, or `count` + a sub-skill. */
@@ -66,7 +64,7 @@ INLINE const real *parameters_of_node(const Program *p, GraphRows g, int64_t nod
 
 INLINE int outside(int64_t number, int64_t count) { return number < NO_NODE || number >= count; }
 
-/* Whether a graph can be run: all of its numbers are of its nodes or actions. If not, `wrong` is set. */
+/* Whether all numbers of a graph are valid nodes or actions; if not, `wrong` is set. */
 INLINE int good(const Program *p, int64_t graph, int64_t *wrong) {
   GraphRows g = graph_of(p, graph);
   int bad = p->start[graph] < 0 || p->start[graph] >= p->nodes;

@@ -7,11 +7,11 @@
 #define DIGIT 11 /* bits that are sorted by at once */
 #define BUCKETS (1 << DIGIT)
 
-/* Less for larger numbers, the same for both zeros, least for what is not a number. */
+/* A key that is smaller for larger numbers, the same for both zeros, and smallest for NaN. */
 static uint64_t downwards(real x) { return x == x ? (pattern)~ordered(x + 0) : 0; }
 
-/* Sorts `order` by key, from the least on, and keeps what is equal in order; digit by digit, where they
-   differ at all. What comes out is in the one that is returned. */
+/* Sorts `order` by ascending key, stably, digit by digit where digits differ. Returns the array with the
+   result. */
 static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64_t *other) {
   uint64_t any = 0, all = ~(uint64_t)0;
   for (int64_t i = 0; i < count; i++) any |= key[i], all &= key[i];
@@ -28,8 +28,8 @@ static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64
   return order;
 }
 
-/* Indices (count,) by fitness, of equal ones by how many nodes actions (count, nodes) have, of equal
-   ones as they are. */
+/* Indices (count,) by fitness; of equal ones by the number of nodes in actions (count, nodes), then by index.
+   */
 int ranking(const real *fitness, const int64_t *action, int64_t nodes, int64_t count, int64_t *out) {
   uint64_t *key = malloc((size_t)(3 * count + 1) * sizeof *key);
   if (!key) return NO_MEMORY;

@@ -1,4 +1,4 @@
-/* Lanes that run until they need Python. Included where the models are known (models.h). */
+/* Lanes that run until they need Python. Include it where the models are defined (models.h). */
 #pragma once
 #include "actions.h"
 #include "columns.h"
@@ -6,7 +6,7 @@
 #include "memory.h"
 #include "walk.h"
 
-/* Some lanes that go on together: those of a share's queue, the first of them to fill up. */
+/* Lanes that continue together, from a share's queue; the last vector is padded with the first one. */
 typedef struct {
   int64_t lane[WIDTH];
   int count;
@@ -26,7 +26,7 @@ INLINE const real *weights_of(const Waiting *w, int64_t node) {
 
 INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_WAY || kind == EDGE_BRANCHING; }
 
-/* `count` weights: of the node that all lanes are at or, in columns, of each its own, and then NULL. */
+/* `count` weights: those of the node of all lanes or, in columns, each lane's own (returns NULL). */
 INLINE const real *weights_for(const Waiting *w, Together *t, int count, vec *columns) {
   int32_t node = w->places[t->lane[0]].node, differ = 0;
   for (int i = 1; i < WIDTH; i++) differ |= w->places[t->lane[i]].node ^ node;
@@ -36,7 +36,7 @@ INLINE const real *weights_for(const Waiting *w, Together *t, int count, vec *co
   return NULL;
 }
 
-/* Part i of some vectors, as a row: whether that was another one. */
+/* Writes part i of some vectors as a row; returns whether anything changed. */
 INLINE int write_row(const vec *from, int i, real *to, int64_t count) {
   int other = 0;
   for (int64_t j = 0; j < count; j++) {
@@ -66,7 +66,7 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
   return MAKE(Done){every(0), changed};
 }
 
-/* Percepts, and then the `count` first numbers of the action's part of the memory, where that lies. */
+/* Percepts, followed by the first `count` numbers of the action's part of the memory. */
 INLINE real *read_memory(const Waiting *w, const Action *a, Together *t, int count, vec *x) {
   real *memory = w->common + w->memory[2 * (a - w->program->primitives)];
   rows_of(t, w->percept, w->percept_size);
@@ -75,7 +75,7 @@ INLINE real *read_memory(const Waiting *w, const Action *a, Together *t, int cou
   into_columns_of(t->rows, count, x + a->inputs);
   return memory;
 }
-/* Lanes are told what networks say, and remember `state`: those of which either is another one. */
+/* Lanes get the networks' outputs as messages and store `state`; returns where either changed. */
 INLINE Done remembered(const Waiting *w, Together *t, const vec *out, int outputs, const vec *state,
                        int count, real *memory) {
   vwhole changed = every(0);
@@ -168,8 +168,8 @@ INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together 
   }
 }
 
-/* All that wait for an action of compiled code. Those who come to wait for something are written at the
-   end of its queue; for the same, in a place that has been read. */
+/* Runs all lanes that wait for an action of compiled code. Lanes that then wait for something are added to
+   the end of its queue, or to a place that has been read. */
 static void run_queue(const Waiting *w, Layout layout, const Action *a, const int32_t *queue,
                       int64_t total, int32_t **ends) {
   Walk v = walk_of(w);
@@ -186,8 +186,7 @@ static void run_queue(const Waiting *w, Layout layout, const Action *a, const in
   }
 }
 
-/* What Python made of row k of those that it was asked for. Whether anything has changed, bit 1, and
-   whether that was the state, bit 2. */
+/* Reads Python's result in row k. Returns bit 1 if anything changed, and bit 2 if the state did. */
 INLINE int take_back(const Waiting *w, int64_t k, int64_t i) {
   int changed = 0;
   if (w->new_percept)
@@ -213,7 +212,7 @@ INLINE int take_back(const Waiting *w, int64_t k, int64_t i) {
   return changed | (other ? 3 : 0);
 }
 
-/* The outcome of row k, -1 if there is no such one. */
+/* The outcome of row k, -1 if it does not exist. */
 INLINE int64_t outcome_of(const Waiting *w, int64_t k) {
   if (w->done) return !w->done[k];
   if (w->chance) return w->chance[k] <= (real)0.5;
@@ -222,7 +221,7 @@ INLINE int64_t outcome_of(const Waiting *w, int64_t k) {
   return outcome < 0 || outcome >= w->program->outcomes ? -1 : outcome;
 }
 
-/* The lanes of a share that Python has answered go on. */
+/* Continues the lanes of a share for which Python has finished. */
 static void answered(Waiting *w, int64_t share, const int32_t *queue, int64_t total, int32_t **ends) {
   int always = !w->deterministic[w->kind];
   Walk v = walk_of(w);

@@ -1,4 +1,4 @@
-/* What Python and rollouts have in common. */
+/* Structures and constants shared by Python and rollouts. */
 #include "library.h"
 #include "kinds.h"
 #include "task.h"
@@ -18,7 +18,7 @@ EXPORT_CONSTANTS(action_kinds, MOVE_BASE, DETECT, GRASP, CONTINUOUS, BRANCHING, 
 EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)
 EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DELAYED, MOST_WEIGHTS, MOST_DEPTH)
 
-/* Whether any of `count` nodes has an action that is marked; what is no action has the last mark. */
+/* Whether any of `count` nodes has a flagged action; an invalid action has the last flag. */
 int any_flagged(const int64_t *action, int64_t count, const int64_t *flags, int64_t actions) {
   int64_t found = 0;
   for (int64_t i = 0; i < count; i++) {

@@ -1,16 +1,16 @@
-/* What rollouts in models have to do, and what comes out. */
+/* The task of rollouts in models, and its results. */
 #pragma once
 #include "lanes.h"
 
-/* Some scenarios, WIDTH at most: the lanes at their beginnings, and as many errors of Γ (T, D). */
+/* Up to WIDTH scenarios: their initial lanes, and the errors of Γ (T, D) for each. */
 typedef struct {
   int64_t from, count;
   const vec *errors;
   Lanes lanes;
 } Chunk;
 
-/* P graphs on `count` scenarios, of which the first `keep` are those of W. What comes out is
-   (P, B, ...), of rollouts the second, of evaluations the third group of fields. */
+/* P graphs on `count` scenarios, of which the first `keep` are W. Results are (P, B, ...): the second group
+   of fields for rollouts, the third for evaluations. */
 typedef struct {
   const Program *program;
   const ModelEnvironment *environment;

@@ -1,4 +1,4 @@
-/* What rollouts that wait for Python begin with, and what Python is asked for. */
+/* The initial state of rollouts that wait for Python, and the requests to Python. */
 #include "columns.h"
 #include "library.h"
 #include "walk.h"
@@ -45,7 +45,7 @@ static void begin_lanes(void *what, int64_t begin, int64_t end) {
   }
 }
 
-/* Lays everything out; WRONG_GRAPHS if a graph has numbers that are none of its nodes or actions. */
+/* Prepares all graphs; WRONG_GRAPHS if a number is not a valid node or action. */
 int begin_waiting(Waiting *w, int64_t threads) {
   const Program *p = w->program;
   int64_t own = w->graphs * p->nodes;
@@ -70,7 +70,7 @@ int begin_waiting(Waiting *w, int64_t threads) {
   return DONE;
 }
 
-/* The parameters of the node that lane i is at, unless they lie there from the last time. */
+/* Copies the parameters of lane i's node, unless they are there from the last time. */
 static inline void ask_parameters(const Waiting *w, int64_t k, int64_t i) {
   const Program *p = w->program;
   int64_t size = p->primitives[w->kind].outputs, own = w->graphs * p->nodes;
@@ -110,7 +110,7 @@ static void ask_share(void *what, int64_t begin, int64_t end) {
   __atomic_fetch_add(&w->silent, silent, __ATOMIC_RELAXED);
 }
 
-/* Asks for the action that most lanes wait for. */
+/* Requests the action for which most lanes wait. */
 int ask_python(Waiting *w, int64_t threads) {
   int64_t kinds = w->program->count, lanes = w->graphs * w->count;
   int64_t shares = (lanes + SHARE - 1) / SHARE;

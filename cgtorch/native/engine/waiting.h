@@ -1,12 +1,12 @@
 /* Rollouts of any actions in any environment: lanes run until they need Python, and wait
-   (cgtorch.simulation.resumable). Unlike in rollout.h a vector holds lanes of any graphs, all of which
-   are at nodes of one kind. */
+   (cgtorch.simulation.resumable). Unlike in rollout.h, a vector contains lanes of any graphs, all at nodes of
+   one kind. */
 #pragma once
 #include "lanes.h"
 
 #define SHARE 1024 /* lanes that a thread takes at once, with queues of their own */
 
-/* Where a lane is. */
+/* The position of a lane. */
 typedef struct {
   int32_t node, first; /* rows of the table of nodes; `first` of the graph or sub-skill */
   int32_t left, step;  /* transitions left on this level; actions so far */
@@ -14,12 +14,12 @@ typedef struct {
   uint64_t visited;    /* a bit for each node it was at since anything has changed, on this level */
 } Place;
 
-/* Where an outcome leads: a row or an end, and the kind of the node there. */
+/* The successor by an outcome: a row or an end, and the kind of the node there. */
 typedef struct {
   int32_t head, kind;
 } Successor;
 
-/* Of some actions, T nodes and L = P * B lanes, which are rows of tensors. */
+/* Rollouts with T nodes and L = P * B lanes, which are rows of tensors. */
 typedef struct {
   const Program *program;
   const ModelEnvironment *environment; /* or NULL where Python has the environment */
@@ -65,5 +65,5 @@ typedef struct {
   int64_t wrong, num_wrong, wrong_outcome; /* of graphs; how many outcomes, and one of them */
 } Waiting;
 
-/* Asks for the action that most lanes wait for (waiting.c). */
+/* Requests the action for which most lanes wait (waiting.c). */
 int ask_python(Waiting *w, int64_t threads);

@@ -1,4 +1,4 @@
-/* Where a lane goes from a node: cgtorch.simulation.call_stack, for one lane at a time. */
+/* The next node of a lane: cgtorch.simulation.call_stack, for one lane at a time. */
 #pragma once
 #include "kinds.h"
 #include "waiting.h"
@@ -24,8 +24,7 @@ APART void enter_skills(const Waiting *w, int64_t i) {
   }
 }
 
-/* Out of the sub-skills that end with `head`, and into those where it goes on: how the lane ended, 0 if
-   it goes on. */
+/* Leaves the sub-skills that end with `head`, and enters the next ones; returns how the lane ended, or 0. */
 APART int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
   const Program *p = w->program;
   Place *at = w->places + i;
@@ -43,7 +42,7 @@ APART int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
   return 0;
 }
 
-/* What the walks of many lanes have in common. */
+/* The common values of the walks of many lanes. */
 typedef struct {
   const Waiting *waiting;
   const Successor *successors;
@@ -57,8 +56,8 @@ INLINE Walk walk_of(const Waiting *w) {
                 p->depth, w->max_steps, w->most_idle};
 }
 
-/* `call_stack.advance`: the kind of the node where the lane goes, or -1 where it ends, which is
-   written down. `changed`: whether anything has on which a later action could depend. `over` as in Waiting. */
+/* `call_stack.advance`: returns the kind of the lane's next node, or -1 if it ends, which is recorded.
+   `changed`: whether anything on which a later action could depend has changed. For `over` see Waiting. */
 INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int state_changed,
                     int over) {
   Place *at = v->places + i;

@@ -1,4 +1,4 @@
-/* Rollouts in environments that Python has. */
+/* Rollouts in environments in Python. */
 #include "no_models.h"
 #include "resumable.h"
 

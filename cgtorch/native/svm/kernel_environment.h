@@ -1,5 +1,5 @@
-/* Models of any domain as rollouts know them (engine/models.h): cgtorch.domains.transition and success,
-   RBF machines on standardised percepts and controls. */
+/* Models of any domain for rollouts (engine/models.h): cgtorch.domains.transition and success, RBF machines
+   on standardised percepts and controls. */
 #pragma once
 #include "angles.h"
 #include "engine/models.h"

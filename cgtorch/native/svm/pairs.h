@@ -62,7 +62,7 @@ INLINE int64_t first_of_pair(const Set *s, real step, const real *ki, const real
   return place_of(most, where, high);
 }
 
-/* The row that with row i, whose gain is `high`, promises the largest decrease. */
+/* The row that gives the largest decrease together with row i, whose gain is `high`. */
 INLINE int64_t second_of_pair(const Set *s, int64_t i, real high) {
   const real *ki = s->kernel + i * s->stride;
   vec most = vec_of(-1), peak = vec_of(high), own = vec_of(s->diagonal[i]);
@@ -96,7 +96,7 @@ INLINE real pair_step(const Set *s, int64_t i, int64_t j, real high) {
   return (real)step;
 }
 
-/* Steps until conditions are violated by less than `tolerance`, `most` of them at most; how many. */
+/* Steps until violations are below `tolerance`, at most `most`; returns their number. */
 static int64_t pairs(const Set *s, real tolerance, int64_t most) {
   const real *ki = s->kernel, *kj = s->kernel;
   real step = 0;

@@ -12,7 +12,7 @@ typedef struct {
   real *values, *nearest;
 } Rows;
 
-/* So many rows at once that what is added up for them stays in registers. */
+/* As many rows at once as keep their sums in registers. */
 INLINE void tiles(const Rows *rows, int64_t begin, int64_t end, int outputs, int features) {
   int tile = outputs <= 2 ? TILE : SMALL_TILE;
   int64_t i = begin;

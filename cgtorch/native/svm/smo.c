@@ -1,9 +1,7 @@
-/* Dual problems on one kernel matrix (cgtorch.svm.compiled_smo).
-
-   The rows that violate their conditions most, or come nearest to it, have their kernel values
-   gathered side by side in the cache, where a step (pairs.h) takes a tenth of a microsecond. When
-   they are solved (Joachims 1999), gradients of all rows are brought up to date in double
-   precision, and others take their turn. */
+/* Dual problems on one kernel matrix (cgtorch.svm.smo). The kernel values of the rows with the largest
+   violations, and of those near to one, are gathered in the cache, where a step (pairs.h) takes a tenth of a
+   microsecond. When they are solved (Joachims 1999), the gradients of all rows are updated in double
+   precision, and another set is chosen. */
 #include <stdlib.h>
 #include "library.h"
 #include "pairs.h"
@@ -37,7 +35,7 @@ typedef struct {
   Set set;
 } Memory;
 
-/* What a step up gains at most, and what a step down costs at least. */
+/* The largest gain of a step up, and the least cost of a step down. */
 static void extremes(const Problems *p, double *high, double *low) {
   double most = -INFINITY, least_cost = INFINITY, epsilon = *p->epsilon;
   for (int64_t t = 0; t < p->n; t++) {
@@ -82,7 +80,7 @@ static double kth_largest(double *v, int64_t n, int64_t k) {
   return v[k];
 }
 
-/* Writes the rows of the next set, and how many of all rows violate conditions or nearly do. */
+/* Writes the rows of the next set; returns the number of all rows that violate conditions or nearly do. */
 static int64_t choose(const Problems *p, double high, double low, Memory *m, int64_t *near) {
   double middle = (high + low) / 2, close = -NEAR * (high - low), epsilon = *p->epsilon;
   int64_t live = 0, count = 0;
@@ -141,7 +139,7 @@ static void fill(const Problems *p, Memory *m, int64_t count, double middle) {
   }
 }
 
-/* Takes the set's coefficients over, and brings the gradients up to date; how many changed. */
+/* Copies the set's coefficients back and updates the gradients; returns the number of changes. */
 static int64_t take_over(const Problems *p, Memory *m, int64_t count) {
   int64_t changed = 0, n = p->n, k = 0;
   for (int64_t e = 0; e < count; e++) {
@@ -168,7 +166,7 @@ static int64_t take_over(const Problems *p, Memory *m, int64_t count) {
   return changed;
 }
 
-/* Solves the first problem from where it is; the violation that is left. */
+/* Solves the first problem from its present state; returns the remaining violation. */
 static double solve(const Problems *p, Memory *m) {
   double tolerance = p->tolerance, finest = FINEST * tolerance, work = 0;
   for (int round = 0;; round++) {
@@ -235,7 +233,7 @@ static void some_problems(void *what, int64_t begin, int64_t end) {
   free(memory.score), free(memory.block), free(memory.index);
 }
 
-/* Takes problems on from their coefficients and gradients; fills in biases and violations. */
+/* Continues problems from their coefficients and gradients; writes biases and violations. */
 int smo_problems(const Problems *problems, int64_t threads) {
   in_parallel(some_problems, (void *)problems, problems->count, 1, threads);
   return 0;

@@ -1,4 +1,4 @@
-/* Where the frames of an arm's chain are (cgtorch.tabletop.kinematics.arm.ChainTable). */
+/* The frames of an arm's chain (cgtorch.tabletop.kinematics.arm.ChainTable). */
 #pragma once
 #include "real.h"
 
@@ -6,7 +6,7 @@
 
 enum { FIXED, REVOLUTE, PRISMATIC };
 
-/* A chain of frames, each in the one before and moved by a joint. Poses are rows of (3, 4). */
+/* A chain of frames, each relative to the one before and moved by a joint. Poses are rows of (3, 4). */
 typedef struct {
   const real *offset, *axis;   /* (F, 3, 4), the first in the robot's base; (F, 3) of joints */
   const int64_t *kind, *joint; /* (F,) kind and column of each frame's joint */
@@ -17,7 +17,7 @@ static inline real dot(const real *a, const real *b) {
   return FMA(a[2], b[2], FMA(a[1], b[1], a[0] * b[0]));
 }
 
-/* a b, where what is below their rows is 0 0 0 1. */
+/* The product a b, with 0 0 0 1 below the rows of each. */
 static inline void product(const real *a, const real *b, real *out) {
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 4; j++)
@@ -25,7 +25,7 @@ static inline void product(const real *a, const real *b, real *out) {
                        (j == 3 ? a[i * 4 + 3] : 0);
 }
 
-/* The pose that a joint at `q` gives what it moves: Rodrigues' formula, or a shift. */
+/* The transform of a joint at `q`: Rodrigues' formula, or a translation. */
 static inline void moved(int64_t kind, const real *axis, real q, real *out) {
   real sine = kind == REVOLUTE ? (real)sin((double)q) : 0, cosine = kind == REVOLUTE ? (real)cos((double)q) : 1;
   real x = axis[0], y = axis[1], z = axis[2], rest = 1 - cosine, shift = kind == PRISMATIC ? q : 0;

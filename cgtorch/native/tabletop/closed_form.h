@@ -1,5 +1,5 @@
-/* Inverse kinematics of arms with a spherical wrist, in closed form: what an arm does in one posture at
-   one pan angle (cgtorch.tabletop.kinematics.inverse_kinematics, where the formulas are explained). */
+/* Inverse kinematics of arms with a spherical wrist, in closed form, in one posture at one pan angle (the
+   formulas are explained in cgtorch.tabletop.kinematics.inverse_kinematics). */
 #pragma once
 #include "tabletop/solids.h"
 
@@ -43,7 +43,8 @@ static real elbow_of(const ClosedForm *form, real cosine, real sine, const real 
   return (dot(at, at) - (a * a + b * b)) / (2 * a * b);
 }
 
-/* Whether a pan angle leads to a pose of the wrist's last frame (3, 4) in the pan frame, and how. */
+/* Whether there is a solution at a pan angle for a pose of the wrist's last frame (3, 4) in the pan frame;
+   writes it. */
 static int solved(const ClosedForm *form, const real *branch, real pan, const real *wrist, real *q) {
   const real a = (real)form->upper_arm, b = (real)form->forearm;
   real cos1 = FN(cos)(pan), sin1 = FN(sin)(pan), at[3];

@@ -1,4 +1,4 @@
-/* The tabletop as rollouts know it (engine/models.h). */
+/* The tabletop for rollouts (engine/models.h). */
 #pragma once
 #include "edge.h"
 #include "engine/kinds.h"
@@ -27,7 +27,7 @@ INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint
   return success_vec(&((const Models *)models)->classifier, layout, percept, bits);
 }
 
-/* Percepts as they are, or from the edge nearest to the object. */
+/* Percepts unchanged, or in the frame of the nearest edge. */
 INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *edge) {
   if (kind != EDGE && kind != EDGE_WAY && kind != EDGE_BRANCHING) return percept;
   *edge = edge_frame(percept, layout);

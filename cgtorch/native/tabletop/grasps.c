@@ -1,5 +1,5 @@
-/* The best grasp by each line of the tool, of arms with a closed form, line after line
-   (cgtorch.tabletop.kinematics.grasp_lines, where the same is done in torch). */
+/* The best grasp for each line of the tool, of arms with a closed form, line after line
+   (cgtorch.tabletop.kinematics.grasp_lines has the same in torch). */
 #include <stdlib.h>
 
 #include "library.h"
@@ -59,7 +59,7 @@ static real farthest_joint(const Grasps *g, const real *a, const real *b) {
   return most;
 }
 
-/* Where the wrist goes, and how the object is held: in the tool frame, as it stands at the grasp. */
+/* The poses of the wrist, and of the held object in the tool frame at the grasp. */
 static void begin_line(Search *s, int64_t line) {
   const Grasps *g = s->grasps;
   const real *path = g->path + line * PLACES * 16, *grasp = path + 2 * 16;
@@ -115,7 +115,7 @@ static int64_t choose(Search *s, int soon) {
   return count;
 }
 
-/* Whether the places can be followed in a posture, and nothing touches table or body there. */
+/* Whether a posture can follow the places, without touching table or body. */
 static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
   static const int ORDER[] = {0, 4, 1, 3}; /* after the grasp, as in torch */
   const Grasps *g = s->grasps;
@@ -130,7 +130,7 @@ static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_
   return 1;
 }
 
-/* Whether the tool keeps to its line, on which no joint may have to turn too fast; and the joints. */
+/* Whether the tool stays on its line without a joint moving too fast; writes the joints. */
 static int on_line(const Search *s, const Posture *p, real *line) {
   const Grasps *g = s->grasps;
   const int64_t half = g->steps / 2;

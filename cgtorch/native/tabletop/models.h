@@ -1,4 +1,4 @@
-/* Γ and C, a vector of rows at once: cgtorch.svm.{transition,geometry,success,grasp_features}. */
+/* Γ and C for a vector of rows: cgtorch.tabletop.models.{transition,geometry,success,grasp_features}. */
 #pragma once
 #include "svm/rbf.h"
 #include "tabletop.h"
@@ -16,8 +16,8 @@ typedef struct {
 
 /* ---- Γ ---- */
 
-/* What Γ makes of a percept before it knows which of the two yaws is the table's: (c, s1) and (c, s2)
-   are their cosines and sines. */
+/* Quantities of a percept in Γ before one of the two yaws is selected; (c, s1) and (c, s2) are their cosines
+   and sines. */
 typedef struct {
   vec cx, cy, ew, eh, c, s1, s2, sides[2];
 } Scene;
@@ -63,7 +63,7 @@ INLINE void gamma_features(const Gamma *g, const Scene *at, const vec *p, vec *x
   x[2] = at->c * ox + at->s2 * oy, x[3] = at->c * oy - at->s2 * ox;
   for (int i = 0; i < 4; i++) x[i] = (vec_abs(x[i]) - g->mean[i]) / g->scale[i];
 }
-/* The box around the table after a motion, where the machine says `value` of the two yaws. */
+/* The box around the table after a motion, given the machine's output `value`, which selects a yaw. */
 INLINE void table_after(const Gamma *g, const Scene *at, const vec *u, vec c, vec s, vec cos2,
                         vec value, vec *after) {
   vec w1, h1, w2, h2, lw, lh, mx, my, weight, unused;
@@ -99,8 +99,7 @@ INLINE vec novelty_of(const Gamma *g, const Scene *at, const vec *p, const vec *
   return 1 - exp2_vec(-(distance * g->per_distance / g->reach + over / (real)0.1));
 }
 
-/* The next percepts and how novel the motions are of the rows that `bits` has,
-   `predict_with_novelty`; the others' come out as anything. */
+/* The next percepts and novelties of the rows in `bits`, `predict_with_novelty`; others are undefined. */
 APART void gamma_vec(const Gamma *g, Layout layout, const vec *p, const vec *u, uint32_t bits,
                      vec *after, vec *novelty) {
   Scene at = scene_of(g, layout, p);
@@ -130,7 +129,7 @@ APART void gamma_vec(const Gamma *g, Layout layout, const vec *p, const vec *u, 
 /* NEAR tanh(x / NEAR). */
 INLINE vec saturated(vec x) { return NEAR * (2 * sigmoid_vec(x * (2 / NEAR)) - 1); }
 
-/* How the two edges lie that the robot stands farthest in front of, `grasp_features.edges`. */
+/* The two edges in front of which the robot is farthest out, `grasp_features.edges`. */
 INLINE void edges(const Rectangle *table, const vec *placed, vec *out) {
   vec c = table->c, s = table->s, x = placed[0] - table->x, y = placed[1] - table->y;
   vec nx[4] = {c, -c, -s, s}, ny[4] = {s, -s, c, -c};
@@ -164,7 +163,7 @@ INLINE void features_of_c(Layout layout, const vec *p, vec *x) {
   }
 }
 
-/* The probability that a grasp succeeds of the rows that `bits` has, `SuccessClassifier.forward`. */
+/* The probability of success of the rows in `bits`, `SuccessClassifier.forward`. */
 APART vec success_vec(const Classifier *f, Layout layout, const vec *p, uint32_t bits) {
   vec x[MOST_FEATURES], value, distance;
   features_of_c(layout, p, x);

@@ -1,4 +1,4 @@
-/* The first motion of a route around what is seen: cgtorch.tabletop.world.routes. */
+/* The first motion of a route of the base around what is seen: cgtorch.tabletop.world.routes. */
 #pragma once
 #include "tabletop.h"
 
@@ -10,7 +10,7 @@
 #define MOST_THINGS (1 + (MOST_PERCEPT - 7) / 4)
 #define MOST_CORNERS (4 * MOST_THINGS)
 
-/* What is seen, and the corners to drive past, each `there` or not. */
+/* What is seen, and the corners of a route; `there` if a corner exists. */
 typedef struct {
   int count;
   Rectangle things[MOST_THINGS];
@@ -34,7 +34,7 @@ INLINE void surroundings(const vec *p, Layout layout, const Body *body, Surround
     }
   }
 }
-/* The same after a turn, as if from the start. */
+/* The same in the frame after a turn. */
 INLINE void turned_by(const Surroundings *seen, vec c, vec s, Surroundings *turned) {
   *turned = *seen;
   for (int k = 0; k < seen->count; k++) {
@@ -58,8 +58,8 @@ INLINE vwhole possible_from(const Surroundings *seen, vec x, vec y, const vec *u
 }
 INLINE vec length_of(const vec *u) { return vec_sqrt(u[0] * u[0] + u[1] * u[1]); }
 
-/* The length of the shortest route past corners, for those of `rows` that have one, else infinite, and
-   the first corner. The base turns by `by` there. */
+/* The length of the shortest route past corners, infinite without one, for `rows`; and its first corner,
+   where the base turns by `by`. */
 INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *body, vwhole rows,
                     vec *x, vec *y) {
   int corners = 4 * seen->count;
@@ -114,7 +114,7 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
   return best;
 }
 
-/* Puts the first motion of a route around what is seen in the place of those of `rows`; which have one. */
+/* Replaces the motions of `rows` by the first motions of routes; returns the rows with a route. */
 INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
   Surroundings seen;
   vec x, y, best = vec_of(INFINITY), wanted[3] = {u[0], u[1], u[2]};
@@ -130,7 +130,8 @@ INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows,
   return rows & (best < INFINITY);
 }
 
-/* The first motions of routes to where motions would lead: those themselves, or others in their place. */
+/* The first motions of routes to the goals of motions, which are the motions themselves if these are clear.
+   */
 APART void first_motion(const vec *p, Layout layout, const Body *base, vwhole rows, vec *u) {
   Body body = *base;
   body.farthest = INFINITY;

@@ -1,6 +1,6 @@
-/* Ways around what stands between two postures (cgtorch.tabletop.kinematics.rrt_connect): two random
-   trees that grow towards each other (Kuffner & LaValle, "RRT-Connect: an efficient approach to
-   single-query path planning", 2000). */
+/* Ways around obstacles between two postures (cgtorch.tabletop.kinematics.rrt_connect): two random trees that
+   grow together (Kuffner & LaValle, "RRT-Connect: an efficient approach to single-query path planning",
+   2000). */
 #include <stdlib.h>
 
 #include "engine/draws.h"
@@ -76,8 +76,8 @@ static int64_t connected(Search *s, Tree *tree, const real *goal) {
   return node;
 }
 
-/* The postures from the start over two nodes that meet to the goal, without those that can be left
-   out; their number, or 0 if there are too many. */
+/* The postures from the start over two connected nodes to the goal, without superfluous ones; returns their
+   number, or 0 if there are too many. */
 static int64_t shortened(Search *s, int64_t one, int64_t other, real *out) {
   const real *way[2 * MOST_NODES];
   int64_t count = 0, kept = 1;

@@ -1,8 +1,7 @@
-/* Solids, each the sum of a box, a disc about z and a ball, and how far two of them are apart: the
-   algorithm of Gilbert, Johnson and Keerthi ("A fast procedure for computing the distance between
-   complex objects in three-dimensional space", 1988), which needs no more of a solid than its point
-   that is farthest in a direction. A cylinder is half a height and a disc, a capsule half a height
-   and a ball. */
+/* Solids, each the sum of a box, a disc about z and a ball, and their distances by the
+   Gilbert-Johnson-Keerthi algorithm ("A fast procedure for computing the distance between complex objects in
+   three-dimensional space", 1988), which needs only the point of a solid that is farthest in a direction. A
+   cylinder is a half height and a disc, a capsule a half height and a ball. */
 #pragma once
 #include "tabletop/chain.h"
 
@@ -108,8 +107,8 @@ static int of_tetrahedron(real corner[4][3], real *out) {
   return count;
 }
 
-/* No more than the distance of two solids, m, up to TOLERANCE; or any number on the same side of
-   `near` and of `far`, which is all that is asked. */
+/* A lower bound of the distance of two solids, m, exact to TOLERANCE; or any number on the same side of
+   `near` and of `far`, as only these comparisons count. */
 static real distance_of(const Solid *a, const Solid *b, real near, real far) {
   real corner[4][3], away[3], least = -INFINITY, balls = a->size[4] + b->size[4];
   for (int i = 0; i < 3; i++) away[i] = a->pose[i * 4 + 3] - b->pose[i * 4 + 3];

@@ -1,9 +1,7 @@
-/* Whether an arm is clear of everything on all of its way, between waypoints too.
-
-   A way is halved until each half is known to be clear: two solids that are so far apart in its middle
-   that the joints cannot bring them together before its ends need no further look (Schwarzer, Saha &
-   Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
-   environments", 2005). */
+/* Whether an arm is clear of everything on its way, also between waypoints. A way is halved until each half
+   is known to be clear. Two solids need no further test if, in the middle of a part, they are too far apart
+   for the joints to bring them together before its ends (Schwarzer, Saha & Latombe, "Adaptive dynamic
+   collision checking for single and multiple articulated robots in complex environments", 2005). */
 #pragma once
 #include "library.h"
 #include "tabletop/solids.h"

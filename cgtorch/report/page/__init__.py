@@ -1,3 +1,3 @@
-"""A run as one HTML page, made from nothing but the run's folder."""
+"""A run as one HTML page, made from the run's folder alone."""
 
 from cgtorch.report.page.page import report_page as report_page

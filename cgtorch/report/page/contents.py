@@ -1,4 +1,4 @@
-"""What there is to tell of a run: its folder, read as far as the run has come."""
+"""The contents of a run's folder, finished or not."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
@@ -24,7 +24,7 @@ START = "start"
 
 @dataclass(frozen=True)
 class Stage:
-    """A finished stage or round: its result.json, and what the run could do when it ended."""
+    """A finished stage or round: its result.json, and what the run could solve at its end."""
 
     name: str
     result: dict[str, Any]
@@ -36,7 +36,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What the fits of Γ and C found, and the folder of the run that has it."""
+    """The reports of the fits of Γ and C, and the folder that contains them."""
 
     where: str
     gamma: TransitionReport
@@ -45,7 +45,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Contents:
-    """All that the page is made of."""
+    """Everything that the page shows."""
 
     run: Run
     about: dict[str, Any]
@@ -94,7 +94,7 @@ def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
 
 
 def _fitted(run: Run) -> Fitted | None:
-    """The reports that came last; a run may be passed on without models."""
+    """The latest reports of the models; a run may have been copied without models."""
     for name in (*reversed(run.stages), START):
         folder = run.folder / name
         if (folder / GAMMA).is_file() and (folder / CLASSIFIER).is_file():
@@ -129,7 +129,7 @@ def _sound_curve(curve: LearningCurve | None) -> bool:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value is what its annotation says, numbers finite."""
+    """Whether a value matches its annotation and has finite numbers."""
     origin, args = get_origin(kind), get_args(kind)
     if kind in (int, float):
         return type(value) in (int, kind) and abs(value) < 1e15

@@ -1,4 +1,4 @@
-"""The course of the evolutions: TensorBoard's steps as generations, counted from 1."""
+"""The course of evolutions: TensorBoard's steps as generations, counted from 1."""
 
 from bisect import bisect_right
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ V = TypeVar("V")
 
 @dataclass(frozen=True)
 class Course:
-    """When things happened in a run.
+    """The generations of events in a run.
 
     Attributes:
-        steps: TensorBoard's, of each generation.
-        ends: the last generation of each evolution, at a test in the world or a stage's end.
-        stages: name, first and last generation of each finished stage that had any; empty where
-            the event files do not hold all generations of the run.
+        steps: TensorBoard's step of each generation.
+        ends: The last generation of each evolution, at a test in the world or a stage's end.
+        stages: Name, first and last generation of each finished stage that has any; empty if the
+            event files lack generations.
     """
 
     steps: tuple[int, ...]
@@ -32,7 +32,7 @@ class Course:
         return bisect_right(self.steps, step)
 
     def lines(self, points: Iterable[tuple[int, V]]) -> list[list[tuple[int, V]]]:
-        """Points by generation, one line for each evolution, so that none joins two."""
+        """Points by generation, as separate lines for each evolution."""
         lines: dict[int, list[tuple[int, V]]] = {}
         for step, value in points:
             number = self.generation(step)
@@ -41,7 +41,7 @@ class Course:
 
 
 def course_of(contents: Contents) -> Course | None:
-    """The course of a run, None if its event files hold no generation."""
+    """The course of a run; None if its event files contain no generation."""
     steps = tuple(step for step, _ in contents.events.scalars.get(GENERATION, ()))
     if not steps:
         return None

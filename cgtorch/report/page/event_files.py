@@ -1,4 +1,4 @@
-"""What TensorBoard files of a run say, read by TensorBoard itself."""
+"""The data in the TensorBoard files of a run, read by TensorBoard's own reader."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 SHARE = 0.8
-"""Of a histogram's values that lie between `Spread.low` and `Spread.high`."""
+"""The share of a histogram's values between `Spread.low` and `Spread.high`."""
 
 
 class Spread(NamedTuple):
-    """Where the values of a histogram lie."""
+    """The middle and the mean of the values of a histogram."""
 
     low: float
     mean: float
@@ -20,19 +20,19 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True)
 class EventData:
-    """What the files in a folder hold, by tag: steps and the scalars or histograms there."""
+    """The content of a folder's files, by tag: steps with scalars or histograms."""
 
     scalars: dict[str, tuple[tuple[int, float], ...]]
     histograms: dict[str, tuple[tuple[int, Spread], ...]]
 
     def last(self, tag: str) -> float | None:
-        """The last value of a scalar, None if it was never written."""
+        """The last value of a scalar, or None."""
         points = self.scalars.get(tag)
         return points[-1][1] if points else None
 
 
 def read_event_files(folder: Path) -> EventData:
-    """Scalars and histograms, but those hidden as done again; a file that is cut, up to the cut."""
+    """Scalars and histograms, without those of repeated steps; a truncated file up to its end."""
     if not any(folder.glob("events.out.tfevents.*")):
         return EventData({}, {})
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -51,7 +51,7 @@ def read_event_files(folder: Path) -> EventData:
 
 
 def _spread(value: Any) -> Spread:
-    """The middle of a histogram, as far as its buckets tell, values evenly spread in each."""
+    """The middle part of a histogram, with values evenly distributed in each bucket."""
     filled = np.array(value.bucket) > 0
     ends = np.clip(value.bucket_limit, value.min, value.max)
     starts = np.concatenate([[value.min], ends[:-1]])

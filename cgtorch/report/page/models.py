@@ -1,4 +1,4 @@
-"""How good Γ and C are, as rows of tables and pictures."""
+"""The quality of Γ and C, as rows of tables and pictures."""
 
 from collections.abc import Callable, Mapping
 from statistics import fmean
@@ -20,7 +20,7 @@ SCORES = {
 
 
 def model_quality(contents: Contents) -> dict[str, Any]:
-    """From the reports of the models where the run has them, else from its event files."""
+    """The quality of the models from their reports, or else from the event files."""
     fitted, events = contents.fitted, contents.events
     learning, reliability = Markup(""), Markup("")
     if curves := _curves(contents):
@@ -59,7 +59,7 @@ def _errors(contents: Contents) -> Rows:
 def _beside(
     events: EventData, tests: Mapping[str, str], ours: str, best: str, text: Callable[[float], str]
 ) -> Rows:
-    """What was told of fresh tests, beside the best possible."""
+    """Results of fresh tests, beside the best possible ones."""
     rows: Rows = []
     for tag, words in tests.items():
         found, possible = events.last(f"{tag}_{ours}"), events.last(f"{tag}_{best}")
@@ -86,7 +86,7 @@ def _curves(contents: Contents) -> list[Curve]:
 
 
 def _in_unit(value: float, unit: str) -> str:
-    """An error in the unit of its number; metres as centimetres."""
+    """An error in the unit of its number, with metres as centimetres."""
     return _cm(value) if unit == "m" else f"{value:.3g} {unit}".rstrip()
 
 

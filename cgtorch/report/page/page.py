@@ -1,4 +1,4 @@
-"""The page: what a run's folder holds, put into the template."""
+"""The page: the contents of a run's folder, in a template."""
 
 import shlex
 from collections.abc import Sequence
@@ -30,9 +30,9 @@ PACKAGE = "cgtorch.report.page"
 def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
-    It is UTF-8, and of the same run under the same name, which may be unfinished, always the same
-    bytes. What is `trusted`, and the domain, are as in `cgtorch.runs.run.open_run`. CgtorchError if
-    there is no run, or a file of it is damaged.
+    It is UTF-8. The same run under the same name, even an unfinished one, always gives the same
+    bytes. For `trusted` and `domain` see `cgtorch.runs.run.open_run`. CgtorchError if there is no
+    run, or a file of it is damaged.
     """
     contents = read_contents(folder, trusted, domain)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
@@ -76,7 +76,7 @@ def _interval(succeeded: int, tried: int) -> str:
 
 
 def _missing(contents: Contents) -> list[str]:
-    """What an unfinished or thinned out run has not."""
+    """The parts that an unfinished or incomplete run lacks."""
     run, said = contents.run, []
     if not contents.stages:
         said.append("No stage is finished yet, so there is no skill to show.")
@@ -128,7 +128,7 @@ def _evolution(contents: Contents) -> dict[str, Any]:
 
 
 def _settings(run: Run) -> list[tuple[str, str, str, str]]:
-    """Name, value, default where it is another, and what it means."""
+    """Name, value, default if it differs, and meaning of each setting."""
     rows, values = [], run.all_settings()
     usual = defaults_of(type(run.domain.settings))
     for f in all_fields(type(run.domain.settings)):
@@ -142,7 +142,7 @@ def _text(value: object) -> str:
 
 
 def _using(contents: Contents) -> list[str]:
-    """Commands for the run as it is."""
+    """Commands that use the run."""
     settings = contents.run.settings
     name = shlex.quote(place_of(contents.run.folder).as_posix())
     rest = [f" --domain {shlex.quote(settings.domain)}"] if is_code(settings.domain) else []

@@ -27,7 +27,7 @@ RATES = {
 }
 
 Shares = Sequence[tuple[str, int, int]]
-"""Names, how many succeeded, and of how many."""
+"""Names, numbers of successes, and numbers of trials."""
 
 
 def draw_success(
@@ -64,7 +64,7 @@ def draw_success(
 
 
 def draw_fitness(events: EventData, course: Course, rewarded: bool) -> Figure:
-    """Each evolution's fitness or mean return, the share that is worth nothing, and graph sizes."""
+    """Fitness or mean return of evolutions, the share of unsolved individuals, and graph sizes."""
     worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = plain_figure(WIDTH, 5.4, (2.2, 1, 1))
     for axes, tags in (
@@ -110,7 +110,7 @@ def draw_rates(events: EventData, course: Course) -> Figure | None:
 
 
 Curve = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
-"""Name of the score, rows learnt from, scores on these and on rows held out."""
+"""The name of the score, numbers of rows, scores on these rows, and scores on held-out rows."""
 
 
 def draw_learning(curves: Sequence[Curve]) -> Figure:
@@ -129,7 +129,7 @@ def draw_learning(curves: Sequence[Curve]) -> Figure:
 
 
 def _stages(axes: Axes, course: Course, named: bool) -> None:
-    """Where stages end, and what they are called."""
+    """Mark the ends of stages, and name the stages."""
     last = len(course.steps)
     axes.set_xlim(0.5, last + 0.5)
     for name, first, end in course.stages:

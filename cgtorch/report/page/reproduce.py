@@ -12,11 +12,11 @@ from cgtorch.runs.settings import all_fields, defaults_of, option_of
 
 AGAIN = "runs/again"
 ENGINE, TORCH = "engine", "torch"
-"""What computes in a run, and what it is called where nothing is compiled."""
+"""The name of the engine in run.json, and its value if nothing is compiled."""
 
 
 def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """The next stage, what changed, and its old and new value, of each change of a run in order."""
+    """For each change of a run, in order: the next stage, the name, the old and the new value."""
     history = about.get("history", [])
     found = []
     for entry in history if isinstance(history, list) else []:
@@ -28,7 +28,7 @@ def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, Any]) -> list[str]:
-    """The commands that train a run again, and take over what it took over at the same place."""
+    """The commands that train a run again, with the same changes of settings at the same stages."""
     names = {ENGINE, *run.all_settings()}
     taken = [c for c in changes_of(about) if c[1] in names]
     at_first = {name: old for _, name, old, _ in reversed(taken)}
@@ -50,7 +50,7 @@ def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, 
 def _legs(
     run: Run, summary: Mapping[str, Any], changed: Sequence[str]
 ) -> list[tuple[list[str], str | None]]:
-    """Words for each stretch under the same settings, and before what it was changed."""
+    """The options of each part of a run under the same settings, and what changed before it."""
     own = list(run.domain.stages)
     stages = [name for name in run.stages if name in own] or ([] if run.rounds else own[:1])
     goal = [
@@ -79,7 +79,7 @@ def _legs(
 
 
 def _settings(run: Run, at_first: Mapping[str, str]) -> list[str]:
-    """The options of all settings that are not the default."""
+    """The options of all settings that differ from the default."""
     own = type(run.domain.settings)
     stored = run.domain.stored_options(run.folder)
     values = {**run.all_settings(), **stored}

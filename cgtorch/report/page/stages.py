@@ -1,4 +1,4 @@
-"""The stages of a run, made or not, with the pictures of what they reached."""
+"""The stages of a run, finished or not, with pictures of their results."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,16 +19,16 @@ NONE = Markup("")
 
 @dataclass(frozen=True)
 class StageSection:
-    """What the page says of a stage or round; pictures have a text, and some domains have none.
+    """The content of the page for a stage or round; some domains have no pictures.
 
     Attributes:
-        scenarios: the kind that it is about.
-        tested: whether it is one of the domain's stages, which have tests of their own.
-        drawing: of what it is about.
-        stage: what was made; None if it is not made.
-        map: a picture of what the skill solved.
-        graph: a picture of its graph.
-        panels: the graph as tables: title, start node, and for each outcome from node to node.
+        scenarios: Its kind of scenarios.
+        tested: Whether it is one of the domain's stages, which have tests of their own.
+        drawing: A drawing of its task.
+        stage: The finished stage, or None.
+        map: A picture of what the skill solved.
+        graph: A picture of its graph.
+        panels: The graph as tables: title, start node, and for each outcome from node to node.
     """
 
     name: str
@@ -43,7 +43,7 @@ class StageSection:
 
 
 def stage_sections(contents: Contents) -> list[StageSection]:
-    """All of the run's, and those of its domain that it lacks, unless it goes on in rounds."""
+    """All stages of the run, and the missing ones of its domain unless the run makes rounds."""
     made, run = {stage.name: stage for stage in contents.stages}, contents.run
     domain, wanted = run.domain, list(made)
     if domain.stages and run.kind == domain.usual_kind and not run.rounds:
@@ -65,7 +65,7 @@ def stage_sections(contents: Contents) -> list[StageSection]:
 
 
 def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup, str]:
-    """All that is known of where a stage's skill succeeds; tests of a kind are marked."""
+    """A picture of all known results of a stage's skill; tests of a kind are marked."""
     solved, missed = len(stage.solved), len(stage.missed)
     if not solved + missed:
         return NONE, f"{stage.skill.name}: nothing was tried"
@@ -84,7 +84,7 @@ def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup
 
 
 def _among(scenarios: Any, tests: Any) -> Tensor:
-    """Which of the scenarios (B,) are among those of a test."""
+    """Which of the scenarios (B,) are among `tests`."""
     if tests is None or not len(tests):
         return torch.zeros(len(scenarios), dtype=torch.bool)
     found, wanted = (
@@ -95,7 +95,7 @@ def _among(scenarios: Any, tests: Any) -> Tensor:
 
 
 def _graph_of(stage: Stage, clusters: list[Cluster]) -> tuple[Markup, str]:
-    """The skill's graph like the paper's figures."""
+    """The skill's graph, like the paper's figures."""
     nodes, inner = stage.skill.num_nodes, len(clusters) - 1
     start = printable(clusters[0].nodes[clusters[0].start].label)
     words = f"{stage.skill.name}: {nodes} node{'s' if nodes != 1 else ''}, starting at {start}"

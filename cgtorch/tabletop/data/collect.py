@@ -1,4 +1,4 @@
-"""Collecting what Γ and C learn from: the world driven at random (section V)."""
+"""Collecting data for Γ and C by random driving in the world (section V)."""
 
 import torch
 from torch import Generator, Tensor
@@ -13,9 +13,9 @@ MOVES = 8  # of each robot
 
 
 def collect(scenes: Scenes, transitions: int, labels: int, generator: Generator) -> Dataset:
-    """Drive at random for so many transitions (p, u, p′), and try grasps for so many labels.
+    """Drive at random for transitions (p, u, p′), and try grasps for labels.
 
-    DataError if hardly any pose allows a grasp, or hardly any does not.
+    DataError if almost no pose allows a grasp, or almost all do.
     """
     percept, motion, after = drive(scenes, transitions, generator)
     at, graspable = grasp_labels(scenes, labels, generator)
@@ -25,7 +25,7 @@ def collect(scenes: Scenes, transitions: int, labels: int, generator: Generator)
 def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
     """`count` moves p (n, D), u (n, 3), p′ (n, D) of robots driven at random from random poses.
 
-    Moves that are blocked or that would leave the arena are not made.
+    Moves that are blocked or would leave the arena are not made.
     """
     rows: list[tuple[Tensor, Tensor, Tensor]] = []
     have = 0
@@ -53,7 +53,7 @@ def _either(first: Tensor, yes: Lanes, no: Lanes) -> Lanes:
 
 
 def random_motions(count: int, generator: Generator) -> Tensor:
-    """(n, 3) motions in a random direction; a third hardly turns, the others turn any angle."""
+    """(n, 3) motions in random directions; a third turn very little, the others by any angle."""
     draw = torch.rand(count, 4, generator=generator)
     length, direction = MAX_MOVE * draw[:, 0], 2 * torch.pi * draw[:, 1]
     turn = torch.pi * (2 * draw[:, 2] - 1)

@@ -1,7 +1,7 @@
-"""Labels for C: percepts, and whether a grasp succeeds there, drawn where there is most to learn.
+"""Labels for C: percepts and whether a grasp succeeds, sampled where they are most informative.
 
-Nothing is drawn by its label, so among equal percepts the labels are as frequent as in the world
-and probabilities learned from them mean what they say.
+Sampling never depends on a row's own label, so among equal percepts labels are as frequent as in
+the world, and probabilities learned from them are correct.
 """
 
 import torch
@@ -24,7 +24,7 @@ PROBE = 200  # poses, at least, that show whether there is anything to learn
 
 
 def label(scenes: Scenes, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
-    """What is seen from each pose (B, D), and (B,) bool whether a grasp succeeds there."""
+    """The percept at each pose (B, D), and (B,) bool whether a grasp succeeds there."""
     world = scenes.world(scenarios)
     lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
     return lanes.percept, world.success(lanes)[1] > 0.5
@@ -33,10 +33,10 @@ def label(scenes: Scenes, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
 def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor]:
     """`count` percepts (n, D) and (n,) bool labels, in random order.
 
-    Some poses are drawn around the object, more of them beside the boundary between success and
-    failure, and the others anywhere, so that models do not believe in grasps at places where
-    nobody has been. The base never stands in the table, where no skill can bring it. DataError if
-    fewer than one pose in a hundred around the object has either label.
+    Some poses are around the object, more are close to the boundary between success and failure,
+    and the others are anywhere, so that models do not predict success where there are no data. The
+    base never overlaps the table, as no skill can bring it there. DataError if fewer than one pose
+    in a hundred around the object has either label.
     """
     anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
     first = count - anywhere - ROUNDS * beside
@@ -64,9 +64,9 @@ def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tens
 def nearest_to_boundary(
     scenarios: Scenarios, percept: Tensor, graspable: Tensor, count: int
 ) -> Tensor:
-    """Indices (count,) of scenarios that known successes are about as near to as known failures.
+    """Indices (count,) of scenarios about equally far from known successes and known failures.
 
-    Known are percepts (n, D), and whether a grasp succeeds there (n,), some of either.
+    The known percepts are (n, D), and their labels `graspable` (n,), with some of either.
     """
     seen = percept_of(scenarios.pose, scenarios.table, scenarios.object)
     to_success = _distance(seen, percept[graspable])
@@ -76,7 +76,7 @@ def nearest_to_boundary(
 
 
 def _distance(seen: Tensor, known: Tensor) -> Tensor:
-    """Mean distance (B,) from percepts (B, 7) to the nearest few among known ones (n, D)."""
+    """Mean distance (B,) from percepts (B, 7) to the nearest few of the known ones (n, D)."""
 
     def place(percept: Tensor) -> Tensor:
         part = parts_of(percept)

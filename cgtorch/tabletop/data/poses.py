@@ -1,4 +1,4 @@
-"""Where the robot is put to collect data: free poses around the table and around the object."""
+"""Poses of the robot for collecting data: free poses around the table and around the object."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,13 +18,13 @@ REACH = (0.3, 1.3)  # m between base and object where a grasp may be possible or
 
 @dataclass(frozen=True)
 class Scenes:
-    """The scenes that data are collected in.
+    """The scenes in which data are collected.
 
     Attributes:
         world: Makes the world of given scenarios.
-        kind: Of scenarios, as in `DRAWS`; objects along all edges for those of one.
-        thrift: How few answers of the world are asked for beyond those that are needed; from 1 on,
-            more where each costs a simulation.
+        kind: The kind of scenarios, as in `DRAWS`; for an edge, objects are along all edges.
+        thrift: From 1 on, how sparingly the world is asked for more answers than needed; higher if
+            each answer is a simulation.
     """
 
     world: Callable[[Scenarios], ObservedTabletop]
@@ -38,7 +38,7 @@ class Scenes:
 
     @property
     def arena(self) -> float:
-        """M from the table's centre within which the robot is driven."""
+        """The radius (m) around the table's centre within which the robot is driven."""
         return ARENA if self.paper_table else WIDE_ARENA
 
     @property
@@ -47,12 +47,12 @@ class Scenes:
         return self.world(self.draw(0, Generator())).footprint
 
     def draw(self, count: int, generator: Generator) -> Scenarios:
-        """Scenarios, of which the robot's start is not used; SettingsError if there are none."""
+        """Scenarios, whose initial robot pose is not used; SettingsError for an unknown kind."""
         return draw_of("perimeter" if self.paper_table else self.kind)(count, generator)
 
 
 def poses_around(scenes: Scenes, count: int, generator: Generator, wider: float = 1.0) -> Scenarios:
-    """Scenarios with the robot at a uniform free pose in an arena `wider` times the scenes' own."""
+    """Scenarios with the robot at a uniform free pose in an arena `wider` times the usual one."""
     arena = wider * scenes.arena
 
     def put(base: Scenarios) -> Tensor:
@@ -76,7 +76,7 @@ def poses_at_object(scenes: Scenes, count: int, generator: Generator) -> Scenari
 
 
 def in_table(scenarios: Scenarios, footprint: Tensor) -> Tensor:
-    """(B,) bool, whether the base would stand in the table or in an obstacle."""
+    """(B,) bool, whether the base overlaps the table or an obstacle."""
     still = torch.zeros_like(scenarios.pose)
     inside = torch.zeros(len(scenarios), dtype=torch.bool)
     for thing in (scenarios.table[:, :5], *scenarios.obstacles.unbind(1)):
@@ -88,7 +88,7 @@ def in_table(scenarios: Scenarios, footprint: Tensor) -> Tensor:
 def _free_poses(
     scenes: Scenes, count: int, generator: Generator, put: Callable[[Scenarios], Tensor]
 ) -> Scenarios:
-    """`count` scenarios with the robot put (n, 3) where the base does not stand in the table."""
+    """`count` scenarios with the robot placed by `put` (n, 3), where the base is free."""
     found, footprint = scenes.draw(0, Generator()), scenes.footprint
     while len(found) < count:
         base = scenes.draw(2 * (count - len(found)) + 8, generator)

@@ -1,4 +1,4 @@
-"""Robots from URDF files: forward and inverse kinematics, collision, and what can be grasped."""
+"""Robots from URDF files: forward and inverse kinematics, collision, and grasps."""
 
 from cgtorch.tabletop.kinematics.arm import ArmModel as ArmModel
 from cgtorch.tabletop.kinematics.arm_way import ArmWay as ArmWay

@@ -1,4 +1,4 @@
-"""One arm, ready for batched forward and inverse kinematics on any device."""
+"""One arm with batched forward and inverse kinematics on any device."""
 
 import math
 from dataclasses import dataclass, field
@@ -23,13 +23,13 @@ _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the pr
 
 @dataclass(frozen=True)
 class ChainTable:
-    """The frames of a chain in order, each in the one before, as compiled code reads them.
+    """The frames of a chain in order, each relative to the one before, for compiled code.
 
     Attributes:
         offset: (F, 3, 4) upper rows of poses before a joint moves; the first in the base frame.
         axis: (F, 3) of each frame's joint.
-        kind: (F,) long, 0 where a frame's joint is fixed, 1 where it turns, 2 where it slides.
-        joint: (F,) long, which of the joints that move it is, or -1.
+        kind: (F,) long, 0 for a fixed joint, 1 for a revolute, 2 for a prismatic one.
+        joint: (F,) long, the index of the moving joint, or -1.
     """
 
     offset: Tensor
@@ -40,17 +40,17 @@ class ChainTable:
 
 @dataclass(frozen=True)
 class ArmModel:
-    """One arm, ready for batched forward and inverse kinematics.
+    """One arm with batched forward and inverse kinematics.
 
     Attributes:
-        joint_names: The n joints that move, from base to tool.
-        lower, upper: (n,) limits, the soft ones where the URDF has them; rad or m.
-        continuous: (n,) whether a joint turns without end.
+        joint_names: The n moving joints, from base to tool.
+        lower, upper: (n,) limits, the soft ones if the URDF has them; rad or m.
+        continuous: (n,) whether a joint is continuous, without limits.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
-        reach: How far from its base link's origin the tool frame's can be at most, m.
-        capsules: What collides, roughly: those of `solids` that are cylinders end as balls.
-        solids: What collides, as the URDF has it.
-        closed_form: What the closed form of inverse kinematics needs, or None for arms without.
+        reach: The largest distance between the origins of the base link and of the tool frame, m.
+        capsules: Approximate collision shapes: the `solids`, with cylinders as capsules.
+        solids: The collision shapes of the URDF.
+        closed_form: The parameters of closed-form inverse kinematics, or None without it.
     """
 
     name: str
@@ -70,7 +70,7 @@ class ArmModel:
     )
 
     def chain(self, like: Tensor) -> tuple[Any, ChainTable]:
-        """The chain in `pytorch_kinematics` and its table, made once for each device and dtype."""
+        """The chain in `pytorch_kinematics` and its table, made once per device and dtype."""
         key = (like.dtype, like.device)
         if key not in self._chains:
             base, tip = self._links
@@ -87,10 +87,10 @@ class ArmModel:
         return self.mount.to(q) @ frames
 
     def candidates(self, pose: Tensor, samples: int = PAN_SAMPLES) -> tuple[Tensor, Tensor]:
-        """Rows (M,), ascending, and for each joint positions (M, n) within limits that solve it.
+        """Rows (M,), ascending, and for each a solution (M, n): joint positions within limits.
 
-        They bring the tool frame to the row's pose (B, 4, 4) in the robot's base frame. The closed
-        form tries so many `samples` of the pan angle.
+        A solution brings the tool frame to the row's pose (B, 4, 4) in the robot's base frame. The
+        closed form tries `samples` values of the pan angle.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
@@ -100,8 +100,9 @@ class ArmModel:
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
 
-        And whether each waypoint was reached (M, W); where not, its positions mean nothing. The
-        waypoints (M, W, 4, 4) are poses of the tool frame in the robot's base frame.
+        Also returned is whether each waypoint was reached (M, W); otherwise, its positions are
+        meaningless. The waypoints (M, W, 4, 4) are poses of the tool frame in the robot's base
+        frame.
         """
         local = torch.linalg.inv(self.mount.to(pose)) @ pose
         if self.closed_form is not None:
@@ -109,13 +110,13 @@ class ArmModel:
         return numerical_follow(*self._search(pose), q, local)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """(..., n): how far each joint is from b to a, the short way round if it is continuous."""
+        """(..., n): the distance of each joint from b to a, the shorter way if it is continuous."""
         away = a - b
         short = away - math.tau * (away / math.tau).round()
         return torch.where(self.continuous.to(away.device), short, away)
 
     def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
-        """The chain and limits (n,) to search in, of continuous joints one turn about zero."""
+        """The chain and limits (n,) for searches; continuous joints have one turn about zero."""
         lower = torch.where(self.continuous, -math.pi, self.lower)
         upper = torch.where(self.continuous, math.pi, self.upper)
         return self.chain(like)[0], lower.to(like), upper.to(like)

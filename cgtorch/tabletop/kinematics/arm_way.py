@@ -1,4 +1,7 @@
-"""The way of an arm: from home to an object, up with it, and home again."""
+"""The way of an arm: from home to an object, up with it, and home again.
+
+A way is a path in joint space, straight between waypoints.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -17,20 +20,20 @@ from cgtorch.tabletop.kinematics.way_search import FoundWays, found_ways, places
 
 @dataclass(frozen=True)
 class ArmWay:
-    """How an arm takes each object: ways in the space of its joints, straight between waypoints.
+    """The ways of arms to B objects: paths in joint space, straight between waypoints.
 
     Attributes:
-        found: (B,) whether there is a way at all; where not, the rest means nothing.
+        found: (B,) whether there is a way; if not, all other values of the row are meaningless.
         arm: (B,) index into the robot's arms.
         approach: (B,) index into `APPROACHES`.
         joints: (B, W, n) waypoints from home to where the object is lifted, rad or m, in the order
-            of the arm's joints; n is the largest number of joints of any arm, and what an arm does
-            not have is 0. After a row's last waypoint it is repeated.
-        pre_grasp, grasp, lifted: (B,) index of these waypoints; `lifted` is a row's last one. Until
-            `pre_grasp` the way is free in space, then the tool keeps to its line.
+            of the arm's joints. n is the largest number of joints of any arm, and missing joints
+            are 0. A row's last waypoint is repeated.
+        pre_grasp, grasp, lifted: (B,) indices of these waypoints; `lifted` is a row's last one.
+            Before `pre_grasp`, the way is free in space; after it, the tool keeps to its line.
         back: (B, V, n) waypoints with the object, from where it is lifted to home.
         home_again: (B,) index of the last waypoint of `back`.
-        returns: (B,) whether the arm can bring the object home; where not, `back` ends where the
+        returns: (B,) whether the arm can bring the object home; if not, `back` ends where the
             object is lifted.
     """
 
@@ -50,14 +53,14 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
     """The way of an arm to each object, and back with it.
 
     Args:
-        robot: The robot, whose arms are at home.
+        robot: The robot, with its arms at home.
         position: (B, 3) objects on the table in the base frame, at the height of its top, m.
-        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
-            frame, m and rad.
-        seed: Of the planner's random numbers, which are each row's own.
+        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base frame,
+            m and rad.
+        seed: Of the planner's random numbers, which are independent for each row.
 
     Raises:
-        RobotError: A shape is wrong or a value is not finite.
+        RobotError: A shape is wrong, or a value is not finite.
     """
     ways, arms = found_ways(robot, position, table, seed), len(robot.arms)
     found, arm = ways.rank < arms * len(APPROACHES), ways.rank % arms
@@ -81,7 +84,7 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
 
 
 def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """Whether an arm has a way to each object and up with it (B,); see `arm_ways`."""
+    """(B,) whether an arm has a way to each object and up with it; see `arm_ways`."""
     return found_ways(robot, position, table).rank < len(robot.arms) * len(APPROACHES)
 
 
@@ -89,7 +92,7 @@ def _ways_back(
     robot: Robot, position: Tensor, table: Tensor, ways: FoundWays, home: Tensor, found: Tensor,
     seed: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Ways (B, VIAS, n) home with the object, straight where clear, and their lengths (B,)."""
+    """Ways (B, VIAS, n) home with the object, straight if that is clear, and their lengths (B,)."""
     back = ways.line[:, -1:].repeat(1, VIAS, 1)
     count = torch.ones_like(ways.rank)
     places = replace(places_of(position, table_slab(table.to(position))), held=ways.held)

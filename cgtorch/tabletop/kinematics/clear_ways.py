@@ -1,9 +1,9 @@
-"""Whether arms are clear of everything on their ways, between waypoints too.
+"""Whether arms are clear of everything on their ways, also between waypoints.
 
-A way is halved until each half is known to be clear: two solids that are so far apart in its middle
-that the joints cannot bring them together before its ends need no further look (Schwarzer, Saha &
-Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
-environments", 2005).
+A way is halved until each half is known to be clear. Two solids need no further test if, in the
+middle of a part, they are too far apart for the joints to bring them together before its ends
+(Schwarzer, Saha & Latombe, "Adaptive dynamic collision checking for single and multiple articulated
+robots in complex environments", 2005).
 """
 
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ HALVINGS = 24
 
 @dataclass(frozen=True)
 class Places(Tensors):
-    """What is a row's own in a scene.
+    """The parts of a scene that differ by row.
 
     Attributes:
         table, table_size: (B, 3, 4) and (B, 5) of the table's slab; see `Solids`.
-        object: (B, 3, 4) pose of the object where it stands.
-        held: (B, 3, 4) pose in the tool frame of the object as it is held; its middle is there.
+        object: (B, 3, 4) pose of the standing object.
+        held: (B, 3, 4) pose in the tool frame of the held object, at its centre.
     """
 
     table: Tensor
@@ -51,9 +51,9 @@ def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: 
     Args:
         arm: The arm.
         scene: Its scene.
-        places: (B,) what is each row's own in it.
-        kind: (B,) long, what ways these are, such as `scene.REACH`.
-        ways: (B, W, n) waypoints, straight between which the joints move, rad or m.
+        places: (B,) the parts of the scene that differ by row.
+        kind: (B,) long, the kinds of ways, such as `scene.REACH`.
+        ways: (B, W, n) waypoints, between which the joints move in straight lines, rad or m.
     """
     places, ways = places.to(ways.double()), ways.double()
     task = ways_task(arm, scene, places, kind, ways)
@@ -69,7 +69,7 @@ def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: 
 def ways_task(
     arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor
 ) -> Any | None:
-    """What compiled code is asked, without what it fills in; None where it can't be."""
+    """The input of compiled code, without its output; None if it is not supported."""
     most = constants("way_limits", torch.float64)
     chain, n, count = arm.chain(ways)[1], ways.shape[2], ways.shape[1]
     sizes = {
@@ -93,7 +93,7 @@ def ways_task(
 def ways_clear_in_torch(
     arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor
 ) -> Tensor:
-    """What `ways_clear` says, on any device: all intervals of all ways at once, halved together."""
+    """The same as `ways_clear` on any device, with all intervals of all ways halved together."""
     scene = scene.to(ways)
     steps = (ways[:, 1:] - ways[:, :-1]).abs().cumsum(1)
     gone = torch.cat([torch.zeros_like(ways[:, :1]), steps], 1)
@@ -121,7 +121,7 @@ def ways_clear_in_torch(
 
 
 def _at(rows: Tensor, row: Tensor, at: Tensor) -> Tensor:
-    """(M, n) between rows (B, W, n), linearly."""
+    """(M, n) linear interpolation between rows (B, W, n)."""
     first = at.long().clamp_max(max(rows.shape[1] - 2, 0))
     second = (first + 1).clamp_max(rows.shape[1] - 1)
     share = (at - first)[:, None]
@@ -151,6 +151,6 @@ def _placed(
 
 
 def _ball_distance(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tensor) -> Tensor:
-    """(M,) how far the balls around solids are apart, m."""
+    """(M,) the distance between the balls around solids, m."""
     apart = (pose[..., 3] - other_pose[..., 3]).norm(dim=1)
     return apart - ball_radius(size) - ball_radius(other_size)

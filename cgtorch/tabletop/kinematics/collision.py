@@ -15,10 +15,10 @@ MAX_FLATNESS = 500  # of a box: beyond it would be too many capsules
 
 
 class Tensors:
-    """A base for dataclasses some of whose fields are tensors, which go to a device together."""
+    """A base for dataclasses with tensor fields, which can move to a device together."""
 
     def to(self, like: Tensor) -> Self:
-        """The same on the device of a tensor and, where it is of floating point, in its dtype."""
+        """The same on the device of a tensor, with floating-point fields in its dtype."""
         moved = {
             name: x.to(like) if x.is_floating_point() else x.to(like.device)
             for name, x in vars(self).items()
@@ -45,8 +45,8 @@ class Capsules(Tensors):
     """Capsules that move with the frames of an arm.
 
     Attributes:
-        frame: (C,) which of the chain's frames each moves with.
-        joints: (C,) how many of the arm's joints move it.
+        frame: (C,) the frame of the chain with which each moves.
+        joints: (C,) the number of the arm's joints that move it.
         start, end: (C, 3) the ends of its axis in that frame, m.
         radius: (C,) in m.
     """
@@ -58,7 +58,7 @@ class Capsules(Tensors):
     radius: Tensor
 
     def placed(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Starts and ends (B, C, 3) of the axes where the frames have poses (F, B, 4, 4), m."""
+        """Starts and ends (B, C, 3) of the axes for frames with poses (F, B, 4, 4), m."""
         pose = frames[self.frame].transpose(0, 1)
         rotation, shift = pose[..., :3, :3], pose[..., :3, 3]
         start, end = (rotation @ point[:, :, None] for point in (self.start, self.end))
@@ -80,9 +80,9 @@ def collide(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
 
 
 def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
-    """(B, C, N) whether the sphere around a capsule reaches a box, which few do.
+    """(B, C, N) whether the sphere around a capsule reaches a box, which is rare.
 
-    Column by column, as rows of three numbers are too short for a processor's vectors.
+    Columns are computed one by one, as rows of three numbers are too short for vectorisation.
     """
     middle, reach = (start + end) / 2, (end - start).norm(dim=-1) / 2 + radius
     x, y, z = (middle[:, :, None, i] - boxes.centre[:, None, :, i] for i in range(3))
@@ -97,8 +97,8 @@ def _close(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
 def segment_box_distance(a: Tensor, b: Tensor, half: Tensor) -> Tensor:
     """Distance (...) of segments (..., 3) from centred boxes (..., 3) aligned with the axes, m.
 
-    It is convex along a segment, so bisection on the slope finds its least value, to 1/512 of the
-    segment's length; it is 0 where the segment meets the box.
+    It is convex along a segment, so bisection on the slope finds its minimum, to 1/512 of the
+    segment's length; it is 0 if the segment meets the box.
     """
     along = b - a
     low = torch.zeros_like((along + half)[..., 0])
@@ -122,9 +122,10 @@ def _outside(point: Tensor, half: Tensor) -> Tensor:
 def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]]:
     """A URDF collision element as capsules (start (3,), end (3,), radius), m, in its link's frame.
 
-    A cylinder becomes the capsule of the same radius and overall length, a box that is a bar one
-    capsule along its longest side, a flatter one parallel capsules as thick as its shortest side,
-    side by side. RobotError if the element, called `where`, is a mesh or of an impossible size.
+    A cylinder becomes the capsule of the same radius and overall length. A bar-shaped box becomes
+    one capsule along its longest side. A flatter box becomes parallel capsules side by side, as
+    thick as its shortest side. RobotError if the element, called `where`, is a mesh or has an
+    impossible size.
     """
     kind, sizes = shape_of(collision, where)
     ends, radius = [([0.0] * 3, [0.0] * 3)], sizes[0]
@@ -177,7 +178,7 @@ def pose_of(collision: Any) -> Tensor:
 
 
 def shape_of(collision: Any, where: str) -> tuple[str, list[float]]:
-    """What a collision element is, and its radius, its radius and length, or its sides, m."""
+    """The kind of a collision element, and its radius, its radius and length, or its sides, m."""
     shape = collision.geometry
     if shape.sphere is not None:
         kind, sizes = "sphere", [shape.sphere.radius]

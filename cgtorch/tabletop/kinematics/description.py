@@ -1,8 +1,8 @@
-"""The robot description: what a URDF does not say about a mobile manipulator.
+"""The robot description: what a URDF does not contain about a mobile manipulator.
 
-It is a small JSON file beside the URDF with the attributes of `RobotDescription` as keys, such as
-robots/pr2/robot.json; `body`, `gripper_joints`, `capsules`, `home`, `gains` and
-`excludes` may be left out.
+It is a small JSON file beside the URDF, such as robots/pr2/robot.json. Its keys are the attributes
+of `RobotDescription`; `body`, `gripper_joints`, `capsules`, `home`, `gains` and `excludes` are
+optional.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ _MAX_BYTES = 1_000_000
 class Arm:
     """One arm of the robot, by its links.
 
-    It is mounted on `base_link`; `tool_frame` is brought to the object, with x along the approach
+    It is mounted on `base_link`. `tool_frame` is brought to the object, with x along the approach
     and y across the fingers.
     """
 
@@ -37,21 +37,21 @@ class Arm:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """What grasping and driving need to know about a robot beside its URDF.
+    """What grasping and driving need to know about a robot besides its URDF.
 
     Attributes:
-        base_frame: The link on the floor that positions are relative to (x forward, y left, z up).
+        base_frame: The link on the floor to which positions are relative (x forward, y left, z up).
         footprint: The rectangle on the floor that bounds the body, (x min, x max, y min, y max), m.
         arms: The arms, in the order in which they are tried.
         torso_joint: The joint that lifts the arms, or None.
-        torso_position: Where that joint stays (m or rad), or None without a torso joint.
-        body: The links an arm must not touch.
-        gripper_joints: Where joints outside the arms stay, such as open fingers (rad or m).
+        torso_position: The fixed position of that joint (m or rad), or None without a torso joint.
+        body: The links that an arm must not touch.
+        gripper_joints: Fixed positions of joints outside the arms, such as open fingers (rad or m).
         capsules: Shapes that replace the URDF's collision elements of a link.
-        home: Where the arms' joints are while the robot drives (rad or m); a joint that is not
-            named is at 0 or as near as its limits allow. Without any, a posture is computed.
-        gains: How stiff the servos of joints are in physics, N m/rad or N/m, in place of defaults.
-        excludes: Pairs of links that never collide in physics, beside those next to one another.
+        home: Positions of the arms' joints while the robot drives (rad or m). A joint that is not
+            named is at 0, or as near as its limits allow. Without any, a posture is computed.
+        gains: Stiffness of servos in physics, N m/rad or N/m, in place of defaults.
+        excludes: Pairs of links that never collide in physics, besides adjacent ones.
     """
 
     name: str
@@ -71,7 +71,7 @@ class RobotDescription:
 
     @property
     def held(self) -> dict[str, float]:
-        """Where the joints that stand still stay, the torso's too (rad or m)."""
+        """The positions of all fixed joints, including the torso's (rad or m)."""
         if self.torso_joint is None or self.torso_position is None:
             return dict(self.gripper_joints)
         return {**self.gripper_joints, self.torso_joint: self.torso_position}
@@ -89,7 +89,7 @@ def load_description(path: Path | str) -> RobotDescription:
 
 @dataclass(frozen=True)
 class _Reader:
-    """Checks values and says where a bad one stands."""
+    """Checks values and names the place of a wrong one."""
 
     where: str
 
@@ -113,7 +113,7 @@ class _Reader:
         return words
 
     def read(self, what: str, value: Any, kind: Any) -> Any:
-        """A value of JSON as an annotation has it: number, text, tuple, mapping or dataclass."""
+        """A JSON value as its annotation demands: number, text, tuple, mapping or dataclass."""
         outer, inner = get_origin(kind), get_args(kind)
         if outer is UnionType:
             return None if value is None else self.read(what, value, inner[0])
@@ -143,7 +143,7 @@ class _Reader:
         return float(value)
 
     def record(self, what: str, value: dict[str, Any], kind: Any) -> Any:
-        """A dataclass from a value with the keys that it needs and no others than it has."""
+        """A dataclass from a value with all required keys and no unknown ones."""
         known = {each.name: each for each in fields(kind)}
         for key in value:
             if key not in known:

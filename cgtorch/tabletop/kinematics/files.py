@@ -1,4 +1,4 @@
-"""Where a robot's two files are: by name for a built-in robot, by path for any other."""
+"""The two files of a robot: by name for a built-in robot, by path for any other."""
 
 from os.path import isdir, isfile  # which take any text for a path
 from pathlib import Path
@@ -10,7 +10,7 @@ DESCRIPTION = "robot.json"
 
 
 def robots_folder() -> Path:
-    """Where the built-in robots are: in an installed package, or beside it in a checkout."""
+    """The folder of the built-in robots: in an installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[2]
     for folder in (package / "robots", package.parent / "robots"):
         if (folder / DEFAULT / DESCRIPTION).is_file():
@@ -29,16 +29,16 @@ def built_in_robots() -> list[str]:
 def robot_files(
     urdf: Path | str | None = None, description: Path | str | None = None
 ) -> tuple[Path, Path]:
-    """The URDF and the robot description that are meant; one given by its own path may be missing.
+    """The paths of a URDF and a robot description; one given by its own path may be missing.
 
     Args:
         urdf: The URDF, or None for the one beside the description.
-        description: The name of a built-in robot, such as fetch; a folder that holds a URDF and a
+        description: The name of a built-in robot, such as fetch; a folder with a URDF and a
             `robot.json`; the description itself; or None for `robot.json` beside the URDF, and for
-            the PR2 without one. Names of built-in robots come before folders.
+            the PR2 without a URDF. Names of built-in robots take precedence over folders.
 
     Raises:
-        RobotError: The description is none of these, or there is not one URDF beside it.
+        RobotError: The description is none of these, or there is not exactly one URDF beside it.
     """
     if description is None and urdf is not None:
         return Path(urdf), Path(urdf).parent / DESCRIPTION

@@ -1,4 +1,4 @@
-"""A URDF whose meshes are shapes that hold them, so that it needs no other file."""
+"""A URDF with simple shapes around its meshes in place of them, so that it needs no other file."""
 
 import copy
 from collections.abc import Collection, Mapping, Sequence
@@ -22,15 +22,15 @@ MAX_MESHES = 500
 
 @dataclass(frozen=True)
 class MeshFit:
-    """What became of a mesh.
+    """The result for one mesh.
 
     Attributes:
-        link: The link whose it is.
+        link: The link of the mesh.
         file: The file as the URDF names it.
         kind: "collision" or "visual".
         pose: (4, 4) of the mesh in the link's frame, m.
-        fit: The shapes in the mesh's own frame, or None for a visual mesh that cannot be read, of
-            a link that collides with nothing.
+        fit: The shapes in the mesh's own frame, or None for a visual mesh that cannot be read, of a
+            link without collision shapes.
         problem: Why it cannot be read.
     """
 
@@ -45,13 +45,13 @@ class MeshFit:
 def without_meshes(
     urdf: Urdf, places: Sequence[Path] = (), capsules: Mapping[str, Sequence[Capsule]] | None = None
 ) -> tuple[Urdf, tuple[MeshFit, ...]]:
-    """The URDF with shapes in place of meshes, and what was fitted to them; see `fitted`.
+    """The URDF with shapes in place of meshes, and the shapes fitted to them; see `fitted`.
 
-    A colliding mesh becomes the shapes around it; a link with `capsules` gets these. What is seen
-    of a link whose visual is a mesh are the shapes with which it collides; where it collides with
-    nothing, shapes around the visual mesh, or nothing if that cannot be read.
+    A collision mesh becomes the shapes around it, or the `capsules` of its link. A link with a
+    visual mesh shows its collision shapes. Without any, it shows shapes around the visual mesh, or
+    nothing if that cannot be read.
 
-    RobotError if a colliding mesh is missing or cannot be read; see `file_named` and `read_mesh`.
+    RobotError if a collision mesh is missing or cannot be read; see `file_named` and `read_mesh`.
     """
     root = etree.fromstring(urdf.xml)
     if root.find("link//mesh") is None:
@@ -117,7 +117,7 @@ def _replace(link: Any, kind: str, reader: _Reader) -> list[MeshFit]:
 
 
 def _replace_visuals(link: Any, reader: _Reader) -> list[MeshFit]:
-    """What is seen of a link with visual meshes."""
+    """Shapes in place of the visual meshes of a link."""
     visuals, collisions = link.findall("visual"), link.findall("collision")
     if not collisions:
         try:
@@ -137,7 +137,7 @@ def _replace_visuals(link: Any, reader: _Reader) -> list[MeshFit]:
 
 
 def _elements(kind: str, shape: Shape) -> list[Any]:
-    """A shape as elements of a URDF, which knows no capsule: that is a cylinder and two spheres."""
+    """A shape as URDF elements; a capsule becomes a cylinder and two spheres."""
     if shape.kind != "capsule":
         return [_element(kind, shape)]
     radius, length = shape.sizes
@@ -149,7 +149,7 @@ def _elements(kind: str, shape: Shape) -> list[Any]:
 
 
 def _pose(origin: Any) -> Array:
-    """(4, 4) of an <origin>, or of none."""
+    """(4, 4) of an <origin>, or the identity."""
     xyz, rpy = (
         [0.0] * 3 if text is None else [float(part) for part in text.replace(",", " ").split()]
         for text in (None if origin is None else origin.get(name) for name in ("xyz", "rpy"))

@@ -1,7 +1,7 @@
-"""The best grasp by each line of the tool: along the line to the object, and up with it.
+"""The best grasp for each line of the tool: along the line to the object, and up with it.
 
-Of an arm's postures those nearest to home are looked at closely: whether the arm is clear of
-everything along the line, and on the straight way from home to where it begins.
+The arm postures nearest to home are tested closely: whether the arm is clear along the line, and on
+the straight way from home to its beginning.
 """
 
 from dataclasses import dataclass, replace
@@ -31,10 +31,11 @@ LINE = 41
 """Waypoints from the pre-grasp over the grasp to where the object is lifted, 5 mm apart."""
 HALF = LINE // 2
 MAX_TURN = 0.15
-"""Rad or m that a joint may move between two of them, so that the tool keeps to its line."""
+"""The largest motion of a joint (rad or m) between two waypoints, so that the tool stays on its
+line."""
 NEAR, TRIED = 4, 2
-"""Postures of each arm at each approach that are looked at closely, those nearest to home, and of
-them those whose ways are."""
+"""The number of postures of each arm and approach that are tested closely, those nearest to home;
+and of these, the number whose ways are tested."""
 WORTH_SHARING = 64  # lines that are worth one more thread
 STRAIGHT = 2  # what compiled code says of lines with a straight way from home; 0 where there's none
 
@@ -45,8 +46,8 @@ class Lines(Tensors):
 
     Attributes:
         path: (M, 5, 4, 4) waypoints of the tool; see `waypoints`.
-        row: (M,) long, ascending, the object that each leads to.
-        rank: (M,) long, what each is called; see `FoundWays`.
+        row: (M,) long, ascending, the object of each line.
+        rank: (M,) long, approach and arm of each line; see `FoundWays`.
     """
 
     path: Tensor
@@ -56,7 +57,7 @@ class Lines(Tensors):
 
 @dataclass(frozen=True)
 class Grasps(Tensors):
-    """Grasps by lines that an arm gets along; see `Lines` and `FoundWays`.
+    """Grasps by lines that an arm can follow; see `Lines` and `FoundWays`.
 
     Attributes:
         straight: (M,) whether the pre-grasp is reached straight from home.
@@ -69,16 +70,16 @@ class Grasps(Tensors):
     held: Tensor
 
     def __getitem__(self, which: Tensor) -> "Grasps":
-        """Some of them."""
+        """Some of the grasps."""
         return Grasps(*(each[which] for each in vars(self).values()))
 
 
 def grasps(
     robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> Grasps:
-    """The best grasp by each line that an arm gets along: one with a straight way, else the first.
+    """The best grasp for each line that an arm can follow: one with a straight way, else the first.
 
-    Tables and places are (B, ...) of objects; `which` is the arm's number.
+    Tables and places are (B, ...) of objects; `which` is the arm's index.
     """
     found = _grasps_compiled(robot, which, lines, slab, body, places)
     if found is None:
@@ -89,7 +90,7 @@ def grasps(
 def grasps_in_torch(
     robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> Grasps:
-    """What `grasps` says, on any device: all lines at once, posture after posture."""
+    """The same as `grasps` on any device, with all lines at once, posture after posture."""
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
     home = robot.home[which].to(path.device).double()
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
@@ -116,14 +117,14 @@ def grasps_in_torch(
 
 
 def _held(places: Places, grasp: Tensor) -> Places:
-    """Places with objects as they are held where the tool frame has poses (M, 4, 4)."""
+    """Places with objects held where the tool frame has poses (M, 4, 4)."""
     turn, shift = grasp[:, :3, :3].double(), grasp[:, :3, 3:].double()
     from_tool = torch.cat([places.object[..., :3], places.object[..., 3:] - shift], -1)
     return replace(places, held=turn.transpose(1, 2) @ from_tool)
 
 
 def _near_home(arm: ArmModel, row: Tensor, joints: Tensor, home: Tensor) -> tuple[Tensor, Tensor]:
-    """Of postures (M, 5, n) of ascending rows (M,) the few of each that are nearest to home."""
+    """The few postures of each row nearest to home, of postures (M, n) with ascending rows (M,)."""
     away = arm.difference(joints[:, 0].double(), home).abs().amax(1)
     order = away.argsort(stable=True)
     order = order[row[order].argsort(stable=True)]
@@ -132,14 +133,14 @@ def _near_home(arm: ArmModel, row: Tensor, joints: Tensor, home: Tensor) -> tupl
 
 
 def nth_of_each(row: Tensor) -> Tensor:
-    """(M,) how many of ascending rows (M,) before each are the same."""
+    """(M,) the number of earlier entries with the same value in ascending rows (M,)."""
     return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
 
 
 def _along(
     arm: ArmModel, scene: Scene, places: Places, path: Tensor, row: Tensor, q: Tensor, home: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Rows, whether they are reached straight, and lines (K, LINE, n), in postures q (M, n)."""
+    """Rows, whether they are reached straight, and lines (K, LINE, n), for postures q (M, n)."""
     kept, line = _on_line(arm, path, q, home)
     for kind, stretch in ((APPROACH, slice(HALF + 1)), (LIFT, slice(HALF, LINE))):
         clear = ways_clear(arm, scene, places[kept], _all(kind, kept), line[:, stretch])
@@ -149,9 +150,9 @@ def _along(
 
 
 def _on_line(arm: ArmModel, path: Tensor, q: Tensor, home: Tensor) -> tuple[Tensor, Tensor]:
-    """Which of waypoints (M, 5, 4, 4) are kept to, in postures q (M, n), and lines (K, LINE, n).
+    """Which waypoints (M, 5, 4, 4) can be followed from postures q (M, n), and lines (K, LINE, n).
 
-    Without those in which a joint would have to turn too fast for the tool to keep to its line.
+    Lines on which a joint would move too fast for the tool to stay on its line are left out.
     """
     ends, share = path[:, :, None], torch.linspace(0, 1, HALF + 1).to(path)[:, None, None]
     there = [ends[:, i] + share * (ends[:, i + 2] - ends[:, i]) for i in (0, 2)]
@@ -171,9 +172,9 @@ def _all(kind: int, like: Tensor) -> Tensor:
 def _grasps_compiled(
     robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> Grasps | None:
-    """The same, line after line and no more postures than needed, where it is compiled.
+    """The same compiled, line after line, with no more postures than needed; else None.
 
-    It computes with numbers of double precision and needs arms with a closed form.
+    It uses double precision and needs arms with a closed form.
     """
     if not (suits(lines.path) and constants("grasp_limits", torch.float64)):
         return None
@@ -199,7 +200,7 @@ def _grasps_compiled(
 def _task(
     arm: ArmModel, scene: Scene, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> dict[str, Any] | None:
-    """Structures that compiled code is asked about an arm; None where it can't be."""
+    """The structures of compiled code for an arm; None if they are not supported."""
     form, like, most = arm.closed_form, places.table, constants("grasp_limits", torch.float64)
     none = like.new_empty(0, LINE, len(arm.joint_names))
     ways = ways_task(arm, scene, places, lines.row[:0], none)

@@ -1,9 +1,9 @@
-"""In which posture an object on a table can be grasped from where the robot stands.
+"""Postures in which an arm can grasp an object on a table from the robot's position.
 
-A posture serves, as the PR2's own manipulation pipeline has it, if an arm reaches the grasp and a
-pre-grasp behind it, if the way between the two and a straight lift can be followed without changing
-posture, and if nothing touches the table, the torso or the base at five places of that way. How the
-arm comes to the pre-grasp is left to `arm_way`.
+As in the PR2's manipulation pipeline, a posture is suitable if three conditions hold. The arm
+reaches the grasp and a pre-grasp behind it. It can follow the way between the two, and a straight
+lift, without changing posture. Nothing touches the table, the torso or the base at five places of
+that way. `arm_way` plans how the arm comes to the pre-grasp.
 """
 
 import math
@@ -28,19 +28,21 @@ MAX_STEP = 0.6  # rad or m that a joint may move between waypoints 0.05 m apart
 CHUNK = 2048
 _GROUP = 256
 FEW, SPARSE = 16, 8
-"""Of more postures at a grasp than a few, some are tried before all others: mostly one serves."""
+"""If there are more postures at a grasp than `FEW`, a subset is tried first, as one of it is mostly
+suitable."""
 
 SIDES = tuple(
     sign * math.tau * step / 12 for step in range(7) for sign in ((1, -1) if 0 < step < 6 else (1,))
 )
-"""The 12 directions around an object, as turns from the line base to object, nearest first, rad."""
+"""The 12 directions around an object, as angles from the line base to object, nearest first,
+rad."""
 
 APPROACHES = (
     (math.pi / 2, 0.0),
     *((math.pi / 4, side) for side in SIDES),
     *((0.0, side) for side in SIDES),
 )
-"""Approaches as (how steeply down, turn from the line base to object), rad: one from above, twelve
+"""Approaches as (steepness, angle from the line base to object), rad: one from above, twelve
 slanted, twelve from the side."""
 
 
@@ -49,12 +51,12 @@ class GraspSolution:
     """How each object is grasped.
 
     Attributes:
-        found: (B,) whether there is a grasp at all; where not, the rest means nothing.
+        found: (B,) whether there is a grasp; if not, all other values of the row are meaningless.
         arm: (B,) index into the robot's arms.
         approach: (B,) index into `APPROACHES`.
         joints: (B, 5, n) joint positions at pre-grasp, half-way, grasp, half-way up and lifted, in
-            the order of the arm's joints; n is the largest number of joints of any arm, and what
-            an arm does not have is 0.
+            the order of the arm's joints. n is the largest number of joints of any arm, and missing
+            joints are 0.
     """
 
     found: Tensor
@@ -64,21 +66,24 @@ class GraspSolution:
 
 
 def has_posture(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """Whether an arm has a posture at each object (B,), however it gets there; `grasp_solution`."""
+    """(B,) whether an arm has a posture at each object, however it gets there.
+
+    See `grasp_solution`.
+    """
     return grasp_solution(robot, position, table).found
 
 
 def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSolution:
-    """How objects can be grasped: the first approach and arm that serve.
+    """How objects can be grasped: the first suitable approach and arm.
 
     Args:
         robot: The robot.
         position: (B, 3) objects on the table in the base frame, at the height of its top, m.
-        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base
-            frame, m and rad.
+        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base frame,
+            m and rad.
 
     Raises:
-        RobotError: A shape is wrong or a value is not finite.
+        RobotError: A shape is wrong, or a value is not finite.
     """
     check_rows(position, table)
     table, arms = table.to(position), len(robot.arms)
@@ -92,7 +97,7 @@ def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSoluti
 
 
 def check_rows(position: Tensor, table: Tensor) -> None:
-    """RobotError if objects and tables have a wrong shape or a value that is not finite."""
+    """RobotError if objects or tables have a wrong shape or a value that is not finite."""
     for what, value, width in (("position", position, 3), ("table", table, 6)):
         if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):
             raise RobotError(
@@ -104,7 +109,7 @@ def check_rows(position: Tensor, table: Tensor) -> None:
 
 
 def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: Tensor) -> None:
-    """Fill in the first approach and arm that solve each row, and how, whatever the other rows."""
+    """Fill in the first suitable approach and arm of each row, independently of other rows."""
     slab, body = table_slab(table), robot.body.to(position)
     approaches, arms = position.new_tensor(APPROACHES), len(robot.arms)
     possible = ~standing_in_table(robot, table) & within_reach(robot, position)
@@ -129,13 +134,13 @@ def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: 
 
 
 def next_approaches(start: int, rows: Tensor) -> Tensor:
-    """(G,) the approaches from `start` on that are tried at once, the more the fewer rows (B,)."""
+    """(G,) the approaches from `start` on to try at once: more for fewer rows (B,)."""
     group = torch.arange(start, len(APPROACHES), device=rows.device)
     return group[: max(1, _GROUP // len(rows))]
 
 
 def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
-    """Rows (R,), ascending, whose waypoints (B, 5, 4, 4) an arm can follow, joints (R, 5, n)."""
+    """Rows (R,), ascending, whose waypoints (B, 5, 4, 4) an arm can follow; joints (R, 5, n)."""
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
     joints = path.new_zeros(len(path), path.shape[1], len(arm.joint_names))
     for row, q in postures_in_turn(arm, path, solved):
@@ -152,7 +157,7 @@ def postures_in_turn(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Ascending rows (M,) and postures q (M, n) at the grasps of waypoints (B, 5, 4, 4).
 
-    First some of each row, then all others of rows that are not `solved` (B,) by then.
+    First come some of each row, then all others of rows that are not `solved` (B,) by then.
     """
     row, q = arm.candidates(path[:, 2])
     nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
@@ -167,7 +172,7 @@ def postures_in_turn(
 def followed(
     arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Rows (K,) and joints (K, 5, n) of those postures q (M, n) that can follow their paths."""
+    """Rows (K,) and joints (K, 5, n) of the postures q (M, n) that can follow their paths."""
     free = ~touches(arm, q, slab[row], body)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])
@@ -181,7 +186,7 @@ def followed(
 
 
 def first_of_each(row: Tensor) -> Tensor:
-    """(M,) which of ascending rows is the first of its kind."""
+    """(M,) whether each of ascending rows is the first with its value."""
     first = torch.ones_like(row, dtype=torch.bool)
     first[1:] = row[1:] != row[:-1]
     return first
@@ -190,8 +195,9 @@ def first_of_each(row: Tensor) -> Tensor:
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
     """Poses (B, 5, 4, 4) at pre-grasp, half-way, grasp, half-way up and lifted of objects (B, 3).
 
-    The tool's x is along the approach, its y level. The approach is `steepness` down, from 0 to
-    pi / 2 (from above), and turned by `side` from the line base to object, rad; one angle or (B,).
+    The tool's x is along the approach, its y horizontal. The approach points `steepness` downwards,
+    from 0 to pi / 2 (from above), and is turned by `side` from the line base to object, rad; each
+    is one angle or (B,).
     """
     heading = torch.atan2(position[:, 1], position[:, 0]) + side
     cos, sin = heading.cos(), heading.sin()
@@ -224,7 +230,7 @@ def table_slab(table: Tensor) -> Boxes:
 
 
 def within_reach(robot: Robot, position: Tensor) -> Tensor:
-    """(B,) whether an arm is long enough, which it is not for most that a skill tries."""
+    """(B,) whether an arm is long enough, which is false for most rows that a skill tries."""
     grasp = position + position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
     near = [(grasp - arm.mount[:3, 3].to(grasp)).norm(dim=1) <= arm.reach for arm in robot.arms]
     return torch.stack(near).any(0)

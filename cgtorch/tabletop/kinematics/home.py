@@ -1,4 +1,4 @@
-"""The home posture: where the arms are while the robot drives, and where every way begins."""
+"""The home posture: that of the arms while the robot drives, where every way begins."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ SAMPLES, TRIED = 16_384, 2048
 CENTRE = 0.01  # m: an arm whose shoulder is nearer to the middle than this has no side of its own
 ABOVE = 1.0  # m: what is beyond the footprint stays above tables
 BELOW_COSTS = 4.0
-"""How much worse it is to be beyond the footprint and low, or on the other arm's side, than far
+"""The cost of being beyond the footprint and low, or on the other arm's side, relative to being far
 beyond the footprint."""
 
 
@@ -25,7 +25,7 @@ def home_postures(
     footprint: tuple[float, float, float, float],
     named: Mapping[str, float],
 ) -> tuple[Tensor, ...]:
-    """A posture (n,) of each arm, rad or m: what a description names, else one that is computed."""
+    """A posture (n,) of each arm, rad or m: as the description names it, or else computed."""
     if named:
         return tuple(_named(arm, named) for arm in arms)
     return tuple(_computed(arm, body, footprint) for arm in arms)
@@ -38,9 +38,9 @@ def _named(arm: ArmModel, named: Mapping[str, float]) -> Tensor:
 
 
 def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, float]) -> Tensor:
-    """The one of many random postures that is raised, near to the body, and clear of it.
+    """The best of many random postures: raised, near the body, and clear of it.
 
-    A hand below the height of tables would have to come up past their edges first.
+    A hand below the height of tables would first have to come up past their edges.
     """
     q = random_postures(arm, SAMPLES)
     frames = arm.frames(q)

@@ -2,10 +2,10 @@
 
 It fits every arm whose seven joints turn about z, y, x, y, x, y, x (pan, lift, roll, elbow flex,
 forearm roll, wrist flex, wrist roll), with the upper arm and the forearm along x: the PR2, the
-Fetch and their kind. The arm has one joint more than a pose needs. Once the pan angle is chosen
-the other six follow exactly, in a few branches (elbow up or down, shoulder rolled or not, wrist
-flipped or not) of which the joint limits leave two on the PR2; so the pan angle is searched on a
-grid and everything else is algebra.
+Fetch and similar ones. The arm has one joint more than a pose needs. Given the pan angle, the other
+six follow exactly, in a few branches (elbow up or down, shoulder rolled or not, wrist flipped or
+not), of which the joint limits leave two on the PR2. So the pan angle is searched on a grid, and
+everything else is algebra.
 """
 
 import itertools
@@ -25,16 +25,16 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class SphericalArm(Tensors):
-    """The lengths and limits of an arm that has a closed form; angles about positive axes.
+    """The lengths and limits of an arm with a closed form; angles about positive axes.
 
     Attributes:
         base: (4, 4) pose of the pan joint in the arm's base link.
-        shoulder: (3,) where the lift axis stands in the turned pan frame, m.
+        shoulder: (3,) the lift axis in the turned pan frame, m.
         upper_arm: From the lift axis to the elbow axis, m.
         forearm: From the elbow axis to the wrist's centre, m.
-        tool: (4, 4) pose of the tool frame in the wrist's last frame, its origin in the wrist's
+        tool: (4, 4) pose of the tool frame in the wrist's last frame, whose origin is the wrist's
             centre.
-        signs: (7,) 1 or -1: which way each joint turns.
+        signs: (7,) 1 or -1, the direction in which each joint turns.
         lower, upper: (7,) limits, rad.
         branches: (S, 3) signs of the sine of the elbow, the cosine of the shoulder roll and the
             sine of the wrist flex that the limits allow.
@@ -54,10 +54,10 @@ class SphericalArm(Tensors):
 
 
 def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | None:
-    """Read the closed form's parameters off a chain of URDF joints.
+    """The parameters of the closed form for a chain of URDF joints, or None for other chains.
 
-    The `yourdfpy` joints lead from the arm's base link to its tool frame. Those that move have
-    limits (n, 2), rad, a continuous one at least a full turn. None if it is another kind of chain.
+    The `yourdfpy` joints lead from the arm's base link to its tool frame. Moving joints have limits
+    (n, 2), rad; those of a continuous joint are at least a full turn apart.
     """
     unmoved = torch.eye(4, dtype=torch.float64)
     offsets = [unmoved]
@@ -137,7 +137,7 @@ def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
 
 
 def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tuple[Tensor, Tensor]:
-    """As `ArmModel.candidates`, of poses (B, 4, 4) of the tool frame in the arm's base link."""
+    """Like `ArmModel.candidates`, for poses (B, 4, 4) of the tool frame in the arm's base link."""
     wrist, rotation = _wrist(arm, pose)
     pan = pan_grid(arm, samples)
     elbow = _cos_elbow(arm, *_from_shoulder(arm, wrist[:, None], pan))
@@ -149,7 +149,7 @@ def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tup
 
 
 def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-    """As `ArmModel.follow`, in the branch and at the pan angle of q, in the arm's base link."""
+    """Like `ArmModel.follow`, in the branch and at the pan angle of q, in the arm's base link."""
     angle = q * arm.signs
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
     branch = (signs[:, None] * arm.branches > 0).sum(-1).argmax(dim=1)
@@ -182,7 +182,7 @@ def _cos_elbow(arm: SphericalArm, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
 def _solve(
     arm: SphericalArm, branches: Tensor, wrist: Tensor, rotation: Tensor, pan: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint angles (..., S, 7) at pan angles (...) in branches (..., S, 3), and which solve it.
+    """Joint angles (..., S, 7) at pan angles (...) in branches (..., S, 3), and which are valid.
 
     The wrist's centre (..., 3) and the rotation (..., 3, 3) of its last frame are in the pan frame.
     """

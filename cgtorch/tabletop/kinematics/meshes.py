@@ -1,4 +1,4 @@
-"""Meshes of a URDF from STL, DAE and OBJ files, read by trimesh with bounds on what they take."""
+"""Meshes of a URDF from STL, DAE and OBJ files, read by trimesh with limits on their size."""
 
 import io
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ _REFERENCES = "{*}instance_node", "{*}instance_geometry"
 
 
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
-    """The triangles of a mesh file as one mesh, in m, along x, y and z times as large.
+    """The triangles of a mesh file as one mesh, in m, scaled along x, y and z.
 
-    A DAE's unit of length is heeded and its upward axis is not, as ROS has it. Neither materials
-    nor any other file are read.
+    The unit of length of a DAE is used and its upward axis is not, as in ROS. Neither materials nor
+    other files are read.
 
-    RobotError if it is of another kind, cannot be read, is larger than a bound, or has no triangle
-    or a number that is not finite.
+    RobotError if it is of another kind, cannot be read, is too large, or has no triangle or a
+    number that is not finite.
     """
     where, kind = f"mesh {str(path)!r}", path.suffix.lower()
     if kind not in KINDS:
@@ -62,7 +62,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
 
 
 def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
-    """A DAE written again without what could name other files, and its unit, m."""
+    """A DAE without anything that could name other files, and its unit, m."""
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
         remove_comments=True, remove_pis=True,
@@ -88,7 +88,7 @@ def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
 
 
 def _check_instances(root: Any, where: str) -> None:
-    """Refuse nodes that stand for so many others that triangles are without bound."""
+    """Refuse nodes whose instances would have an excessive number of triangles."""
     named = {e.get("id"): e for e in root.iter("{*}node", "{*}geometry") if e.get("id")}
     triangles = {
         name: sum(len((p.text or "").split()) for p in element.iter("{*}p")) / 3

@@ -19,7 +19,7 @@ _ROTATION_WEIGHT = 0.3
 def numerical_candidates(
     chain: Any, lower: Tensor, upper: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """As `ArmModel.candidates`, refined from the nearest of many sampled postures.
+    """Like `ArmModel.candidates`, refined from the nearest of many sampled postures.
 
     Limits are (n,), rad or m; poses (B, 4, 4) are in the arm's base link.
     """
@@ -40,14 +40,14 @@ def numerical_candidates(
 
 
 def _key(pose: Tensor) -> Tensor:
-    """(B, 12): poses as points whose distances weigh position against rotation."""
+    """(B, 12): poses as points, whose distances weigh position against rotation."""
     return torch.cat([pose[:, :3, 3], _ROTATION_WEIGHT * pose[:, :3, :3].flatten(1)], dim=1)
 
 
 def numerical_follow(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """As `ArmModel.follow`, each waypoint refined from q; see `numerical_candidates`."""
+    """Like `ArmModel.follow`, with each waypoint refined from q; see `numerical_candidates`."""
     count, steps = pose.shape[:2]
     start = q.repeat_interleave(steps, dim=0)
     path, converged = _refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
@@ -57,7 +57,7 @@ def numerical_follow(
 def _refine(
     chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Joint positions (B, n) within limits, from q (B, n); and whether they reach poses (B,)."""
+    """Joint positions (B, n) within limits, refined from q (B, n), and which reach poses (B,)."""
     q = q.clone()
     converged = torch.zeros(len(q), dtype=torch.bool, device=q.device)
     active = torch.arange(len(q), device=q.device)
@@ -84,7 +84,7 @@ def _refine(
 
 
 def _error(reached: Tensor, wanted: Tensor) -> Tensor:
-    """(B, 6): what shift (m) and what turn (rotation vector) are left, in the base frame."""
+    """(B, 6): the remaining translation (m) and rotation (rotation vector), in the base frame."""
     turn = wanted[:, :3, :3] @ reached[:, :3, :3].transpose(1, 2)
     twist = (turn - turn.transpose(1, 2)) / 2
     skew = torch.stack([twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], dim=1)

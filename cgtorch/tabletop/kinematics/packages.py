@@ -1,4 +1,4 @@
-"""Where the files are that a URDF names, which never leads out of the folders that were given."""
+"""Finding the files that a URDF names, within the given folders only."""
 
 import os
 import posixpath
@@ -20,7 +20,7 @@ _LISTED = 8  # places that an error names
 def package_places(
     given: Sequence[Path | str] = (), environment: Mapping[str, str] = os.environ
 ) -> tuple[Path, ...]:
-    """Folders in which packages are looked for, the given ones first.
+    """Folders in which packages are searched, the given ones first.
 
     After them come those of the variable ROS_PACKAGE_PATH, and `share` in those of
     AMENT_PREFIX_PATH.
@@ -35,12 +35,12 @@ def package_places(
 def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     """The file that a URDF names: `package://PACKAGE/PATH`, `file://PATH`, or a path.
 
-    A package is a folder of that name in one of the places, in a folder in one or in a folder in
-    such a folder, a place itself, or a folder around the URDF. Any other path is relative to the
-    URDF, and has to stay in its folder, its package or one of the places. Only the text counts: a
-    link that somebody has put into a package leads where it leads, as in a workspace of links.
+    A package is a folder with its name: in one of the places, up to three levels deep, a place
+    itself, or a folder around the URDF. Any other path is relative to the URDF, and must stay in
+    its folder, its package or one of the places. Only the text of the path is checked; links in a
+    package may lead anywhere, as in a workspace of links.
 
-    RobotError if there is no such file, or the name leads out of where it may look.
+    RobotError if there is no such file, or the name leads out of the permitted folders.
     """
     scheme, colon, rest = name.partition("://")
     if not colon:
@@ -96,7 +96,7 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
 
 
 def _packages(package: str, urdf: Path, places: Sequence[Path]) -> Iterator[Path]:
-    """Folders that are a package of that name."""
+    """Folders that are a package with that name."""
     for folder in (*places, *_around(urdf)):
         if folder.name == package or _says(folder) == package:
             yield folder
@@ -106,7 +106,7 @@ def _packages(package: str, urdf: Path, places: Sequence[Path]) -> Iterator[Path
 
 
 def _says(folder: Path) -> str | None:
-    """The name that the package.xml of a folder gives its package, if there is one."""
+    """The package name in the package.xml of a folder, or None."""
     path = folder / "package.xml"
     if not isfile(path):
         return None

@@ -1,4 +1,4 @@
-"""The robot: its URDF and description, checked together and ready for batched kinematics."""
+"""The robot: its URDF and description, checked together and prepared for batched kinematics."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -37,14 +37,14 @@ _TURNS = 3 * math.pi
 
 @dataclass(frozen=True)
 class Robot:
-    """A mobile robot whose torso stands still: arms on a base that drives.
+    """A mobile robot with a fixed torso: arms on a base that drives.
 
     Attributes:
         arms: In the description's order.
-        body: The boxes an arm must not touch, in the base frame.
-        home: (n,) of each arm, where its joints are while the robot drives, rad or m.
-        scenes: Of each arm, what it must keep clear of, the others at home.
-        meshes: What was fitted to the meshes of its URDF, none if it has none.
+        body: The boxes that an arm must not touch, in the base frame.
+        home: (n,) of each arm, the positions of its joints while the robot drives, rad or m.
+        scenes: For each arm, what it must keep clear of, with the others at home.
+        meshes: What was fitted to the meshes of its URDF; empty without meshes.
     """
 
     description: RobotDescription
@@ -61,13 +61,13 @@ def load_robot(
     description: Path | str | None = None,
     packages: Sequence[Path | str] = (),
 ) -> Robot:
-    """Load a robot, whose files are given as to `robot_files`, and check that they fit.
+    """Load a robot, with files as in `robot_files`, and check that they are consistent.
 
-    Shapes take the place of meshes, which are looked for in the folders of `packages` and those of
-    the environment (`package_places`).
+    Shapes replace meshes, which are searched in the folders `packages` and those of the environment
+    (`package_places`).
 
     RobotError if a file is missing or broken, or the description names a link or joint that the
-    URDF lacks or that cannot serve.
+    URDF lacks or that is not suitable.
     """
     urdf, description = robot_files(urdf, description)
     model, words = load_urdf(urdf), load_description(description)
@@ -100,7 +100,7 @@ def _scenes(arms: tuple[ArmModel, ...], body: Boxes, home: tuple[Tensor, ...]) -
 
 
 def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
-    """Refuse to hold a joint that does not move or is an arm's, or to hold it beyond its limits."""
+    """Refuse to fix a joint that does not move or is an arm's, or to fix it beyond its limits."""
     if joint.name in in_arms:
         raise RobotError(
             f"joint {joint.name!r} is named in the robot description but moves an arm: name a "
@@ -165,7 +165,7 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
 
 
 def _reach(joints: tuple[Any, ...]) -> float:
-    """The length of a chain with all its links in one line and its slides drawn out."""
+    """The length of a chain with all its links in one line and its prismatic joints extended."""
     slides = [_limits(joint) for joint in joints if joint.type == "prismatic"]
     drawn = sum(max(-lower, upper, 0.0) for lower, upper in slides)
     offsets = [joint.origin[:3, 3] for joint in joints if joint.origin is not None]
@@ -173,7 +173,7 @@ def _reach(joints: tuple[Any, ...]) -> float:
 
 
 def _limits(joint: Any) -> tuple[float, float]:
-    """The limits to keep: the hard ones, narrowed by the soft ones where there are any."""
+    """The limits: the hard ones, narrowed by the soft ones if there are any."""
     if joint.type == "continuous":
         return -_TURNS, _TURNS
     lower, upper, soft = float(joint.limit.lower), float(joint.limit.upper), joint.safety_controller
@@ -206,14 +206,14 @@ def _chain_xml(urdf: Urdf, joints: tuple[Any, ...]) -> bytes:
 
 
 def _transform(urdf: Urdf, link: str, frame: str) -> Tensor:
-    """(4, 4): the pose of a link in the frame of another, with the held joints at rest."""
+    """(4, 4): the pose of a link in the frame of another, with fixed joints in place."""
     return torch.tensor(urdf.model.get_transform(link, frame), dtype=torch.float64)
 
 
 def _fixed_to_base(
     urdf: Urdf, words: RobotDescription, link: str, arm_joints: set[str], what: str
 ) -> None:
-    """Refuse a link that the base frame does not carry, or that an unheld joint can move."""
+    """Refuse a link that the base frame does not carry, or that a joint can move."""
     for joint in urdf.joints_between(words.base_frame, link):
         moves = joint.type != "fixed" and joint.name not in words.held and joint.mimic is None
         if moves or joint.name in arm_joints:
@@ -226,7 +226,7 @@ def _fixed_to_base(
 def _capsules(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Capsules:
-    """The shapes of every link that the arm's joints move, fingers at rest included, roughly."""
+    """Approximate shapes of every link that the arm's joints move, including fixed fingers."""
     rows: list[tuple[int, int, Tensor, Tensor, float]] = []
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         for start, end, radius in _link_capsules(link, words):
@@ -244,7 +244,7 @@ def _capsules(
 def _solids(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Solids:
-    """The same as what they are in the URDF, but for those that the description replaces."""
+    """The shapes of the URDF for the same links, except those that the description replaces."""
     rows = []
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         if link.name in words.capsules:
@@ -261,7 +261,7 @@ def _moved_links(
 ) -> Iterator[tuple[Any, Tensor, list[str]]]:
     """Links that an arm's joints move, and the names of the arm's frames above each, nearest first.
 
-    Between the two their pose (4, 4) in the nearest.
+    Also yielded is their pose (4, 4) in the nearest of these frames.
     """
     names = {joint.name for joint in moving}
     for link in urdf.model.robot.links:
@@ -294,5 +294,5 @@ def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Boxes:
 
 
 def _stacked(tensors: list[Tensor], *shape: int) -> Tensor:
-    """Tensors of a shape as one (k, *shape), of none of them too."""
+    """Tensors of a shape as one (k, *shape), also for k = 0."""
     return torch.stack(tensors) if tensors else torch.zeros(0, *shape, dtype=torch.float64)

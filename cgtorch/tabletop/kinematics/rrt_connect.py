@@ -1,4 +1,4 @@
-"""Ways around what stands between two postures: two random trees that grow towards each other.
+"""Planning ways around obstacles between two postures, by two random trees that grow together.
 
 Kuffner & LaValle, "RRT-Connect: an efficient approach to single-query path planning" (2000).
 """
@@ -21,9 +21,9 @@ from cgtorch.tabletop.kinematics.scene import Scene
 
 ROUNDS = 100
 STEP = 0.7
-"""How far a tree grows at a time, by all joints together, rad or m."""
+"""The length of a tree's step, by all joints together, rad or m."""
 NODES, VIAS = 512, 16
-"""How many postures a tree has and a way is made of at most, its ends included."""
+"""The largest number of postures in a tree, and of waypoints on a way, including its ends."""
 
 _Clear: TypeAlias = Callable[[Tensor, Tensor], bool]
 
@@ -31,14 +31,14 @@ _Clear: TypeAlias = Callable[[Tensor, Tensor], bool]
 def ways_planned(
     arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ends: Tensor, key: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Ways (B, VIAS, n) between postures, and of how many each is made (B,), 0 where none is found.
+    """Ways (B, VIAS, n) between postures, and their numbers of waypoints (B,), 0 if none is found.
 
     Args:
         arm: The arm.
         scene: Its scene.
-        places: (B,) what is each row's own in it.
-        kind: (B,) long, what ways these are, such as `scene.REACH`.
-        ends: (B, 2, n) where each way begins and where it ends, rad or m.
+        places: (B,) the parts of the scene that differ by row.
+        kind: (B,) long, the kinds of ways, such as `scene.REACH`.
+        ends: (B, 2, n) where each way begins and ends, rad or m.
         key: (B,) long, of the random numbers of each row.
     """
     ends, places = ends.double(), places.to(ends.double())
@@ -69,7 +69,7 @@ def _clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, a: Tensor,
 
 
 def _bounds(arm: ArmModel, ends: Tensor) -> tuple[Tensor, Tensor]:
-    """(B, n) what random postures lie between: limits, or half a turn beyond both ends."""
+    """(B, n) bounds of random postures: limits, or half a turn beyond both ends."""
     low, high = arm.lower.to(ends).expand_as(ends[:, 0]), arm.upper.to(ends).expand_as(ends[:, 0])
     turns = arm.continuous.to(ends.device)
     low = torch.where(turns, ends.amin(1) - math.pi, low)
@@ -78,7 +78,7 @@ def _bounds(arm: ArmModel, ends: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass
 class _Tree:
-    """Postures, and the number of each one's parent."""
+    """Postures, and the index of each one's parent."""
 
     q: list[Tensor]
     parent: list[int] = field(default_factory=lambda: [-1])
@@ -87,7 +87,7 @@ class _Tree:
         return int((torch.stack(self.q) - goal).square().sum(1).argmin())
 
     def grown(self, clear: _Clear, node: int, goal: Tensor) -> int:
-        """One step of a node towards a posture: the new node, or -1 if the way is not clear."""
+        """One step from a node towards a posture: the new node, or -1 if the way is not clear."""
         here = self.q[node]
         share = STEP / float((goal - here).norm())
         there = here + share * (goal - here) if share < 1 else goal
@@ -116,7 +116,7 @@ class _Tree:
 def planned_in_torch(
     clear: _Clear, ends: Tensor, low: Tensor, high: Tensor, key: Tensor
 ) -> list[Tensor]:
-    """The same for one row, posture by posture: (n,) each, none where no way is found."""
+    """The same for one row, posture by posture: (n,) each; empty if no way is found."""
     trees = _Tree([ends[0]]), _Tree([ends[1]])
     joint = torch.arange(ends.shape[1])
     for number in range(ROUNDS):
@@ -134,7 +134,7 @@ def planned_in_torch(
 
 
 def _shortened(clear: _Clear, way: list[Tensor]) -> list[Tensor]:
-    """A way without the postures that can be left out; none if it still has too many."""
+    """A way without superfluous postures; empty if it still has too many."""
     at, kept = 0, way[:1]
     while at < len(way) - 1:
         later = range(len(way) - 1, at + 1, -1)

@@ -1,4 +1,4 @@
-"""Which solids of a robot an arm must keep apart from which on its way."""
+"""The pairs of solids that an arm must keep apart on its way."""
 
 import itertools
 import math
@@ -27,9 +27,9 @@ from cgtorch.tabletop.kinematics.solids import Solids
 from cgtorch.tabletop.kinematics.touching import SHOULDER_JOINTS
 
 SPREAD = 200
-"""Random postures by which solids are found that are built into each other."""
+"""The number of random postures that show which solids overlap by design."""
 BUILT_IN = 0.25
-"""Solids that touch in more than such a share of them are."""
+"""Solids that touch in more than this share of them overlap by design."""
 BITS = 62
 _FAR = torch.eye(3, 4, dtype=torch.float64)
 
@@ -55,9 +55,9 @@ def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
 def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
     """(P, 3) pairs of solids that may meet, given how many joints move those of the arms.
 
-    The gripper, which all joints move, may touch the object once it is about to grasp it; the
-    object stands on the table until it is lifted. Neighbours in an arm touch by design, and
-    shoulders are held off the body by joint limits.
+    The gripper, which all joints move, may touch the object from the approach on. The object is on
+    the table until it is lifted. Neighbouring links touch by design, and joint limits keep
+    shoulders off the body.
     """
     arm = {OWN + i: joints for i, joints in enumerate(own)}
     torso = range(OWN + len(arm), OWN + len(arm) + body)
@@ -97,7 +97,7 @@ def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
 
 
 def _near_enough(arm: ArmModel, scene: Scene) -> Tensor:
-    """(P,) whether an arm is long enough for pairs to meet, by far from its first joint."""
+    """(P,) whether an arm is long enough for pairs to meet, by distance from its first joint."""
     chain, b = arm.chain(arm.lower)[1], scene.pairs[:, 1]
     first = int((chain.kind > 0).nonzero()[0, 0])
     still = (b >= OWN) & (scene.frame[b] < 0) & (chain.kind[first] == 1)
@@ -116,7 +116,7 @@ def clear_alone(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
 
 
 def random_postures(arm: ArmModel, count: int) -> Tensor:
-    """(count, n) always the same random postures within limits, rad or m."""
+    """(count, n) random postures within limits, rad or m, always the same."""
     generator = torch.Generator().manual_seed(0)
     low = torch.where(arm.continuous, -math.pi, arm.lower)
     high = torch.where(arm.continuous, math.pi, arm.upper)
@@ -125,10 +125,10 @@ def random_postures(arm: ArmModel, count: int) -> Tensor:
 
 
 def _reach(arm: ArmModel, solids: Solids, first: int, second: int) -> Tensor:
-    """(n,) how far a solid's points are at most from the axis of each joint that moves it.
+    """(n,) the largest distance of a solid's points from the axis of each joint that moves it.
 
-    Against a second solid only joints between the two count. Wherever a joint turns, what hangs
-    from it is taken to be in one line, and slides drawn out; 1 for a joint that slides.
+    For a second solid, only joints between the two count. At every revolute joint, the links beyond
+    it are assumed to be in one line, with prismatic joints extended. It is 1 for a prismatic joint.
     """
     chain = arm.chain(arm.lower)[1]
     reach = arm.lower.new_zeros(len(arm.joint_names))

@@ -1,4 +1,4 @@
-"""Boxes, cylinders, capsules and spheres around meshes, each of the least volume that is found."""
+"""Boxes, cylinders, capsules and spheres around meshes, with a volume as small as possible."""
 
 import math
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Shape:
 
     @property
     def volume(self) -> float:
-        """In m³."""
+        """Volume, m³."""
         if self.kind == "box":
             return math.prod(self.sizes)
         radius, length = (*self.sizes, 0.0)[:2]
@@ -46,7 +46,7 @@ class Shape:
         return math.pi * radius**2 * length + ends
 
     def outside(self, points: Array) -> Array:
-        """(V,) how far points (V, 3) are from the shape, m; 0 inside."""
+        """(V,) the distances of points (V, 3) from the shape, m; 0 inside."""
         local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
         if self.kind == "box":
             away = np.abs(local) - np.array(self.sizes) / 2
@@ -63,7 +63,7 @@ class Fit:
     """The shapes around a mesh.
 
     Attributes:
-        shapes: They hold all of the mesh together.
+        shapes: Together they contain the whole mesh.
         corners: (K, 3) the corners of its convex hull, m.
         hull_volume: The volume of that hull, m³.
     """
@@ -74,7 +74,7 @@ class Fit:
 
     @property
     def ratio(self) -> float:
-        """Volume of the shapes, overlaps counted twice, over that of the convex hull."""
+        """Volume of the shapes, with overlaps counted twice, divided by that of the convex hull."""
         return sum(shape.volume for shape in self.shapes) / max(self.hull_volume, 1e-12)
 
 
@@ -93,8 +93,8 @@ def capsule(start: Array, end: Array, radius: float) -> Shape:
 def fitted(mesh: trimesh.Trimesh) -> Fit:
     """Up to `MOST_PARTS` shapes around a mesh.
 
-    One shape around all of it; the part whose shape is furthest from its hull is then cut in two,
-    by the plane that leaves the least boxes, for as long as this is worth it.
+    First there is one shape around all of it. Then the part whose shape exceeds its hull most is
+    cut in two, by the plane that gives the smallest boxes, as long as this pays off.
     """
     corners, volume = _hull(mesh.vertices)
     cut = len(mesh.faces) <= MOST_CUT or 2 * len(corners) <= MOST_CUT
@@ -147,7 +147,7 @@ def _shape(corners: Array) -> Shape:
 
 
 def _outermost(corners: Array) -> Array:
-    """The corners that are furthest in some of many even directions, which decide a shape's way."""
+    """The corners that are farthest in some of many evenly spread directions."""
     if len(corners) <= SEARCHED:
         return corners
     z = 1 - (2 * np.arange(SEARCHED) + 1) / SEARCHED
@@ -232,7 +232,7 @@ def _right_handed(axes: Array) -> Array:
 
 
 def _cut(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The two pieces of a mesh with the least boxes along the axes of its own; none if it fails."""
+    """The two pieces of a mesh with the smallest boxes along its own axes; none if it fails."""
     axes, _ = _box_axes(_outermost(_hull(mesh.vertices)[0]))
     local = mesh.vertices @ axes
     low, high = local.min(axis=0), local.max(axis=0)
@@ -251,7 +251,7 @@ def _cut(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def _sides(local: Array, edges: NDArray[np.int64], axis: int, at: float) -> tuple[Array, Array]:
-    """The points on both sides of a plane, those where edges cross it included."""
+    """The points on both sides of a plane, including those where edges cross it."""
     above = local[:, axis] >= at
     crossing = edges[above[edges[:, 0]] != above[edges[:, 1]]]
     start, end = local[crossing[:, 0]], local[crossing[:, 1]]

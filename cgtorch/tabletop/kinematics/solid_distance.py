@@ -1,8 +1,8 @@
-"""How far solids are apart: the algorithm of Gilbert, Johnson and Keerthi, many pairs at once.
+"""Distances between solids by the Gilbert-Johnson-Keerthi algorithm, many pairs at once.
 
-It needs no more of a solid than its point that is farthest in a direction ("A fast procedure for
-computing the distance between complex objects in three-dimensional space", 1988). The nearest point
-to the origin of the difference of two solids is sought in a growing triangle of its points.
+It needs only the point of a solid that is farthest in a direction ("A fast procedure for computing
+the distance between complex objects in three-dimensional space", 1988). It searches the nearest
+point to the origin of the difference of two solids in a simplex of its points.
 """
 
 import itertools
@@ -27,9 +27,9 @@ def farthest(pose: Tensor, size: Tensor, way: Tensor) -> Tensor:
 
 
 def distance_of(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tensor) -> Tensor:
-    """(M,) no more than the distance of solids with poses (M, 3, 4) and sizes (M, 5), m.
+    """(M,) a lower bound of the distance of solids with poses (M, 3, 4) and sizes (M, 5), m.
 
-    Up to `TOLERANCE`; 0 or less where they meet.
+    It is exact to `TOLERANCE`, and 0 or less if they meet.
     """
     balls = size[:, 4] + other_size[:, 4]
     least = torch.full_like(balls, -torch.inf)
@@ -58,9 +58,9 @@ def distance_of(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tens
 
 
 def _nearest_of_tetrahedron(corners: Tensor, new: Tensor) -> tuple[Tensor, Tensor]:
-    """The face (M, 3, 3) nearest to the origin of those with the new corner, and its point there.
+    """The face (M, 3, 3) with the new corner that is nearest to the origin, and its nearest point.
 
-    The point is the origin itself where it lies in the tetrahedron.
+    The point is the origin itself if it is inside the tetrahedron.
     """
     faces = [
         torch.stack([corners[:, i], corners[:, j], new], 1)
@@ -75,7 +75,7 @@ def _nearest_of_tetrahedron(corners: Tensor, new: Tensor) -> tuple[Tensor, Tenso
 
 
 def _holds_origin(corners: Tensor) -> Tensor:
-    """(M,) whether tetrahedra (M, 4, 3) of some volume hold the origin."""
+    """(M,) whether tetrahedra (M, 4, 3) with a volume contain the origin."""
     held = torch.ones(len(corners), dtype=torch.bool, device=corners.device)
     for i in range(4):
         a, b, c = (corners[:, j] for j in range(4) if j != i)

@@ -1,4 +1,4 @@
-"""Solids: each is the sum of a box, a disc and a ball, so that cylinders end as cylinders do."""
+"""Solids: each is the sum of a box, a disc and a ball, which represents cylinders exactly."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,11 +15,11 @@ class Solids(Tensors):
 
     Attributes:
         pose: (S, 3, 4) upper rows of the pose of each in its frame.
-        size: (S, 5) half sides of the box, radius of the disc about z, radius of the ball, m: a
-            cylinder is half its height and a disc, a capsule half the length of its axis and a
+        size: (S, 5) half sides of the box, radius of the disc about z, radius of the ball, m. A
+            cylinder is half its height and a disc; a capsule is half the length of its axis and a
             ball.
-        frame: (S,) long, the frame of the arm's chain that each moves with, or -1.
-        joints: (S,) long, how many of the arm's joints move it.
+        frame: (S,) long, the frame of the arm's chain with which each moves, or -1.
+        joints: (S,) long, the number of the arm's joints that move it.
     """
 
     pose: Tensor
@@ -33,11 +33,11 @@ class Solids(Tensors):
 
     @property
     def radius(self) -> Tensor:
-        """(S,) of the ball about each solid's middle that holds it, m."""
+        """(S,) radius of the bounding ball about each solid's centre, m."""
         return ball_radius(self.size)
 
     def placed(self, frames: Tensor) -> "Solids":
-        """The solids in the base frame, where the frames of the chain have poses (F, 4, 4)."""
+        """The solids in the base frame, for frames of the chain with poses (F, 4, 4)."""
         pose = frames[self.frame, :3, :3] @ self.pose
         pose[..., 3] += frames[self.frame, :3, 3]
         still = torch.full_like(self.frame, -1)
@@ -50,13 +50,13 @@ class Solids(Tensors):
 
 
 def ball_radius(size: Tensor) -> Tensor:
-    """(...) radius of the ball about the middle of solids of sizes (..., 5) that holds them, m."""
+    """(...) radius of the bounding ball about the centre of solids of sizes (..., 5), m."""
     x, y, z, disc, ball = size.unbind(-1)
     return (x.hypot(y) + disc).hypot(z) + ball
 
 
 def with_boxed_hand(solids: Solids, joints: int) -> Solids:
-    """Solids of an arm, those that all its joints move within one box about them."""
+    """Solids of an arm, with those that all its joints move replaced by one box around them."""
     hand = solids.joints == joints
     if int(hand.sum()) < 2:
         return solids
@@ -84,14 +84,14 @@ def solids_of(shapes: list[tuple[Tensor, Tensor, int, int]]) -> Solids:
 
 
 def boxes_as_solids(boxes: Boxes) -> Solids:
-    """Boxes (N, ...) that stand still."""
+    """Fixed boxes (N, ...) as solids."""
     pose = torch.cat([boxes.rotation, boxes.centre[..., None]], -1)
     still = torch.full((len(boxes.half),), -1)
     return Solids(pose, torch.nn.functional.pad(boxes.half, (0, 2)), still, torch.zeros_like(still))
 
 
 def solid_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
-    """Pose (4, 4) and size (5,) of a URDF collision element; errors are those of `capsules_of`."""
+    """Pose (4, 4) and size (5,) of a URDF collision element; for errors see `capsules_of`."""
     kind, sizes = shape_of(collision, where)
     size = torch.zeros(5, dtype=torch.float64)
     if kind == "sphere":

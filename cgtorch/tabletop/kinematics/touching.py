@@ -10,8 +10,8 @@ from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.collision import BISECTIONS, ROUNDING, Boxes, collide
 
 SHOULDER_JOINTS = 3
-"""Links that hang from fewer joints than this, or as many, are held off the body by joint limits
-and by being built beside it; only the table can stop them."""
+"""Joint limits keep links that at most this many joints move off the body; only the table can stop
+them."""
 
 WORTH_SHARING = 512  # postures that are worth one more thread: about a quarter of a millisecond
 _POSTURES = 2048  # tried at a time in torch: more fall out of the processor's cache
@@ -27,7 +27,7 @@ def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
 
 
 def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """What `touches` says, on any device."""
+    """The same as `touches`, on any device."""
     capsules = arm.capsules.to(q)
     loose = capsules.joints > SHOULDER_JOINTS
     hit = torch.zeros(len(q), dtype=torch.bool, device=q.device)
@@ -41,7 +41,7 @@ def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tens
 
 
 def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor | None:
-    """The same, posture after posture with all frames of one in the cache, where it is compiled."""
+    """The same compiled, posture after posture with all frames of one in the cache; else None."""
     call = function("arms_touch", torch.float32)
     boxes = [*vars(slab).values(), *vars(body).values()]
     if call is None or q.dtype != torch.float32 or not suits(q, *boxes):
@@ -57,7 +57,7 @@ def _touches_compiled(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Ten
 
 
 def touch_task(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Any | None:
-    """What compiled code is asked, without what it fills in; None where it can't be."""
+    """The input of compiled code, without its output; None if it is not supported."""
     most, capsules, chain = constants("arm_limits", q.dtype), arm.capsules.to(q), arm.chain(q)[1]
     count, frames = len(capsules.radius), len(chain.kind)
     if not most or frames > most["MOST_FRAMES"] or count > most["MOST_CAPSULES"]:

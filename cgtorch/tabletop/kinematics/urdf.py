@@ -1,4 +1,4 @@
-"""Reading a URDF: parsed safely, checked, and completed where readers of URDF differ."""
+"""Reading a URDF: parsed safely, checked, and completed where URDF readers differ."""
 
 import io
 import math
@@ -38,16 +38,16 @@ _NUMBERS = {
     "mass": (1, MOST, ("value",)),
     "inertia": (1, MOST, ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
 }  # fmt: skip
-"""How many numbers, of at most how much, the attributes of an element hold."""
+"""How many numbers, with which upper bound, the attributes of an element contain."""
 
 
 @dataclass(frozen=True)
 class Urdf:
-    """A URDF that has passed every check.
+    """A URDF that has passed all checks.
 
     Attributes:
-        path: Where it was read from.
-        xml: The text, with an explicit unit axis on every moving joint.
+        path: The path of its file.
+        xml: The text, with an explicit unit axis at every moving joint.
         model: The same as a `yourdfpy.URDF`, whose scene graph gives transforms between links.
     """
 
@@ -56,11 +56,11 @@ class Urdf:
     model: Any
 
     def joint(self, name: str) -> Any:
-        """The `yourdfpy` joint of a name; RobotError if there is none."""
+        """The `yourdfpy` joint with a name; RobotError if there is none."""
         return self._named("joint", name, self.model.joint_map)
 
     def link(self, name: str) -> Any:
-        """The `yourdfpy` link of a name; RobotError if there is none."""
+        """The `yourdfpy` link with a name; RobotError if there is none."""
         return self._named("link", name, self.model.link_map)
 
     def _named(self, kind: str, name: str, known: Mapping[str, Any]) -> Any:
@@ -96,8 +96,8 @@ def load_urdf(path: Path | str) -> Urdf:
     """Read and check a URDF; meshes are not loaded.
 
     RobotError if it cannot be read, is not well-formed XML, has a document type (which can name
-    entities), or does not describe one connected tree of links with sound numbers, or a link has an
-    inertia that no body has.
+    entities), is not one connected tree of links with valid numbers, or a link has an impossible
+    inertia.
     """
     urdf = checked_urdf(Path(path), read_urdf(Path(path)))
     for link in urdf.model.robot.links:
@@ -111,7 +111,7 @@ def load_urdf(path: Path | str) -> Urdf:
 
 
 def read_urdf(path: Path) -> Any:
-    """The elements of a URDF that is sound but for its inertias, which are not looked at."""
+    """The elements of a valid URDF, whose inertias are not checked."""
     where = f"URDF {str(path)!r}"
     root = _parse(read_bytes(path, MAX_BYTES, RobotError), where)
     _check_numbers(root, where)
@@ -122,7 +122,7 @@ def read_urdf(path: Path) -> Any:
 
 
 def checked_urdf(path: Path, root: Any) -> Urdf:
-    """The URDF of a sound tree of elements; RobotError if yourdfpy refuses it."""
+    """The URDF of a valid tree of elements; RobotError if yourdfpy refuses it."""
     where = f"URDF {str(path)!r}"
     xml: bytes = etree.tostring(root)
     try:
@@ -136,7 +136,7 @@ def checked_urdf(path: Path, root: Any) -> Urdf:
 
 
 def inertial_problem(link: Any) -> str:
-    """What a link has that no body has, nothing if all is well; no inertial element is well."""
+    """What is physically impossible about a link's inertia, "" if nothing is or it has none."""
     inertial = link.inertial
     if inertial is None:
         return ""
@@ -174,7 +174,7 @@ def _parse(data: bytes, where: str) -> Any:
 
 
 def _check_numbers(root: Any, where: str) -> None:
-    """As many finite numbers as belong there, and none too large."""
+    """Check that attributes have the right number of finite, bounded numbers."""
     for element in root.iter(*_NUMBERS):
         count, most, names = _NUMBERS[element.tag]
         for name in names:
@@ -198,7 +198,7 @@ def _number(text: str) -> float:
 
 
 def _check_tree(root: Any, where: str) -> None:
-    """Every name once, every link reached from one root by exactly one joint."""
+    """Check that names are unique, and every link is reached from one root by exactly one joint."""
     links = [link.get("name") for link in root.findall("link")]
     joints = root.findall("joint")
     if len(links) > MAX_LINKS:
@@ -234,7 +234,7 @@ def _check_tree(root: Any, where: str) -> None:
 
 
 def _check_joint(joint: Any, where: str) -> None:
-    """A joint's type, axis and limits; a missing axis becomes the URDF's default, x."""
+    """Check a joint's type, axis and limits; a missing axis becomes the URDF's default, x."""
     kind = joint.get("type")
     if kind not in _JOINT_TYPES:
         raise RobotError(f"{where} has the type {kind!r}: give one of {', '.join(_JOINT_TYPES)}")

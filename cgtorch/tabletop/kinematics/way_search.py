@@ -1,4 +1,4 @@
-"""The search for a way to each object: many grasps, the straight way first, else a planned one."""
+"""The search for a way to each object: many grasps, first with straight ways, then planned ones."""
 
 from dataclasses import dataclass, replace
 
@@ -26,7 +26,7 @@ from cgtorch.tabletop.kinematics.rrt_connect import VIAS, ways_planned
 from cgtorch.tabletop.kinematics.scene import REACH
 
 PLANNED = 3
-"""Grasps of each object for which a way is planned if none can be reached straight."""
+"""The number of grasps of each object for which a way is planned if none is straight."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class FoundWays:
     """The way of an arm to each object, in parts.
 
     Attributes:
-        rank: (B,) long, approach · arms + arm; where no way is found, approaches · arms.
+        rank: (B,) long, approach · arms + arm; approaches · arms if no way is found.
         vias: (B, VIAS, n) planned from home to the pre-grasp, both included, rad or m.
-        count: (B,) long, how many of these there are, 0 where the way is straight.
+        count: (B,) long, the number of these, 0 if the way is straight.
         line: (B, LINE, n) from the pre-grasp over the grasp to where the object is lifted.
-        held: (B, 3, 4) pose in the tool frame of the object as it is held.
+        held: (B, 3, 4) pose in the tool frame of the held object.
     """
 
     rank: Tensor
@@ -48,7 +48,7 @@ class FoundWays:
     held: Tensor
 
     def fill(self, some: Grasps) -> None:
-        """Enter how rows are grasped, by an arm of n joints."""
+        """Enter grasps by an arm of n joints."""
         self.rank[some.row], self.held[some.row] = some.rank, some.held
         self.line[some.row, :, : some.line.shape[2]] = some.line
 
@@ -56,7 +56,7 @@ class FoundWays:
 def found_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> FoundWays:
     """The first approach and arm with a straight way to each object, else the first with any.
 
-    Arguments and errors are those of `arm_ways`.
+    For arguments and errors see `arm_ways`.
     """
     check_rows(position, table)
     table, rows = table.to(position), len(position)
@@ -75,7 +75,7 @@ def found_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> 
 
 
 def row_keys(position: Tensor, table: Tensor, seed: int) -> Tensor:
-    """(B,) long: keys of random numbers that are each row's own, whatever the others."""
+    """(B,) long: keys of random numbers for each row, independent of other rows."""
     key = torch.full((len(position),), seed, device=position.device)
     for column in torch.cat([position, table], 1).double().view(torch.long).unbind(1):
         key = words(key ^ column, torch.zeros_like(key))
@@ -83,7 +83,7 @@ def row_keys(position: Tensor, table: Tensor, seed: int) -> Tensor:
 
 
 def places_of(position: Tensor, slab: Boxes) -> Places:
-    """Where tables and objects (B, 3) are; how the objects are held is not filled in."""
+    """Places with tables and objects (B, 3); held objects are not filled in."""
     table = torch.cat([slab.rotation, slab.centre[..., None]], -1)[:, 0]
     up = position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
     turn = torch.eye(3).to(position).expand(len(position), 3, 3)
@@ -93,7 +93,7 @@ def places_of(position: Tensor, slab: Boxes) -> Places:
 
 
 def _search(robot: Robot, position: Tensor, table: Tensor, key: Tensor, ways: FoundWays) -> None:
-    """Fill in the ways of rows, whatever the other rows."""
+    """Fill in the ways of rows, independently of other rows."""
     slab, body = table_slab(table), robot.body.to(position)
     places, arms = places_of(position, slab), len(robot.arms)
     approaches, none = position.new_tensor(APPROACHES), arms * len(APPROACHES)

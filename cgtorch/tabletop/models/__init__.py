@@ -1,4 +1,4 @@
-"""The tabletop's Γ and C: what is known of its geometry, and how good either is."""
+"""The tabletop's Γ and C: the known geometry, and the quality of both models."""
 
 from cgtorch.tabletop.models import geometry as geometry
 from cgtorch.tabletop.models.success import GraspClassifier as GraspClassifier

@@ -1,4 +1,4 @@
-"""The machines of Γ and C as compiled code knows them."""
+"""The machines of Γ and C in the form of compiled code."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from cgtorch.svm.machine import KernelMachine
 
 
 def compiled_machine(machine: KernelMachine, percept: Tensor, *more: Tensor) -> Any:
-    """A machine of one output, or None where C cannot be asked about percepts (n, D) and more."""
+    """A machine with one output, or None if C does not support percepts (n, D) and the rest."""
     if not alike(percept, *machine._machine, *more) or not machine.fitted:
         return None
     made = machine_structure(*machine._machine)

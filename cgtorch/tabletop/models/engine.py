@@ -1,4 +1,4 @@
-"""The tabletop's models as compiled rollouts know them."""
+"""The tabletop's models in the form of compiled rollouts."""
 
 from cgtorch.native import alike, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
@@ -8,7 +8,7 @@ from cgtorch.tabletop.world.clear_motion import ClearMotion, body_structure
 
 
 def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
-    """Γ, C and the check of motions for compiled rollouts, or None if C does not know these."""
+    """Γ, C and the check of motions for compiled rollouts, or None if they are not compiled."""
     gamma, classifier = getattr(e.gamma, "__self__", None), e.classifier
     if not (type(gamma) is TableTransitionModel and type(classifier) is GraspClassifier):
         return None

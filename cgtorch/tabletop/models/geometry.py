@@ -1,11 +1,11 @@
-"""What the geometry of a percept says by itself, without data.
+"""What geometry alone says about percepts, without data.
 
 Percepts are those of `cgtorch.tabletop.world.percepts`. A motion (..., 3) is dx, dy and dθ: the
-robot translates by (dx, dy), holding its heading, and then turns by dθ. Metres and radians in the
-robot's base frame.
+robot translates by (dx, dy) with its heading fixed, and then turns by dθ. Units are metres and
+radians, in the robot's base frame.
 
-Skills ask for thousands of motions at once, so what is put together here has its columns side by
-side in memory (`columns`), where operations on some of them are several times as fast.
+Thousands of motions are computed at once, so the columns of results are contiguous in memory
+(`columns`), which makes operations on single columns several times as fast.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from cgtorch.ground.numerics import atan2
 from cgtorch.tabletop.world.percepts import Percept, parts_of
 
 CENTRE, EXTENTS, OBJECT = slice(0, 2), slice(2, 4), slice(4, 6)
-"""Where in `to_parts` the box's centre, its extents and the object's x and y are."""
+"""The slices of the box's centre, its extents, and the object's x and y in `to_parts`."""
 
 
 def columns(*parts: Tensor) -> Tensor:
-    """Parts (..., k_i) joined to (..., sum k_i), each column in one piece of memory."""
+    """Parts (..., k_i) joined to (..., sum k_i), with each column contiguous."""
     return torch.cat([part.movedim(-1, 0) for part in parts]).movedim(0, -1)
 
 
 def side_by_side(*numbers: Tensor) -> Tensor:
-    """Numbers (...), of shapes that broadcast, as columns (..., k)."""
+    """Numbers (...), with shapes that broadcast, as columns (..., k)."""
     if any(x.shape != numbers[0].shape for x in numbers):
         numbers = torch.broadcast_tensors(*numbers)
     return torch.stack(numbers).movedim(0, -1)
@@ -40,7 +40,7 @@ def length(vector: Tensor) -> Tensor:
 
 
 def check_shapes(percept: Tensor, motion: Tensor) -> None:
-    """DataError if percepts are not of the tabletop, or motions not (..., 3)."""
+    """DataError unless percepts are of the tabletop, and motions (..., 3)."""
     parts_of(percept)
     if motion.shape[-1:] != (3,):
         raise DataError(f"motion has shape {tuple(motion.shape)}; pass (..., 3)")
@@ -53,18 +53,18 @@ def to_parts(percept: Tensor) -> Tensor:
 
 
 def from_parts(parts: Tensor) -> Tensor:
-    """The first numbers (..., 7) of a percept with the given parts (..., 7), of `to_parts`."""
+    """The first numbers (..., 7) of a percept with the parts (..., 7) of `to_parts`."""
     centre, half = parts[..., CENTRE], parts[..., EXTENTS] / 2
     low, high = centre - half, centre + half
     return columns(low[..., :1], high[..., :1], low[..., 1:], high[..., 1:], parts[..., 4:])
 
 
 def move_rigidly(parts: Tensor, motion: Tensor) -> Tensor:
-    """Parts (..., 7) after the robot's motion (..., 3), the box's extents kept.
+    """Parts (..., 7) after the robot's motion (..., 3), with the box's extents unchanged.
 
-    A point moves as R(-dθ)(point - (dx, dy)), and so does the centre of the box, because the
-    table is a centrally symmetric rectangle. The extents are the only part that the turn leaves
-    open: they depend on the rectangle inside the box, which the percept does not show.
+    A point moves to R(-dθ)(point - (dx, dy)). So does the centre of the box, because the table is a
+    centrally symmetric rectangle. Only the extents cannot be computed: they depend on the rectangle
+    inside the box, which the percept does not show.
     """
     dx, dy, cos, sin = motion[..., 0], motion[..., 1], motion[..., 2].cos(), motion[..., 2].sin()
     moved = list(parts.unbind(-1))
@@ -75,12 +75,12 @@ def move_rigidly(parts: Tensor, motion: Tensor) -> Tensor:
 
 
 def table_sides(extents: Tensor) -> Tensor:
-    """Short and long side (2,) of the one table whose box had the extents (n, 2) from n yaws.
+    """Short and long side (2,) of the one table whose box had extents (n, 2) at n yaws.
 
-    The box of a rectangle a × b has the extents w = a|cos| + b|sin| and h = a|sin| + b|cos|, so
-    with A = a² + b², B = 2ab and K = A² - B² all (w, h) lie on the ellipse
-    (A (w² + h²) - 2B wh) / K = 1, whose two coefficients are found by linear least squares.
-    Where that gives no rectangle, the mean extents are its sides.
+    The box of a rectangle a × b has the extents w = a|cos| + b|sin| and h = a|sin| + b|cos|. With A
+    = a² + b², B = 2ab and K = A² - B², all (w, h) lie on the ellipse (A (w² + h²) - 2B wh) / K = 1,
+    whose two coefficients are found by linear least squares. If they give no rectangle, the mean
+    extents are the sides.
     """
     w, h = extents.double().unbind(-1)
     terms = torch.stack([w * w + h * h, -2 * w * h], dim=1)
@@ -102,17 +102,17 @@ def turned_extents(yaw: Tensor, sides: Tensor) -> Tensor:
 
 
 def loosely_turned(extents: Tensor, turn: Tensor) -> Tensor:
-    """Extents (..., 2) of a box after turns (...) of the robot, of a shape that is not known.
+    """Extents (..., 2) of a box after turns (...) of the robot, for an unknown shape.
 
-    Their sum stays and their difference turns as that of an ellipse's squared extents does: a
-    quarter turn swaps them, and half-way there they are equal.
+    Their sum stays, and their difference changes like that of an ellipse's squared extents: a
+    quarter turn swaps them, and half-way they are equal.
     """
     total, gap = extents.sum(-1), (extents[..., 0] - extents[..., 1]) * torch.cos(2 * turn)
     return side_by_side(total + gap, total - gap) / 2
 
 
 def boxes_moved(boxes: Tensor, motion: Tensor) -> Tensor:
-    """Boxes of obstacles (..., K, 4) after motions (..., 3); those that are not there stay so."""
+    """Boxes of obstacles (..., K, 4) after motions (..., 3); absent ones stay absent."""
     parts = to_parts(torch.nn.functional.pad(boxes, (0, 3)))
     each = motion[..., None, :]
     moved = move_rigidly(parts, each)
@@ -133,12 +133,12 @@ def side_turned(side: Tensor, motion: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is read off percepts (..., D) once, for all that is asked of them.
+    """Quantities derived once from percepts (..., D), for several functions.
 
     Attributes:
         seen: The parts of the percepts.
-        parts: (..., 7) as of `to_parts`.
-        yaws: (..., 2) that the table may have, both the same where the percepts tell it.
+        parts: (..., 7) of `to_parts`.
+        yaws: (..., 2) the possible yaws of the table; equal if the percepts contain the yaw.
         sides: (2,) or (..., 2) of the table.
     """
 
@@ -149,7 +149,7 @@ class Scene:
 
 
 def scene_of(percept: Tensor, sides: Tensor) -> Scene:
-    """The scene of percepts (..., D), where only boxes are seen of the table of sides (2,)."""
+    """The scene of percepts (..., D); `sides` (2,) are the table's if only its box is seen."""
     seen, parts = parts_of(percept), to_parts(percept)
     if not seen.side.shape[-1]:
         return Scene(seen, parts, mirror_yaws(parts, sides), sides)
@@ -160,10 +160,10 @@ def scene_of(percept: Tensor, sides: Tensor) -> Scene:
 def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
     """The two yaws (..., 2) that a table of sides (2,) may have within the box of parts (..., 7).
 
-    With the terms of `table_sides`, w² + h² = A + B |sin 2θ| and h² - w² = (b² - a²) cos 2θ, so
-    the box tells the yaw but for its sign. The first of the two is the one with the sign of u v,
-    where (u, v) is the object's place relative to the box's centre: then mirroring the scene
-    mirrors both and changes nothing else.
+    With the terms of `table_sides`, w² + h² = A + B |sin 2θ| and h² - w² = (b² - a²) cos 2θ, so the
+    box determines the yaw except for its sign. The first of the two has the sign of u v, where (u,
+    v) is the object's place relative to the box's centre: then mirroring the scene mirrors both
+    yaws and changes nothing else.
     """
     w2, h2 = parts[..., 2].square(), parts[..., 3].square()
     u, v = parts[..., 4] - parts[..., 0], parts[..., 5] - parts[..., 1]
@@ -175,10 +175,10 @@ def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:
 
 
 def places_on_table(scene: Scene) -> Tensor:
-    """Features (..., 4): |x|, |y| (m) of the object in the table's frame under either yaw.
+    """Features (..., 4): |x|, |y| (m) of the object in the table's frame, for either yaw.
 
-    A rectangle is the same after half a turn and mirrored in its axes, so only sizes matter.
-    They tell the yaws apart, because people put things near the edges of tables.
+    A rectangle is the same after half a turn and when mirrored in its axes, so only magnitudes
+    matter. They distinguish the yaws, because people put things near the edges of tables.
     """
     offset = scene.parts[..., OBJECT] - scene.parts[..., CENTRE]
     u, v, c, s = offset[..., :1], offset[..., 1:], scene.yaws.cos(), scene.yaws.sin()
@@ -192,9 +192,9 @@ def boxes_after(yaws: Tensor, motion: Tensor, sides: Tensor) -> Tensor:
 
 
 def next_percept(scene: Scene, motion: Tensor, value: Tensor, trust: Tensor) -> Tensor:
-    """Next percepts (..., D) if `value` (...) tells which of the two yaws it is, 1 or -1.
+    """Next percepts (..., D), given which of the two yaws `value` (...) selects, 1 or -1.
 
-    With a `trust` () of 0 the box is turned loosely instead.
+    With a `trust` () of 0, the box is turned by `loosely_turned` instead.
     """
     moved = move_rigidly(scene.parts, motion)
     first, second = boxes_after(scene.yaws, motion, scene.sides).unbind(-2)
@@ -211,9 +211,10 @@ def next_percept(scene: Scene, motion: Tensor, value: Tensor, trust: Tensor) -> 
 
 
 def extremes(scene: Scene, motion: Tensor) -> Tensor:
-    """What tells how unusual a transition is (..., 4).
+    """How unusual a transition is (..., 4).
 
-    Distance of the object (m), way driven (m), size of the turn (rad), misfit of table and box (m).
+    These are the distance of the object (m), the distance driven (m), the size of the turn (rad),
+    and the misfit of table and box (m).
     """
     misfit = scene.parts[..., EXTENTS] - turned_extents(scene.yaws[..., 0], scene.sides)
     far, way = length(scene.parts[..., OBJECT]), length(motion[..., :2])

@@ -1,4 +1,4 @@
-"""What C sees of a percept: the object in polar coordinates, and the table as far as arms reach."""
+"""The features of C: the object in polar coordinates, and the table within reach of the arms."""
 
 import torch
 from torch import Tensor
@@ -15,13 +15,14 @@ EDGES = 2  # that matter, those that the robot stands farthest in front of
 
 
 def grasp_features(percept: Tensor) -> Tensor:
-    """Features (..., F) of tabletop percepts (..., D); errors are those of `parts_of`.
+    """Features (..., F) of tabletop percepts (..., D); for errors see `parts_of`.
 
-    An arm reaches a ring about its shoulder, not a box, so the object is given by its distance, the
-    two numbers of its direction, and its height. Obstacles are reached over and left out. Of the
-    table, F = 8: the four sides of its box come first, each saturated at `NEAR`, as what lies
-    beyond the reach of the arms changes nothing; the height is last. Where the percept tells the
-    table's yaw, F = 10: last come the two edges that the robot stands in front of (`edges`).
+    An arm reaches a ring about its shoulder, so the object is given by its distance, the two
+    numbers of its direction, and its height. Arms reach over obstacles, so these are left out. For
+    box percepts, F = 8: the four sides of the table's box come first, each saturated at `NEAR`,
+    since what lies beyond the arms changes nothing; the height is last. If the percept contains the
+    table's yaw, F = 10: the two edges in front of which the robot is farthest out (`edges`) are
+    last.
     """
     seen = parts_of(percept)
     placed = seen.object
@@ -34,10 +35,10 @@ def grasp_features(percept: Tensor) -> Tensor:
 
 
 def edges(table: Tensor, placed: Tensor) -> Tensor:
-    """How the two edges of tables (..., 5) lie that the robot stands farthest in front of (..., 6).
+    """(..., 6), the two edges of tables (..., 5) in front of which the robot is farthest out.
 
-    How far in front of either it stands, saturated at `NEAR`; how far from either the object
-    (..., 2) stands (m); and the outward direction of the first, of length `NEAR`.
+    These are the robot's distances in front of them, saturated at `NEAR`; the distances of the
+    object (..., 2) from them (m); and the outward direction of the first, of length `NEAR`.
     """
     c, s = table[..., 2].cos(), table[..., 2].sin()
     outward = torch.stack([c, s, -c, -s, -s, c, s, -c], -1).unflatten(-1, (4, 2))
@@ -51,9 +52,9 @@ def edges(table: Tensor, placed: Tensor) -> Tensor:
 
 
 def used_features(percept: Tensor) -> int:
-    """How many features of percepts (n, D) are worth learning from, counted from the first.
+    """The number of features of percepts (n, D), from the first, that are informative.
 
-    All, but not the height of box percepts where all tables are as high.
+    These are all, except the height of box percepts if all tables have the same height.
     """
     seen = parts_of(percept)
     if seen.side.shape[-1]:

@@ -1,4 +1,4 @@
-"""C of the tabletop: whether a grasp succeeds, from where the object stands and the table ends."""
+"""C of the tabletop: whether a grasp succeeds, given the object and the sides of the table."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from cgtorch.tabletop.models.grasp_features import FLAT, grasp_features, used_fe
 from cgtorch.tabletop.world.percepts import parts_of
 
 COSTS, GAMMAS = (100.0, 300.0), (0.5, 1.0, 2.0)
-"""The hyper-parameters that cross-validation chooses from."""
+"""The grid of hyper-parameters for cross-validation."""
 
 
 class GraspClassifier(SuccessClassifier):
@@ -32,9 +32,9 @@ class GraspClassifier(SuccessClassifier):
         return chance.view(percept.shape[:-1])
 
     def compiled(self, percept: Tensor) -> Any:
-        """C as compiled code knows it, where that can be asked about percepts (n, D).
+        """C in the form of compiled code, if that supports percepts (n, D).
 
-        The same numbers as torch's but for the last digits; a row's do not depend on the others.
+        Results equal torch's except for the last digits. A row's result does not depend on others.
         """
         mean, scale, platt = self.mean, self.scale, self.machine.platt
         known = (FLAT + 3,) if parts_of(percept).side.shape[-1] else (FLAT, FLAT + 1)
@@ -46,7 +46,7 @@ class GraspClassifier(SuccessClassifier):
         return classifier(machine=made, mean=mean, scale=scale, slope=slope, offset=offset)
 
     def raw_features(self, percept: Tensor) -> Tensor:
-        """See `SuccessClassifier.raw_features`: those that were worth learning from."""
+        """See `SuccessClassifier.raw_features`: the informative ones."""
         features, used = grasp_features(percept), len(self.mean)
         flat = used == FLAT and features.shape[-1] == FLAT + 1
         if features.shape[-1] != used and not flat:
@@ -59,8 +59,8 @@ class GraspClassifier(SuccessClassifier):
     def standardise(self, percept: Tensor) -> Tensor:
         """See `SuccessClassifier.standardise`; all features have one scale.
 
-        They are lengths and weighed so that they matter about as much, and what hardly varies is
-        hardly more than noise, which a scale of its own would blow up.
+        They are lengths with weights that make them about equally important. A feature that hardly
+        varies is mostly noise, which a scale of its own would amplify.
         """
         features = grasp_features(percept)[:, : used_features(percept)]
         spread = features.var(0, correction=0).mean().sqrt()

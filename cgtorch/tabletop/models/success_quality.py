@@ -1,8 +1,8 @@
-"""How good C is on fresh labels, beside how good any classifier of percepts can be.
+"""The quality of C on fresh labels, beside the best that is possible from percepts.
 
-A look has noise, and the box around a turned table does not show to which side it is turned, so
-scenes with and without success give the same percept. As the scenes are our own, those behind a
-percept can be sampled, by importance resampling (Rubin 1987).
+Percepts have noise, and the box around a turned table does not show to which side it is turned. So
+scenes with success and without can give the same percept. Scenes behind a percept can be sampled by
+importance resampling (Rubin 1987), as their distribution is known.
 """
 
 from collections.abc import Callable
@@ -31,16 +31,16 @@ _SMALLEST_BLUR = 1e-4  # m
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How often C(p) > 1/2 is right on labels it was not fitted on.
+    """The accuracy of C(p) > 1/2 on labels to which it was not fitted.
 
     Attributes:
-        rows: Labels.
+        rows: Number of labels.
         positive: Share of them that succeed.
-        accuracy: Share that is right.
-        possible: About the share that the best classifier of percepts would have right, which
-            answers with the label that most of the scenes behind a percept have.
-        balanced: Mean over the two labels of the share that is right.
-        possible_balanced: The same of the best classifier.
+        accuracy: Share of correct predictions.
+        possible: The approximate accuracy of the best classifier of percepts, which predicts the
+            most frequent label of the scenes behind a percept.
+        balanced: Mean over the two labels of the share of correct predictions.
+        possible_balanced: The same for the best classifier.
         calibration_error: Expected calibration error of the probabilities.
     """
 
@@ -55,14 +55,14 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class SuccessQuality:
-    """C on three draws of fresh labels; the base never stands in the table.
+    """C on three draws of fresh labels; the base never overlaps the table.
 
     Attributes:
-        near: The robot within or just out of reach of the object, any side, any heading.
+        near: The robot within or just out of reach of the object, at any side and heading.
         overall: The robot anywhere around the table, mostly too far away.
-        beside: Poses near the object that a small displacement has brought across the boundary
+        beside: Poses near the object that a small displacement has moved across the boundary
             between success and failure.
-        reliability: Mean probability, frequency and rows of each bin that is not empty, of `near`.
+        reliability: Mean probability, frequency and rows of each bin of `near` that is not empty.
     """
 
     near: Accuracy
@@ -73,7 +73,7 @@ class SuccessQuality:
 
 @dataclass(frozen=True)
 class FreshLabels:
-    """What is seen from three draws of `count` poses each, and whether a grasp succeeds there.
+    """The percepts at three draws of `count` poses each, and whether a grasp succeeds.
 
     Attributes:
         percept: (3 · count, D) near the object, each of these displaced, and anywhere.
@@ -87,7 +87,7 @@ class FreshLabels:
 
 
 def fresh_labels(scenes: Scenes, count: int, generator: Generator) -> FreshLabels:
-    """Labels of the world that tell how good C is; see `success_quality`."""
+    """Labels of the world for `success_quality`."""
     poses = poses_at_object(scenes, count, generator)
     step = torch.randn(count, 3, generator=generator) * torch.tensor(STEP)
     seed = torch.randint(2**31, (count,), generator=generator)
@@ -106,7 +106,10 @@ def success_quality(
     labels: FreshLabels,
     generator: Generator,
 ) -> SuccessQuality:
-    """C, from percepts (n, D) to probabilities (n,), on fresh labels; 1500 take about 2 s (PR2)."""
+    """The quality of C, a function from percepts (n, D) to probabilities (n,), on fresh labels.
+
+    1500 labels take about 2 s (PR2).
+    """
     count = len(labels.graspable) // 3
     with torch.no_grad():
         chance = classifier(labels.percept)
@@ -125,7 +128,7 @@ def success_quality(
 
 
 def _judged(chance: Tensor, truth: Tensor, best: Tensor) -> Accuracy:
-    """C's probabilities (n,) beside the labels (n,) and the best chances (n,)."""
+    """The accuracy of C's probabilities (n,) for labels (n,) with the best possible ones (n,)."""
     answer = (best > 0.5).to(best)
     hits, rejects = best * answer, (1 - best) * (1 - answer)
     found = hits.sum() / best.sum().clamp_min(1e-9)
@@ -146,17 +149,17 @@ def success_frequency(
 ) -> Tensor:
     """Share (n,) of `samples` scenes behind each percept (n, D) in which a grasp succeeds.
 
-    The percepts are of free poses and with the world's noise; each scene costs a label.
+    The percepts are those of free poses, with the world's noise. Each scene costs a label.
     """
     behind = scenes_behind(scenes, percept, samples, generator)
     return label(scenes, behind)[1].to(percept).view(len(percept), samples).mean(1)
 
 
 def scenes_behind(scenes: Scenes, percept: Tensor, samples: int, generator: Generator) -> Scenarios:
-    """Scenes (n · samples) drawn from those that percepts (n, D) leave possible, row by row.
+    """Scenes (n · samples) drawn from those that are consistent with percepts (n, D), row by row.
 
-    Objects are placed and tables shaped as in the scenes; every free pose is as likely.
-    Obstacles, which are reached over, are left out.
+    Objects and tables are distributed as in the scenes, and free poses uniformly. Obstacles are
+    left out, as arms reach over them.
     """
     examples = scenes.draw(64, generator)
     world = scenes.world(examples)
@@ -186,7 +189,7 @@ def scenes_behind(scenes: Scenes, percept: Tensor, samples: int, generator: Gene
 def _one_table(
     percept: Tensor, table: Tensor, blur: float, count: int, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Tables (n, count, 5), objects (n, count, 2) and weights (n, count) given a table (6,)."""
+    """Tables (n, count, 5), objects (n, count, 2) and weights (n, count), given a table (6,)."""
     noise = blur * torch.randn(len(percept), count, 4, generator=generator)
     seen = parts_of(percept[:, None])
     box = box_rectangle(seen.box)
@@ -201,7 +204,7 @@ def _one_table(
 def _likely_yaw(
     extents: Tensor, sides: Tensor, blur: float, count: int, generator: Generator
 ) -> Tensor:
-    """Yaws (n, count) of a table with given sides (2,), drawn given box extents (n, 2)."""
+    """Yaws (n, count) of a table with sides (2,), drawn given box extents (n, 2)."""
     yaw = torch.arange(_YAWS) * (torch.pi / _YAWS)
     zero = torch.zeros_like(yaw)
     table = torch.stack([zero, zero, yaw, zero + sides[0], zero + sides[1]], 1)

@@ -1,4 +1,4 @@
-"""How good the tabletop's first Γ and C are, each beside the best that a percept allows."""
+"""The quality of the tabletop's first Γ and C, each beside the best possible."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ FRESH_LABELS = 500  # at most, as many as were learnt from
 
 @dataclass(frozen=True)
 class Fresh:
-    """What is told of Γ, and what C is to be judged by."""
+    """The quality of Γ, and the fresh labels for C."""
 
     quality: TransitionQuality
     labels: FreshLabels
@@ -32,9 +32,9 @@ class Fresh:
 def fresh_experience(
     scenes: Scenes, gamma: TransitionModel, tests: int, generator: Generator
 ) -> Fresh:
-    """Γ on fresh transitions, and fresh labels for C, at most as many as `tests`.
+    """The quality of Γ on fresh transitions, and at most `tests` fresh labels for C.
 
-    Where the world is costly there are fewer of both.
+    There are fewer of both if the world is costly.
     """
     quality = transition_quality(scenes, gamma, FRESH_TRANSITIONS // scenes.thrift, generator)
     labels = min(FRESH_LABELS // scenes.thrift, tests)
@@ -44,7 +44,7 @@ def fresh_experience(
 def tabletop_summary(
     scenes: Scenes, knowledge: Knowledge, fresh: Fresh, generator: Generator
 ) -> ModelSummary:
-    """The line, the numbers and the curves of the first models."""
+    """The message, the numbers and the curves of the first models."""
     judged = success_quality(scenes, knowledge.classifier, fresh.labels, generator)
     error = dict(zip(knowledge.gamma_report.coordinates, knowledge.gamma_report.error, strict=True))
     scalars = {
@@ -64,7 +64,7 @@ def tabletop_summary(
 
 
 def _on_labels(quality: SuccessQuality) -> str:
-    """How good C is on fresh labels, beside the most that is possible."""
+    """The quality of C on fresh labels, beside the best possible."""
     draws = (("near the object", quality.near), ("overall", quality.overall))
     said = (
         f"{100 * one.balanced:.1f} % {where} (at best {100 * one.possible_balanced:.1f} %)"
@@ -74,7 +74,7 @@ def _on_labels(quality: SuccessQuality) -> str:
 
 
 def _on_fresh(quality: TransitionQuality) -> str:
-    """Γ's errors on fresh transitions, each beside what no model can better."""
+    """The errors of Γ on fresh transitions, beside the least possible ones."""
     return (
         f"the mean error of Γ on {quality.rows} fresh transitions is "
         f"{100 * quality.object_error:.2f} cm for the object (at best "

@@ -1,8 +1,8 @@
-"""Which tables a percept leaves possible, where tables are of any size and yaw.
+"""The posterior of tables given a percept, for tables of any size and yaw.
 
-They are those of `cgtorch.tabletop.world.general`, sampled by importance sampling (Kahn & Marshall
-1953). A box and a yaw determine the sides of its rectangle, so where only the box is seen any yaw
-is drawn; where the yaw is seen, the sides are as seen but for the noise.
+The prior is that of `cgtorch.tabletop.world.general`. Tables are sampled by importance sampling
+(Kahn & Marshall 1953). A box and a yaw determine the sides of its rectangle, so if only the box is
+seen, any yaw is drawn. If the yaw is seen, the sides are as seen except for noise.
 """
 
 from collections.abc import Callable
@@ -23,9 +23,9 @@ OUTLIER = 1e-6  # weight, relative to a whole table, of what the scenes are said
 def tables_behind(
     percept: Tensor, blur: float, samples: int, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples of tables (n, S, 5), objects (n, S, 2) and weights (n, S) behind percepts (n, D).
+    """Samples of tables (n, S, 5), objects (n, S, 2) and weights (n, S) given percepts (n, D).
 
-    They are in the base frame; a percept's numbers have noise of a standard deviation `blur` (m).
+    They are in the base frame. Percepts have noise with a standard deviation of `blur` (m).
     """
     side = parts_of(percept).side
     parts = to_parts(percept)[:, None].expand(-1, samples, -1)
@@ -49,7 +49,7 @@ def tables_behind(
 
 
 def _any_yaw(extents: Tensor, generator: Generator) -> tuple[Tensor, Tensor]:
-    """Yaws and the sides they imply (n, S, 3) given extents (n, S, 2), and weights (n, S)."""
+    """Yaws and their sides (n, S, 3) given extents (n, S, 2), and weights (n, S)."""
     yaw = torch.pi * torch.rand(extents.shape[:2], generator=generator)
     c, s = yaw.cos().abs(), yaw.sin().abs()
     w, h = extents.unbind(-1)
@@ -62,10 +62,10 @@ def _any_yaw(extents: Tensor, generator: Generator) -> tuple[Tensor, Tensor]:
 def _seen_sides(
     parts: Tensor, side: Tensor, blur: float, noise: Callable[[float, int], Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """Yaw and sides (n, S, 3) where a side (n, 2) is seen, and weights (n, S).
+    """Yaw and sides (n, S, 3) if a side (n, 2) is seen, and weights (n, S).
 
-    The box has two extents for the one side that is left: one combination of them gives it, the
-    other tells how likely yaw and length are.
+    The box has two extents for the one remaining side. One combination of them gives this side; the
+    other gives the likelihood of yaw and length.
     """
     seen = side[:, None] - noise(blur, 2)
     yaw, length = torch.atan2(seen[..., 1], seen[..., 0]) / 2, seen.norm(dim=-1)
@@ -79,10 +79,10 @@ def _seen_sides(
 def placement_density(
     at: Tensor, sides: Tensor, insets: tuple[float, float] = (INSET_MIN, INSET_MAX)
 ) -> Tensor:
-    """Density (..., per m²) of objects at (..., 2) in the frame of a table of sides (..., 2).
+    """Density (..., per m²) of objects at (..., 2) in the frame of a table with sides (..., 2).
 
-    That of `random_scenarios("perimeter")`, or with other insets of `general_scenarios`: an edge is
-    drawn by its length, then a place along it and a distance from it.
+    It is that of `random_scenarios("perimeter")`, or with other insets of `general_scenarios`: an
+    edge is drawn by its length, then a place along it and a distance from it.
     """
     low, high = insets
     density = torch.zeros_like(at[..., 0])

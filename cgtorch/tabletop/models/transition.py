@@ -1,8 +1,8 @@
 """Γ of the tabletop: the next percept from a percept and a motion.
 
-Nearly all of the answer is geometry (`cgtorch.tabletop.models.geometry`). The box seen leaves open
-to which side the table is turned, and that is what support vector regression learns, from where on
-the table the object would stand. Where the percept tells the yaw, there is nothing to learn.
+Most of the prediction is geometry (`cgtorch.tabletop.models.geometry`). The box that is seen does
+not show to which side the table is turned. Support vector regression learns this from the place
+that the object would have on the table. If the percept contains the yaw, there is nothing to learn.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from cgtorch.tabletop.models.compiled_machine import compiled_machine
 from cgtorch.tabletop.world.percepts import parts_of, percept_fields
 
 DECISIVE = 0.03
-"""Metres by which the boxes of the two yaws have to differ for a transition to tell them apart:
+"""The difference (m) between the boxes of the two yaws from which a transition distinguishes them:
 three times the noise of a transition."""
 _QUIET_CENTRES = 256
 
@@ -29,11 +29,11 @@ _QUIET_CENTRES = 256
 class TableTransitionModel(TransitionModel):
     """Γ: (percept (..., D), motion (..., 3)) -> next percept (..., D), m and rad.
 
-    D is that of any percept of the tabletop (`cgtorch.tabletop.world.percepts`). Differentiable in
-    both. The machine's one value in [-1, 1] says which of the two yaws that the box allows is the
-    table's: 1 the first, -1 the second. Further buffers: the table's `sides` (2,), and `trust` () 1
-    where turning the table beats turning its box loosely and else 0. `most` (4,) is how far off,
-    driven, turned and out of shape the data are at most.
+    D is the length of any percept of the tabletop (`cgtorch.tabletop.world.percepts`). It is
+    differentiable in both arguments. The machine's only output, in [-1, 1], selects one of the two
+    yaws that the box allows: 1 the first, -1 the second. Additional buffers are the table's `sides`
+    (2,), and `trust` (), 1 if turning the table beats turning its box loosely, else 0. `most` (4,)
+    contains the largest extremes of the data: distance, drive, turn and misfit.
     """
 
     sides: Tensor
@@ -75,8 +75,8 @@ class TableTransitionModel(TransitionModel):
     def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.settle`.
 
-        Turning the table is trusted only if that beats turning its box loosely, without which
-        the second errors are.
+        Turning the table is used only if it beats turning its box loosely, which gives the second
+        errors.
         """
         percept, control, next_percept = rows
         features = self.features(percept, control)
@@ -108,7 +108,7 @@ class TableTransitionModel(TransitionModel):
         return after.view_as(percept), novelty.view(percept.shape[:-1])
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """See `TransitionModel.predict_in_torch`; a scene is read off percepts only once."""
+        """See `TransitionModel.predict_in_torch`; the scene is derived only once."""
         scene = self._scene(percept, control)
         value, distance = self.machine.values_and_distance(self._features(scene))
         after = geometry.next_percept(scene, control, value[..., 0].to(percept), self.trust)
@@ -116,10 +116,10 @@ class TableTransitionModel(TransitionModel):
         return after, novelty.to(percept.dtype)
 
     def compiled(self, percept: Tensor, motion: Tensor) -> Any:
-        """Γ as compiled code knows it, where it can be asked about percepts (n, D), motions (n, 3).
+        """Γ in the form of compiled code, if it supports percepts (n, D) and motions (n, 3).
 
-        The same numbers as torch's but for the last digits; a row's do not depend on the others.
-        DataError if the shapes are wrong.
+        Results equal torch's except for the last digits. A row's result does not depend on others.
+        DataError if shapes are wrong.
         """
         geometry.check_shapes(percept, motion)
         made = compiled_machine(self.machine, percept, motion)
@@ -136,7 +136,7 @@ class TableTransitionModel(TransitionModel):
         return self._features(self._scene(percept, control))
 
     def next_percept(self, percept: Tensor, control: Tensor, value: Tensor) -> Tensor:
-        """See `TransitionModel.next_percept`; `value` (..., 1) is about the two yaws."""
+        """See `TransitionModel.next_percept`; `value` (..., 1) selects one of the two yaws."""
         scene = self._scene(percept, control)
         return geometry.next_percept(scene, control, value[..., 0], self.trust)
 
@@ -149,8 +149,9 @@ class TableTransitionModel(TransitionModel):
     ) -> tuple[Tensor, Tensor]:
         """See `TransitionModel.targets`.
 
-        The target is where the next extents lie between those of the second yaw, -1, and of the
-        first, 1. Where the percept tells the yaw, it is 0 and all transitions are worth as much.
+        The target is where the next extents are between those of the second yaw, -1, and of the
+        first, 1. If the percept contains the yaw, it is 0, and all transitions are equally
+        informative.
         """
         scene = self._scene(percept, control)
         first, second = geometry.boxes_after(scene.yaws, control, scene.sides).unbind(-2)
@@ -175,13 +176,13 @@ class TableTransitionModel(TransitionModel):
 
 
 def _better(error: Tensor, baseline: Tensor) -> bool:
-    """Whether errors (n,) are below those of the baseline by more than the standard error."""
+    """Whether errors (n,) are below the baseline's by more than the standard error."""
     gain = baseline - error
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
 
 
 def _silence(machine: SVR, rows: Tensor) -> None:
-    """Let the machine say 0 everywhere; a few centres stay, to tell novelty from."""
+    """Set the machine's output to 0; a few centres stay for the novelty."""
     some = torch.arange(min(len(rows), _QUIET_CENTRES), device=rows.device)
     machine.centres, machine.support = rows[some].clone(), some
     machine.weights = rows.new_zeros(len(some), 1)

@@ -1,9 +1,10 @@
-"""How good Γ is on fresh transitions, beside how good any model can be.
+"""The quality of Γ on fresh transitions, beside the best that is possible.
 
 The box around a turned rectangle does not show how it is turned, so the next percept has a
-distribution, and no model errs less than its median. As the scenes are our own, that distribution
-can be sampled, by importance sampling (Kahn & Marshall 1953): tables are drawn as the world draws
-them and kept as often as the box seen makes them likely; the object and the motion weigh them.
+distribution, and no model has a smaller error than its median. This distribution can be sampled by
+importance sampling (Kahn & Marshall 1953), as that of the scenes is known. Tables are drawn as in
+the world and kept in proportion to their likelihood given the box; the object and the motion weigh
+them.
 """
 
 from dataclasses import dataclass
@@ -34,17 +35,17 @@ _CANDIDATES = 8192  # tables drawn as the paper's scenes show them
 
 @dataclass(frozen=True)
 class TransitionQuality:
-    """Errors of Γ on transitions that it was not fitted on, in metres.
+    """Errors of Γ on transitions to which it was not fitted, in metres.
 
-    A floor is the error, on the same transitions, of the median of all that may follow given the
-    percept and the motion (`possible_next`); its expectation is the least that any model can have.
+    A floor is the error, on the same transitions, of the median of all possible next percepts
+    (`possible_next`). Its expectation is the least error of any model.
 
     Attributes:
-        rows: Transitions.
-        object_error: Mean absolute error of object x and y as seen after the motion.
-        object_floor: Its floor: the noise of the motion and of both looks.
-        object_offset: Mean absolute difference from where a motion without noise would have led
-            and a look without noise would have seen it: the error that is Γ's and its percept's.
+        rows: Number of transitions.
+        object_error: Mean absolute error of the object's x and y as seen after the motion.
+        object_floor: Its floor: the noise of the motion and of both percepts.
+        object_offset: Mean absolute difference to the next percept without noise of motion and
+            second percept: the error due to Γ and the first percept.
         table_error: Mean absolute error of the table's four numbers.
         table_floor: Its floor: noise, and to which side the table may be turned.
         table_floor_error: Standard error of `table_floor`.
@@ -63,13 +64,13 @@ class TransitionQuality:
 
 @dataclass(frozen=True)
 class FreshTransitions:
-    """Transitions with what really happened: percept, motion, next percept, next without noise.
+    """Transitions with the true result: percept, motion, next percept, next without noise.
 
     Attributes:
         percept: (n, D).
         motion: (n, 3).
         next_percept: (n, D) as seen.
-        exact: (n, 7) the same without any noise of motion or of the second look.
+        exact: (n, 7) the same without noise of the motion or of the second percept.
     """
 
     percept: Tensor
@@ -133,7 +134,10 @@ def fresh_transitions(scenes: Scenes, count: int, generator: Generator) -> Fresh
 def possible_next(
     scenes: Scenes, percept: Tensor, motion: Tensor, generator: Generator, samples: int = 256
 ) -> tuple[Tensor, Tensor]:
-    """Next percepts (n, S, 7), weights (n, S) of sum 1 for percepts (n, D), motions (n, 3) made."""
+    """Next percepts (n, S, 7) and weights (n, S) of sum 1, for percepts (n, D) and motions (n, 3).
+
+    The motions have been carried out, so they are known to be possible.
+    """
     world = scenes.world(scenes.draw(_POOL, generator))
     drift, blur = world.drift.flatten(0, 1), world.blur.flatten(0, 1)[:, :TABLETOP]
     deviation, shape = float(blur.std().clamp_min(_SMALLEST_BLUR)), (len(percept), samples)
@@ -161,7 +165,7 @@ def possible_next(
 def _one_table(percept: Tensor, shapes: Tensor, look: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Tables (n, S, 5), objects (n, S, 2) and weights (n, S) of the paper's scenes.
 
-    Given percepts (n, D), yaws and sides (n, S, 3), and the noise of the percepts (n, S, 7).
+    Given are percepts (n, D), yaws and sides (n, S, 3), and the noise of percepts (n, S, 7).
     """
     seen = parts_of(percept[:, None, :TABLETOP] - look)
     centre = box_rectangle(seen.box)[..., :2]
@@ -172,7 +176,7 @@ def _one_table(percept: Tensor, shapes: Tensor, look: Tensor) -> tuple[Tensor, T
 def _likely_shapes(
     scenes: Scenes, percept: Tensor, deviation: float, samples: int, generator: Generator
 ) -> Tensor:
-    """Yaw and sides (n, S, 3) of tables drawn as the world draws them, given percepts (n, D)."""
+    """Yaw and sides (n, S, 3) of tables drawn as in the world, given percepts (n, D)."""
     drawn = poses_around(scenes, _CANDIDATES, generator)
     tables = rectangle_in_frame(drawn.pose, drawn.table[:, :5])
     size, seen = (

@@ -1,4 +1,4 @@
-"""The tabletop in MuJoCo: masses, servos, contact, and an object that can be pushed over."""
+"""The tabletop in MuJoCo: masses, servos, contacts, and an object that can be pushed over."""
 
 from cgtorch.tabletop.physics.questions import Physics as Physics
 from cgtorch.tabletop.physics.thing import Thing as Thing

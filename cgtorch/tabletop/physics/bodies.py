@@ -1,7 +1,7 @@
-"""The robot's rigid bodies: its links, those that no moving joint parts merged into one.
+"""The robot's rigid bodies: its links, merged where no moving joint is between them.
 
-A simulation moves the joints of one arm, or none at all while the base drives; all others are held
-where the description or the home posture has them. Fewer joints are fewer equations to solve.
+A simulation moves the joints of one arm, or none while the base drives. All others are fixed as in
+the description or the home posture, since fewer joints are fewer equations to solve.
 """
 
 from collections.abc import Collection, Mapping
@@ -23,10 +23,10 @@ LEAST_INERTIA = 1e-5  # kg m²
 
 @dataclass(frozen=True)
 class Shape:
-    """What collides: a sphere (radius), cylinder or capsule (radius, half length), or box (halves).
+    """A collision shape: sphere (radius), cylinder or capsule (radius, half length), box (halves).
 
     Attributes:
-        link: the URDF link that it belongs to.
+        link: The URDF link to which it belongs.
         pose: (4, 4) in the frame of its body, m; cylinders and capsules lie along z.
     """
 
@@ -41,13 +41,13 @@ class RigidBody:
     """Links that move as one.
 
     Attributes:
-        name: that of the link that its joint moves; of the first one the base frame's.
-        parent: the body that it hangs from; "" for the base.
-        pose: (4, 4) of its frame in that of its parent where the joint is at 0.
-        joint: the `yourdfpy` joint, None for the base.
-        shapes: in its frame.
-        mass: in kg.
-        centre: (3,) of mass, m.
+        name: The name of the link that its joint moves, or that of the base frame.
+        parent: The body from which it hangs; "" for the base.
+        pose: (4, 4) of its frame in that of its parent with the joint at 0.
+        joint: The `yourdfpy` joint, None for the base.
+        shapes: Collision shapes in its frame.
+        mass: In kg.
+        centre: (3,) the centre of mass, m.
         inertia: (3, 3) about the centre of mass, kg m².
     """
 
@@ -64,10 +64,10 @@ class RigidBody:
 def rigid_bodies(
     robot: Robot, moving: Collection[str], held: Mapping[str, float]
 ) -> list[RigidBody]:
-    """The bodies of a robot of which some joints move, parents first.
+    """The bodies of a robot with some moving joints, parents first.
 
-    Other joints are at their `held` positions (rad or m), or at 0. RobotError where a link's mass
-    or inertia cannot be.
+    Other joints are at their `held` positions (rad or m), or at 0. RobotError if a link's mass or
+    inertia is impossible.
     """
     urdf, base = robot.urdf, robot.description.base_frame
     place = _placed(urdf, base, moving, held)
@@ -119,7 +119,7 @@ def _origin(joint: Any) -> Array:
 
 
 def motion(joint: Any, held: Mapping[str, float]) -> Array:
-    """(4, 4): what a joint that is held does to its child; one that follows another does so."""
+    """(4, 4): the transform of a fixed joint to its child, also if it follows another joint."""
     if joint.type not in MOVING:
         return numpy.eye(4)
     value = held.get(joint.name, 0.0) if joint.mimic is None else follows(joint, held)
@@ -134,19 +134,19 @@ def motion(joint: Any, held: Mapping[str, float]) -> Array:
 
 
 def mimic_of(joint: Any) -> tuple[float, float]:
-    """Offset and factor by which a joint follows another."""
+    """Offset and factor of a joint that follows another."""
     factor = joint.mimic.multiplier
     return joint.mimic.offset or 0.0, 1.0 if factor is None else factor
 
 
 def follows(joint: Any, held: Mapping[str, float]) -> float:
-    """Where a joint is (rad or m) that follows one that is held."""
+    """The position (rad or m) of a joint that follows a fixed one."""
     offset, factor = mimic_of(joint)
     return offset + factor * held.get(joint.mimic.joint, 0.0)
 
 
 def _shapes(robot: Robot, link: Any, pose: Array) -> list[Shape]:
-    """What collides of a link at a pose in its body: the URDF's shapes, or what replaces them."""
+    """Collision shapes of a link at a pose in its body: the URDF's, or their replacements."""
     given = robot.description.capsules.get(link.name)
     if given is not None:
         return [_capsule(link.name, numpy.array(row), pose) for row in given]
@@ -180,7 +180,7 @@ def _capsule(link: str, row: Array, pose: Array) -> Shape:
 
 
 def _mass(links: list[tuple[Any, Array]]) -> tuple[float, Array, Array]:
-    """Mass, its centre and the inertia about it of links at poses in one body."""
+    """Mass, centre and inertia about the centre of links at poses in one body."""
     parts = []
     for link, pose in links:
         if link.inertial is None or not link.inertial.mass:

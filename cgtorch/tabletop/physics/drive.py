@@ -1,7 +1,7 @@
-"""The base drives: straight to where it is sent, then it turns, as motions mean it.
+"""Driving the base: straight to its goal, then a turn, as motions are defined.
 
-Wheels are velocity servos. They follow a motion that gathers speed and slows down evenly, and an
-outer loop takes out what is left of the error; without the ramps the base ends 2 cm away.
+Wheels are velocity servos. They follow a motion that accelerates and decelerates evenly, and an
+outer loop removes the remaining error. Without the ramps, the base ends 2 cm away.
 """
 
 import math
@@ -25,13 +25,14 @@ REST = 0.3  # s after the motion, until the base stands
 ARRIVED = 0.05, 0.05  # m, rad from the goal within which it has been reached
 
 Watch = Callable[[Any], None]
-"""Is told of the data after every command."""
+"""Is called with MuJoCo's data after every command."""
 
 
 def drive(model: Model, scene: Scene, goal: Array, watch: Watch | None = None) -> Array:
-    """Drive the base to a goal (3,) x, y, heading: (11,) its pose, the object's, whether it came.
+    """Drive the base to a goal (3,) x, y, heading.
 
-    It stops where it meets something, and has not come then.
+    Returned are (11,) its pose, the object's pose, and whether it arrived. It stops, and has not
+    arrived, if it touches something.
     """
     mj, d = mujoco(), put(model, scene)
     tick, m = STEPS * TIMESTEP, model.model
@@ -79,7 +80,7 @@ def motion_to(pose: Array, goal: Array, tick: float) -> list[tuple[Array, Array]
 
 
 def ramp(length: float, fast: float, gather: float, tick: float) -> list[tuple[float, float]]:
-    """How far one is and how fast at every tick on a way of that length, from rest to rest."""
+    """Distance and speed at every tick, over a given length, from rest to rest."""
     peak = min(fast, math.sqrt(length * gather))
     rise = peak / gather
     total = rise + length / peak

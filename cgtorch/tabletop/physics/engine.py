@@ -1,4 +1,4 @@
-"""MuJoCo, which is imported where it is needed only: an extra of the package."""
+"""MuJoCo, an optional package that is imported only where it is needed."""
 
 from importlib.util import find_spec
 from typing import Any
@@ -7,7 +7,7 @@ from cgtorch.ground.errors import SettingsError
 
 
 def mujoco() -> Any:
-    """The module; SettingsError, which says how to install it, if it is missing."""
+    """The module; SettingsError, with the way to install it, if it is missing."""
     if find_spec("mujoco") is None:
         raise SettingsError(
             "the world mujoco needs package 'mujoco'; pip install 'cgtorch[physics]', or use "

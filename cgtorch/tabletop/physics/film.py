@@ -1,4 +1,4 @@
-"""An animated picture of a skill in physics, as MuJoCo's renderer sees it."""
+"""Animated pictures of a skill in physics, drawn by MuJoCo's renderer."""
 
 import io
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ CONTACT = 0.02  # m, about the size of the mark of a contact
 
 
 class Camera:
-    """Takes pictures of what is simulated."""
+    """Takes pictures of a simulation."""
 
     def __init__(self, scenario: Scenarios) -> None:
-        """A camera behind the robot that looks over its shoulder to where the object stands."""
+        """A camera behind the robot that looks over its shoulder at the object."""
         mj = mujoco()
         self.view, self.pictures, self.renderers = mj.MjvCamera(), list[Any](), dict[int, Any]()
         start, table = scenario.pose[0], scenario.table[0]
@@ -44,7 +44,7 @@ class Camera:
         self.last = -1
 
     def __call__(self, model: Model) -> None:
-        """Take a picture if it is time to."""
+        """Take a picture if it is due."""
         now = int(model.data.time / EVERY)
         if now == self.last:
             return
@@ -56,7 +56,7 @@ class Camera:
         self.pictures.append(self.renderers[key].render().copy())
 
     def close(self) -> None:
-        """Free what the pictures were drawn with."""
+        """Free the renderer."""
         for renderer in self.renderers.values():
             renderer.close()
 
@@ -74,18 +74,18 @@ def _renderer(model: Model) -> Any:
 
 
 def film_of(skill: Skill, domain: Tabletop, scenario: Scenarios, kind: str) -> tuple[str, bytes]:
-    """How a skill ends on the first scenario, and an animated picture of a kind, gif or webp.
+    """The end of a skill on the first scenario, and an animated picture as `kind`, gif or webp.
 
-    SettingsError if nothing can be drawn on this machine.
+    SettingsError if this machine cannot draw.
     """
     end, pictures = pictures_of(skill, domain, scenario)
     return end, animated([pictures], kind)
 
 
 def pictures_of(skill: Skill, domain: Tabletop, scenario: Scenarios) -> tuple[str, list[Any]]:
-    """How a skill ends on the first scenario, and pictures of `WIDTH` and `HEIGHT`.
+    """The end of a skill on the first scenario, and pictures of `WIDTH` and `HEIGHT`.
 
-    Points at which bodies touch are marked. SettingsError if nothing can be drawn on this machine.
+    Contact points are marked. SettingsError if this machine cannot draw.
     """
     camera = Camera(scenario)
     physics = replace(domain.physics, watch=camera, memo={}, models={})

@@ -1,4 +1,4 @@
-"""Which joints are an arm's fingers, and where they close to."""
+"""The joints of an arm's fingers, and their closed positions."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from cgtorch.tabletop.kinematics.urdf import MOVING
 
 
 def gripper_joints(robot: Robot, arm: int) -> list[Any]:
-    """The moving joints, `yourdfpy`'s, that hang from an arm's last joint."""
+    """The moving joints (of `yourdfpy`) that hang from an arm's last joint."""
     last = robot.arms[arm].joint_names[-1]
     every = {joint.name: joint for joint in robot.urdf.model.robot.joints}
     tip = every[last].child
@@ -20,9 +20,9 @@ def gripper_joints(robot: Robot, arm: int) -> list[Any]:
 
 
 def closed_at(joint: Any, robot: Robot) -> float:
-    """Where a finger closes to (rad or m): its limit further from where the description holds it.
+    """The closed position of a finger (rad or m): its limit farther from the described position.
 
-    One that the description does not name stays where it is.
+    A finger that the description does not name stays where it is.
     """
     held = robot.description.held
     begin = float(held.get(joint.name, 0.0))

@@ -1,4 +1,4 @@
-"""What servos are like: defaults for any robot, with what its description says in their place."""
+"""Parameters of servos: defaults for any robot, with the values of its description."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ TURN_FORCE = 6.0  # rad/s² that they can give its inertia
 
 @dataclass(frozen=True)
 class Gains:
-    """Servos by joint: stiffness, force at most, speed at most, armature.
+    """Servos by joint: stiffness, maximum force, maximum speed, armature.
 
     Those of the base are its damping (x, y, turn), force (N) and torque (N m).
     """
@@ -62,17 +62,17 @@ def gains_of(robot: Robot, arm: int | None, bodies: list[RigidBody]) -> Gains:
 
 
 def _between(ends: tuple[float, float], share: float) -> float:
-    """Geometrically between two positive numbers."""
+    """Geometric interpolation between two positive numbers."""
     return ends[0] * (ends[1] / ends[0]) ** share
 
 
 def limit_of(joint: Any, what: str, usual: float) -> float:
-    """The effort or velocity of a `yourdfpy` joint, what is usual where the URDF has none."""
+    """The effort or velocity of a `yourdfpy` joint, or a default if the URDF has none."""
     value = None if joint.limit is None else getattr(joint.limit, what)
     return float(value) if value is not None and 0 < value < 1e6 else usual
 
 
 def _about_vertical(bodies: list[RigidBody]) -> float:
-    """About the inertia of the robot about its own vertical axis, kg m²."""
+    """The approximate inertia of the robot about its own vertical axis, kg m²."""
     base = bodies[0]
     return float(base.inertia[2, 2] + base.mass * (base.centre[:2] @ base.centre[:2]))

@@ -1,4 +1,4 @@
-"""An arm takes the object: along its way, fingers closed, lifted, held."""
+"""An arm grasps the object: it follows its way, closes the fingers, lifts and holds."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,9 +23,9 @@ LIFTED = 0.05  # m above where it stood
 
 @dataclass(frozen=True)
 class Way:
-    """The way of an arm: (W, n) postures from home, rad or m, and the index of three of them.
+    """The way of an arm: (W, n) postures from home, rad or m, and the indices of three of them.
 
-    Until `pre_grasp` it is free in space, then the tool keeps to its line.
+    Before `pre_grasp` it is free in space; after it, the tool stays on its line.
     """
 
     joints: Array
@@ -35,14 +35,14 @@ class Way:
 
     @classmethod
     def of(cls, row: Array, joints: int) -> "Way":
-        """The way of a row: three indices, then postures of so many joints."""
+        """The way of a row: three indices, then postures of `joints` joints."""
         pre_grasp, grasp, lifted = (int(x) for x in row[:3])
         return cls(row[3:].reshape(-1, joints)[: lifted + 1], pre_grasp, grasp, lifted)
 
 
 @dataclass
 class Hand:
-    """What carries out commands, and has seen whether the arm touched anything."""
+    """Sends commands to the servos, and records whether the arm touched anything."""
 
     model: Model
     pose: Array
@@ -50,7 +50,7 @@ class Hand:
     touched: bool = False
 
     def follow(self, rows: Array) -> None:
-        """Bring the arm through postures (T, n), one each tick."""
+        """Move the arm through postures (T, n), one per tick."""
         mj, m, d = mujoco(), self.model.model, self.model.data
         lag = numpy.array([joint.lag for joint in self.model.arm])
         where = [joint.ctrl for joint in self.model.arm]
@@ -69,16 +69,16 @@ class Hand:
         self.follow(numpy.repeat(posture[None], round(seconds / TICK), 0))
 
     def close(self, closed: bool) -> None:
-        """Tell the fingers to close, or to open."""
+        """Close or open the fingers."""
         for finger in self.model.fingers:
             self.model.data.ctrl[finger.ctrl] = finger.closed if closed else finger.open
 
 
 def grasp(model: Model, scene: Scene, way: Way, watch: Watch | None = None) -> Array:
-    """Take the object: (9,) whether it was lifted, whether the arm touched anything, its pose (7).
+    """Grasp the object: (9,) whether it was lifted, whether the arm touched anything, its pose (7).
 
-    The arm of the model is at home at first. What was lifted is put back where it stood; else the
-    arm goes home again, and the object stays wherever it then lies.
+    The arm of the model begins at home. A lifted object is put back where it was. Otherwise the arm
+    goes home again, and the object stays wherever it is.
     """
     put(model, scene)
     every = legs(way, numpy.array([model.gains.speed[joint.name] for joint in model.arm]))
@@ -105,8 +105,8 @@ def grasp(model: Model, scene: Scene, way: Way, watch: Watch | None = None) -> A
 def legs(way: Way, most: Array) -> list[Array]:
     """Postures (T, n) at every tick of each part of the way, from rest to rest.
 
-    The arm stops wherever the way in the open turns, at the grasp, and where it has lifted. No
-    joint is faster than a share of `most` (n,), rad/s or m/s.
+    The arm stops at every waypoint of the free way, at the grasp, and after the lift. No joint is
+    faster than a share of `most` (n,), rad/s or m/s.
     """
     stops = [*range(way.pre_grasp + 1), way.grasp, way.lifted]
     return [

@@ -1,8 +1,8 @@
 """The robot, a table, boxes on the floor and an object as a MuJoCo model.
 
-One model serves all scenes with as many boxes: where things are, and how large, is written into it
-before each simulation (`cgtorch.tabletop.physics.scene`). In a model of an arm this arm, its
-gripper and the base move; in the one to drive with only the base does.
+One model serves all scenes with the same number of boxes; positions and sizes are written into it
+before each simulation (`cgtorch.tabletop.physics.scene`). In the model of an arm, this arm, its
+gripper and the base move; in the model for driving, only the base does.
 """
 
 import math
@@ -24,18 +24,19 @@ TIMESTEP = 0.005  # s
 IMPRATIO = 10.0
 FLOOR = 2  # the collision bit of what the floor stops, which the robot stands on anyway
 NEIGHBOURS = 2
-"""Bodies of an arm with as many joints between them, or fewer, are built to pass one another."""
+"""Bodies of an arm with at most this many joints between them do not collide by design."""
 SHOULDER = 3
-"""Bodies of an arm that hang from as many joints or fewer are built beside the robot's body."""
+"""Bodies of an arm that hang from at most this many joints do not collide with the robot's body."""
 GROUND = ("slab", "block")
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with a servo: its name, where it is in qpos and ctrl, and what its servo is like.
+    """A joint with a servo: its name, its indices in qpos and ctrl, and the servo's parameters.
 
-    `lag` is how far, in s, the servo's damping holds it behind a moving target. It begins at
-    `open` (rad or m), the home of an arm's joint; a finger grasps by going to `closed`.
+    `lag` is the time, in s, by which the servo's damping delays it behind a moving target. It
+    begins at `open` (rad or m), the home position of an arm's joint. A finger grasps by moving to
+    `closed`.
     """
 
     name: str
@@ -48,18 +49,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Model:
-    """A compiled model, and where its parts are.
+    """A compiled model, and the indices of its parts.
 
     Attributes:
         model, data: MuJoCo's own.
-        arm: joints of the arm that moves, from base to tool.
-        fingers: joints of its gripper that have a servo of their own.
-        begins: further places in qpos, of fingers that follow others, and where they begin.
-        thing: the object.
-        thing_qpos: where its pose begins in qpos.
-        boxes: of the table's slab and block and of the obstacles, (body, mocap body, geom) each.
-        touching: (G, G) bool, contacts of two geoms that are a touch of the arm.
-        bumping: (G, G) bool, those of the robot with table, boxes and object.
+        arm: Joints of the moving arm, from base to tool.
+        fingers: Joints of its gripper with servos of their own.
+        begins: Further indices in qpos, of fingers that follow others, and their initial values.
+        thing: The object.
+        thing_qpos: The first index of its pose in qpos.
+        boxes: (body, mocap body, geom) of the table's slab and block, and of each obstacle.
+        touching: (G, G) bool, contacts of two geoms that count as a touch of the arm.
+        bumping: (G, G) bool, contacts of the robot with table, boxes and object.
     """
 
     model: Any
@@ -76,9 +77,9 @@ class Model:
 
 
 def build(robot: Robot, arm: int | None, boxes: int, thing: Thing) -> Model:
-    """The model in which an arm moves, or with None only the base, with so many obstacles.
+    """The model in which an arm, or only the base with None, moves, with `boxes` obstacles.
 
-    Arms that do not move are at home. RobotError where a mass or inertia of the robot cannot be.
+    Other arms are at home. RobotError if a mass or inertia of the robot is impossible.
     """
     mj, home = mujoco(), dict[str, float]()
     for each, posture in zip(robot.arms, robot.home, strict=True):
@@ -178,7 +179,7 @@ def _add_follower(mj: Any, spec: Any, joint: Any) -> None:
 
 
 def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
-    """The floor, the table, obstacles and the object; sizes of boxes are written in later."""
+    """Add the floor, the table, obstacles and the object; sizes of boxes are set later."""
     box = mj.mjtGeom.mjGEOM_BOX
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], castshadow=False)
@@ -203,7 +204,7 @@ def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
 
 
 def _arm_bodies(bodies: list[RigidBody], moved: list[str]) -> dict[str, int]:
-    """By name the bodies that the arm moves, and how many joints each hangs from."""
+    """The bodies that the arm moves, by name, and the number of joints from which each hangs."""
     depth = {"": 0}
     for body in bodies:
         depth[body.name] = depth[body.parent] + (body.joint is not None)
@@ -211,7 +212,7 @@ def _arm_bodies(bodies: list[RigidBody], moved: list[str]) -> dict[str, int]:
 
 
 def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[str]) -> None:
-    """Which bodies never meet: those of an arm next to one another, shoulders and the body."""
+    """Exclude pairs that never collide: adjacent bodies of an arm, and shoulders with the body."""
     depth, base = _arm_bodies(bodies, moved), robot.description.base_frame
     parent = {body.name: body.parent for body in bodies}
     pairs = {(base, name) for name, joints in depth.items() if joints <= SHOULDER}
@@ -232,7 +233,7 @@ def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[
 
 
 def _add_servos(mj: Any, spec: Any, joints: list[str], gains: Gains) -> None:
-    """Velocity servos of the base, position servos of the joints; gravity is compensated for."""
+    """Add velocity servos of the base, and position servos of joints with gravity compensation."""
     limits = (gains.base_force, gains.base_force, gains.base_torque)
     for name, damping, limit in zip(
         ("base x", "base y", "base turn"), gains.base_damping, limits, strict=True
@@ -259,7 +260,7 @@ def _box(model: Any, name: str) -> tuple[int, int, int]:
 
 
 def _contacts(model: Any, arm: Collection[str]) -> tuple[NDArray[numpy.bool_], ...]:
-    """(G, G) bool: which contacts are a touch of the arm, and which a bump of the robot."""
+    """(G, G) bool: which contacts count as a touch of the arm, and which as a bump of the robot."""
     bodies = [model.body(body).name for body in model.geom_bodyid]
     moves = numpy.array([name in arm for name in bodies])
     ground = numpy.array([name == "world" for name in bodies])

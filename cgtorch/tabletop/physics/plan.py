@@ -1,7 +1,7 @@
-"""Rows of numbers that a simulation is asked with: what the robot knows, and the way it plans.
+"""Inputs of grasp simulations: what the robot knows, and the way that it plans.
 
-The table is known as it is, as a robot's own segmentation sees it; the object is where the last
-percept has it, with its noise.
+The table is known exactly, as from a robot's own segmentation. The object is where the last percept
+has it, with noise.
 """
 
 import numpy
@@ -15,13 +15,13 @@ from cgtorch.tabletop.physics.grasp import Way
 from cgtorch.tabletop.world.geometry import rectangle_in_frame
 
 SEEN = 3
-"""Numbers of where the object's centre is seen, in the base frame (m), at the end of a row."""
+"""Numbers at the end of a row: the perceived centre of the object, in the base frame (m)."""
 
 
 def planned(robot: Robot, rows: Tensor) -> ArmWay:
     """The ways of an arm to objects; rows (n, ...) begin with pose and table, and end with `SEEN`.
 
-    A grasp is planned for an object's middle at `GRASP_HEIGHT` over what it stands on.
+    A grasp is planned for an object's centre at `GRASP_HEIGHT` above its support.
     """
     pose, table, seen = rows[:, :3], rows[:, 3:9], rows[:, -SEEN:]
     here = torch.cat([rectangle_in_frame(pose, table[:, :5]), table[:, 5:6]], 1)

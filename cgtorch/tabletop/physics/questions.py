@@ -1,7 +1,7 @@
-"""Asking physics, never the same question twice, many questions in several processes.
+"""Simulations with a memo of their results, in several processes.
 
-A question is a row of numbers, and its answer follows from it alone. So it does not matter what
-else is asked, in which process, or whether it is remembered.
+An input is a row of numbers, and its result depends on it alone. So it does not matter what else is
+simulated, in which process, or whether the result comes from the memo.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from cgtorch.tabletop.physics.scene import Scene
 from cgtorch.tabletop.physics.thing import Thing
 
 Answer: TypeAlias = Callable[["Physics", Tensor], Tensor]
-"""Rows of questions (n, Q) to rows of answers (n, A), each by itself."""
+"""Maps rows of inputs (n, Q) to rows of results (n, A), independently."""
 
 PARTS = 8  # of the questions for each process: those that are ready early take another
 WORTH_SHARING = 6  # questions for which processes are begun
@@ -33,14 +33,14 @@ WORTH_SHARING = 6  # questions for which processes are begun
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """What is simulated, and what is known of it.
+    """The simulated robot and object, and known results.
 
     Attributes:
-        robot: the robot.
-        thing: the object.
-        memo: answers by question.
-        models: compiled models, by the arm that moves and the number of obstacles.
-        watch: is told of a model after every command to its servos; then nothing is remembered.
+        robot: The robot.
+        thing: The object.
+        memo: Results by input.
+        models: Compiled models, by the moving arm and the number of obstacles.
+        watch: Is called with a model after every command to its servos; then there is no memo.
     """
 
     robot: Robot
@@ -50,32 +50,32 @@ class Physics:
     watch: Callable[[Model], None] | None = None
 
     def watch_of(self, model: Model) -> Watch | None:
-        """What a simulation of a model is watched by."""
+        """The observer of a simulation of this model, or None."""
         watch = self.watch
         return None if watch is None else lambda _: watch(model)
 
     def model(self, arm: int | None, boxes: int) -> Model:
-        """The model in which an arm moves, or with None the base, made once."""
+        """The model in which an arm, or only the base with None, moves; it is made once."""
         if (arm, boxes) not in self.models:
             self.models[arm, boxes] = build(self.robot, arm, boxes, self.thing)
         return self.models[arm, boxes]
 
 
 def drives(physics: Physics, rows: Tensor) -> Tensor:
-    """(n, 11) base pose, object and whether it came, of scenes and goals (n, 16 + 5 K + 3)."""
+    """(n, 11) base pose, object and whether it arrived, for scenes and goals (n, 16 + 5 K + 3)."""
     return _asked(physics, b"drive", _drives, rows)
 
 
 def grasps(physics: Physics, rows: Tensor) -> Tensor:
-    """(n, 9) whether the object is lifted, the arm touched anything, and where the object is then.
+    """(n, 9) whether the object is lifted, whether the arm touched anything, and the object's pose.
 
-    Of scenes and where the object is seen (n, 16 + 5 K + 3).
+    Inputs are scenes and where the object is seen (n, 16 + 5 K + 3).
     """
     return _asked(physics, b"grasp", _grasps, rows)
 
 
 def _asked(physics: Physics, what: bytes, answer: Answer, rows: Tensor) -> Tensor:
-    """Answers (n, A), from the memo or found out now."""
+    """Results (n, A), from the memo or simulated now."""
     if physics.watch is not None:
         return answer(physics, rows)
     keys = [what + row.tobytes() for row in rows.numpy()]
@@ -90,7 +90,7 @@ def _asked(physics: Physics, what: bytes, answer: Answer, rows: Tensor) -> Tenso
 
 
 def _found(physics: Physics, answer: Answer, rows: Tensor) -> Tensor:
-    """Answers (n, A), shared out among all ranks, and on each among processes."""
+    """Results (n, A), simulated on all ranks, and on each in several processes."""
     count = len(rows)
     if count < WORTH_SHARING:
         return answer(physics, rows)

@@ -1,4 +1,4 @@
-"""A scene written into a model: where robot, table, boxes and object are."""
+"""Writing a scene into a model: the positions of robot, table, boxes and object."""
 
 import math
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ AWAY = 50.0  # m below the floor, where an obstacle that is not there is
 
 @dataclass(frozen=True)
 class Scene:
-    """What a simulation starts from.
+    """The initial state of a simulation.
 
     Attributes:
         pose: (3,) base x, y (m), heading (rad).
         table: (6,) centre x, centre y (m), yaw (rad), size x, size y, height of the top (m).
         thing: (7,) position of the object's centre (m) and its quaternion, w first.
-        obstacles: (K, 5) boxes on the floor; one of size 0 is none.
+        obstacles: (K, 5) boxes on the floor; one of size 0 is absent.
     """
 
     pose: Array
@@ -40,7 +40,7 @@ class Scene:
 
 
 def put(model: Model, scene: Scene) -> Any:
-    """The model's data, at rest in a scene: arms at home, grippers open. Nothing else stays."""
+    """The model's data, reset to rest in a scene: arms at home, grippers open."""
     mj, m, d = mujoco(), model.model, model.data
     mj.mj_resetData(m, d)
     x, y, yaw, length, width, top = scene.table
@@ -75,13 +75,13 @@ def _resize(m: Any, d: Any, place: tuple[int, int, int], box: tuple[float, ...])
 
 
 def thing_of(model: Model) -> Array:
-    """(7,) where the object is now."""
+    """(7,) the present pose of the object."""
     at = model.thing_qpos
     return numpy.array(model.data.qpos[at : at + 7])
 
 
 def in_contact(model: Model, kinds: NDArray[numpy.bool_]) -> bool:
-    """Whether two geoms of a kind (G, G) press on one another."""
+    """Whether two geoms of the given kinds (G, G) are in contact."""
     contact = model.data.contact
     if not len(contact.dist):
         return False

@@ -9,8 +9,8 @@ class Thing:
 
     Attributes:
         kind: cylinder or box.
-        mass: in kg.
-        friction: the coefficient of sliding between it and anything that is as rough at most.
+        mass: In kg.
+        friction: The sliding friction coefficient with anything that is not rougher.
     """
 
     kind: str = "cylinder"
@@ -20,5 +20,5 @@ class Thing:
 
     @property
     def half_height(self) -> float:
-        """Of the standing object, m."""
+        """The half height of the standing object, m."""
         return self.size[-1]

@@ -1,4 +1,4 @@
-"""When an arm is where on its way: a way of joints with times."""
+"""Timing of a way of joints."""
 
 import numpy
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def timed(way: Array, speed: Array, tick: float) -> Array:
 
 
 def _rounded(rows: Array, window: int, first: Array, last: Array) -> Array:
-    """Moving averages, which end where the rows end."""
+    """Moving averages, which keep the first and the last row."""
     padded = numpy.concatenate(
         [numpy.repeat(first[None], window, 0), rows, numpy.repeat(last[None], window, 0)]
     )

@@ -1,4 +1,4 @@
-"""The tabletop world with physics: what a skill does is simulated, and things can go wrong."""
+"""The tabletop world with physics: motions and grasps are simulated, and can fail."""
 
 from dataclasses import replace
 
@@ -15,19 +15,19 @@ from cgtorch.tabletop.world.percepts import TABLETOP
 from cgtorch.tabletop.world.scenarios import Scenarios
 
 TOUCH = ("fails", "allowed")
-"""Whether a grasp on whose way the arm touched table or robot has failed."""
+"""Whether a grasp has failed if the arm touched table or robot."""
 EXTRA = 6
-"""Further columns of a state: height of the object's centre (m), its quaternion (4), w first, and 1
-where an arm has touched anything but the object, else 0."""
+"""Additional columns of a state: height of the object's centre (m), its quaternion (4), w first,
+and 1 if an arm has touched anything but the object, else 0."""
 
 
 class MujocoWorld(ObservedTabletop):
-    """The same robot, scenarios, percepts and noise, with masses, friction, servos and contact.
+    """The same robot, scenarios, percepts and noise, with masses, friction, servos and contacts.
 
-    A motion is refused where its way is not clear, as in `TabletopWorld`; else the base drives it,
-    stops where it meets something, and has failed then. A grasp is planned for where the object is
-    seen. It succeeds if the object is lifted and held; what was lifted is put back, and otherwise
-    the object stays wherever it then lies. A state has `EXTRA` columns more.
+    A motion is refused if it is not clear, as in `TabletopWorld`. Otherwise the base drives it; if
+    it touches something, it stops and the motion has failed. A grasp is planned for where the
+    object is seen. It succeeds if the object is lifted and held. A lifted object is put back;
+    otherwise it stays wherever it is. A state has `EXTRA` additional columns.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class MujocoWorld(ObservedTabletop):
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """Drive straight by dx, dy (m) and turn by dθ (rad); see `ObservedTabletop.step`.
 
-        A lane that has met something has moved, and yet has failed.
+        A lane that touches something has moved, but its motion has failed.
         """
         pose, table, _, looks, obstacles = self._parts(lanes.state)
         here = rectangle_in_frame(pose[:, None], torch.cat([table[:, None, :5], obstacles], 1))
@@ -77,7 +77,7 @@ class MujocoWorld(ObservedTabletop):
         return replace(lanes, state=state, percept=percept), done
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """The lanes after a grasp, and (n,) 1 where it succeeded, 0 elsewhere."""
+        """The lanes after a grasp, and (n,) 1 if it succeeded, else 0."""
         state = lanes.state
         seen = torch.cat([lanes.percept[:, 4:6], state[:, -EXTRA, None]], 1)
         found = grasps(self.physics, torch.cat([self.scene(state), seen], 1))
@@ -88,7 +88,7 @@ class MujocoWorld(ObservedTabletop):
         return replace(lanes, state=after), good.to(lanes.percept.dtype)
 
     def placed(self, state: Tensor) -> Tensor:
-        """See `ObservedTabletop.placed`; of an object that lies it is as far below its centre."""
+        """See `ObservedTabletop.placed`; for a lying object it is equally far below its centre."""
         foot = state[:, -EXTRA, None] - self.physics.thing.half_height
         return torch.cat([super().placed(state)[:, :2], foot], 1)
 
@@ -98,7 +98,7 @@ class MujocoWorld(ObservedTabletop):
         return torch.cat([seen, self.placed(state)[:, 2:]], 1)
 
     def scene(self, state: Tensor) -> Tensor:
-        """(n, 16 + 5 K): what `cgtorch.tabletop.physics.scene.Scene.of` reads, of states."""
+        """(n, 16 + 5 K) rows for `cgtorch.tabletop.physics.scene.Scene.of`, from states."""
         pose, table, placed, _, obstacles = self._parts(state)
         thing = torch.cat([placed, state[:, -EXTRA:-1]], 1)
         return torch.cat([pose, table, thing, obstacles.flatten(1)], 1)

@@ -1,1 +1,1 @@
-"""A robot folder from any URDF: shapes in place of meshes, and a description that is proposed."""
+"""Making a robot folder from any URDF: shapes in place of meshes, and a proposed description."""

@@ -1,4 +1,4 @@
-"""Hands: how their fingers stand open, and where the tool frame of an arm belongs."""
+"""Hands: the open positions of their fingers, and the tool frame of an arm."""
 
 import itertools
 import math
@@ -17,13 +17,13 @@ ALONG, ACROSS = 0.95, 0.9  # cosines by which axes of a frame that is there may 
 
 @dataclass(frozen=True)
 class Tool:
-    """Where an arm's tool frame belongs.
+    """The tool frame of an arm.
 
     Attributes:
         link: The link of the URDF that is this frame, or None if it has to be added.
         parent: The link that carries it.
         pose: (4, 4) in that link's frame: x along the approach, y across the fingers.
-        fingers: Whether there are fingers; without them the direction of the last joint counts.
+        fingers: Whether there are fingers; without them, the direction of the last joint is used.
     """
 
     link: str | None
@@ -33,7 +33,7 @@ class Tool:
 
 
 def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
-    """Where the joints of a hand are, each at a limit, so that its fingers are furthest apart."""
+    """Positions of a hand's joints, each at a limit, with its fingers farthest apart."""
     joints = [structure.above[link] for link in structure.hanging(hand)[1:]]
     joints = [j for j in joints if j.type in ("revolute", "prismatic") and j.mimic is None]
     names = [joint.name for joint in joints]
@@ -61,7 +61,7 @@ def _branches(structure: Structure, hand: str) -> list[Array]:
 
 
 def _opening(structure: Structure, hand: str) -> float:
-    """How far the two fingers that are furthest apart are from each other at their tips, m."""
+    """The distance of the two fingers that are farthest apart at their tips, m."""
     tips = []
     for points in _branches(structure, hand):
         away = np.linalg.norm(points, axis=1)
@@ -71,10 +71,10 @@ def _opening(structure: Structure, hand: str) -> float:
 
 
 def tool_of(structure: Structure, hand: str) -> Tool:
-    """The tool frame of a hand whose fingers are open: between their tips.
+    """The tool frame of a hand with open fingers: between their tips.
 
-    x is the axis of the last joint where that leads to the fingers, else the axis of the hand's
-    frame that does best, and y leads from one finger to another. A link that lies so is taken.
+    x is the axis of the last joint if it leads to the fingers, else the best axis of the hand's
+    frame; y leads from one finger to another. A link of the URDF with nearly this frame is used.
     """
     fingers = _branches(structure, hand)
     body = [structure.points(link, hand) for link in structure.rigid(hand)]
@@ -102,7 +102,7 @@ def tool_of(structure: Structure, hand: str) -> Tool:
 
 
 def _away(structure: Structure, hand: str, link: str, pose: Array) -> tuple[bool, float]:
-    """Named as tools are, and near."""
+    """The order in which links are preferred as tool frame: by name, then by distance."""
     usual = any(word in link for word in ("tool", "grasp", "tcp", "gripper"))
     own = np.asarray(structure.urdf.model.get_transform(link, hand))
     return not usual, float(np.linalg.norm(own[:3, 3] - pose[:3, 3]))

@@ -1,4 +1,4 @@
-"""Masses and inertias that a body can have, where a URDF has others or none."""
+"""Plausible masses and inertias in place of missing or impossible ones in a URDF."""
 
 from typing import Any
 
@@ -15,11 +15,11 @@ UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
 
 
 def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
-    """A URDF, without meshes, whose moving links have masses, and whose inertias bodies can have.
+    """A URDF, without meshes, whose moving links have possible masses and inertias.
 
-    What cannot be, or lacks where a joint moves a link and all that is fixed to it, becomes that of
-    the box around the link's shapes, of the mass given if there is one. Also the names of links of
-    which that was done.
+    An impossible one, or one that is missing where a joint moves a link and all that is fixed to
+    it, becomes that of the box around the link's shapes, with the given mass if there is one. Also
+    returned are the names of these links.
     """
     structure = Structure(urdf, urdf.model.base_link)
     massless = {
@@ -50,7 +50,7 @@ def _mass(structure: Structure, link: str) -> float:
 
 
 def _unbalanced(link: Any) -> bool:
-    """Whether one moment is more than the sum of the others, which it is of no body."""
+    """Whether one moment is more than the sum of the others, which is impossible."""
     if link.inertial is None or link.inertial.inertia is None:
         return False
     low, middle, high = np.linalg.eigvalsh(link.inertial.inertia)

@@ -1,4 +1,4 @@
-"""A robot folder from a URDF: read, fitted, proposed, tried, drawn and written."""
+"""Making a robot folder from a URDF: read, fit shapes, propose, try, draw and write."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -29,14 +29,14 @@ DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
 
 @dataclass(frozen=True)
 class Made:
-    """A robot folder that has been made.
+    """A finished robot folder.
 
     Attributes:
-        robot: As it is loaded from the folder.
-        meshes: What was fitted to meshes.
+        robot: The robot as loaded from the folder.
+        meshes: The shapes fitted to meshes.
         inertials: Links whose mass or inertia was made up.
         notes: What was added or assumed.
-        grasps: (9,) bool, which of the objects on a table before the robot can be grasped.
+        grasps: (9,) bool, which objects on a table in front of the robot can be grasped.
     """
 
     robot: Robot
@@ -51,8 +51,8 @@ def make_robot_folder(
 ) -> Made:
     """Make a folder with robot.urdf, which has no meshes, robot.json, shapes.json and robot.png.
 
-    RobotError if the URDF or one of its colliding meshes cannot be read, no arm is found, or a wish
-    cannot be met; RunError if the folder is there or cannot be written. Then nothing is written.
+    RobotError if the URDF or one of its collision meshes cannot be read, no arm is found, or a wish
+    cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     read = checked_urdf(urdf, read_urdf(urdf))
     plain, meshes = without_meshes(read, package_places(packages))
@@ -82,7 +82,7 @@ def _loaded(place: Path, words: RobotDescription) -> Robot:
 
 
 def _as_json(words: RobotDescription) -> dict[str, Any]:
-    """The description as its file has it, without what is empty and may be left out."""
+    """The description in the form of its file, without empty optional values."""
     optional = {
         f.name for f in dataclasses.fields(words) if f.default_factory is not dataclasses.MISSING
     }

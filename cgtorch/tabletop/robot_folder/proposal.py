@@ -1,4 +1,4 @@
-"""What a robot description could say of a URDF: base, footprint, torso, arms, hands and body."""
+"""Proposing a robot description from a URDF: base, footprint, torso, arms, hands and body."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from cgtorch.tabletop.robot_folder.structure import LEAST_JOINTS, Array, Structu
 
 FLOOR_LINK = "base_footprint"
 PLACES = ("world", "map", "odom")
-"""Root links of other names than these belong to the robot."""
+"""Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: what ends below is where no arm comes
@@ -28,14 +28,14 @@ UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a person says of a robot; what is None or empty is proposed.
+    """The user's part of a description; what is None or empty is proposed.
 
     Attributes:
-        name: What the robot is called.
+        name: The name of the robot.
         base_frame, footprint, torso_position, arms, body: As in `RobotDescription`.
         torso_joint: As there; an empty text for none.
-        held: Where joints outside the arms stay, rad or m.
-        home: Where joints of the arms are while the robot drives, rad or m.
+        held: Positions of joints outside the arms, rad or m.
+        home: Positions of the arms' joints while the robot drives, rad or m.
     """
 
     name: str | None = None
@@ -51,7 +51,7 @@ class Wishes:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A description of a robot, the URDF that it is for, and what a person should look at."""
+    """A description of a robot, its URDF, and what a person should check."""
 
     urdf: Urdf
     words: RobotDescription
@@ -61,11 +61,11 @@ class Proposal:
 def propose(
     urdf: Urdf, wishes: Wishes, corners: Mapping[str, Sequence[Array]] = MappingProxyType({})
 ) -> Proposal:
-    """A description of a robot whose URDF has no meshes, and that URDF with frames that it needs.
+    """A description of a robot whose URDF has no meshes, and the URDF with additional frames.
 
-    Of links that were meshes there may be the `corners` of these; see `Structure`.
+    `corners` are those of meshes that have been replaced; see `Structure`.
 
-    RobotError if no arm is found and none is wished, or a link or joint of a wish is not there.
+    RobotError if no arm is found or given, or a link or joint of a wish does not exist.
     """
     notes: list[str] = []
     urdf, base = _base(Structure(urdf, urdf.model.base_link, corners), wishes, notes)
@@ -112,7 +112,7 @@ def propose(
 
 
 def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf, str]:
-    """The frame on the floor, which is added below the root where the robot has none."""
+    """The frame on the floor, which is added below the root if the robot has none."""
     urdf, base = structure.urdf, structure.base
     if wishes.base_frame is not None:
         return urdf, str(urdf.link(wishes.base_frame).name)
@@ -152,7 +152,7 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
 
 
 def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
-    """A link at a pose in the frame of another; or, `above`, one in which the other has it."""
+    """Add a link at a pose in the frame of another; with `above`, as the parent of the other."""
     etree.SubElement(root, "link", name=name)
     joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
     numbers = pose[:3, 3].tolist(), transformations.euler_from_matrix(pose, "sxyz")
@@ -163,7 +163,7 @@ def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False
 
 
 def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
-    """Every joint that moves by itself at 0, or as near as its limits allow, but for others."""
+    """The positions of all independent joints except some: 0, or as near as limits allow."""
     found = {}
     for joint in structure.urdf.model.robot.joints:
         if joint.type in MOVING and joint.mimic is None and joint.name not in others:
@@ -174,14 +174,14 @@ def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
 
 
 def _hand_of(structure: Structure, arm: Arm) -> str:
-    """The link at which the rigid body of an arm's tool frame begins."""
+    """The first link of the rigid body of an arm's tool frame."""
     joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
     moving = [joint for joint in joints if joint.type in MOVING]
     return str(moving[-1].child if moving else arm.base_link)
 
 
 def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:
-    """The joints that move all hands, or slide upright first, and those of each arm by itself."""
+    """The joints that move all hands, or slide vertically first, and those of each arm alone."""
     paths = [structure.path(hand) for hand in hands]
     count = 0
     if len(paths) > 1:
@@ -210,7 +210,7 @@ def _torso(
 def _torso_position(
     structure: Structure, joint: Any, chains: list[list[Any]], held: Mapping[str, float]
 ) -> float:
-    """Where the shoulders are a metre above the floor, or as near as limits allow."""
+    """The position at which the shoulders are nearest to one metre above the floor."""
     if joint.type == "continuous":
         return 0.0
     low, high = float(joint.limit.lower), float(joint.limit.upper)
@@ -223,7 +223,7 @@ def _torso_position(
 def _arms(
     structure: Structure, hands: list[str], chains: list[list[Any]], notes: list[str]
 ) -> tuple[Urdf, tuple[Arm, ...]]:
-    """The arms, and a URDF with the tool frames that the robot has not."""
+    """The arms, and a URDF with the missing tool frames."""
     root, arms = etree.fromstring(structure.urdf.xml), []
     for name, hand, chain in zip(_names(structure, chains), hands, chains, strict=True):
         tool = tool_of(structure, hand)
@@ -248,7 +248,7 @@ def _where(tool: Tool) -> str:
 
 
 def _names(structure: Structure, chains: list[list[Any]]) -> list[str]:
-    """Arms are left and right if two stand so, else numbered."""
+    """Left and right for two arms side by side, else numbers."""
     if len(chains) == 1:
         return ["arm"]
     sides = [float(structure.pose(chain[0].child)[1, 3]) for chain in chains]
@@ -258,7 +258,7 @@ def _names(structure: Structure, chains: list[list[Any]]) -> list[str]:
 
 
 def _body(structure: Structure, moved: set[str]) -> tuple[str, ...]:
-    """The links that collide, move with no arm, and are not all low."""
+    """The collision links that no arm moves and that are not entirely low."""
     points = {name: structure.points(name) for name in structure.hanging(structure.base)}
     return tuple(
         name
@@ -270,7 +270,7 @@ def _body(structure: Structure, moved: set[str]) -> tuple[str, ...]:
 def _footprint(
     structure: Structure, moved: set[str], notes: list[str]
 ) -> tuple[float, float, float, float]:
-    """The rectangle around what stands near the floor and moves with no arm, in full mm."""
+    """The rectangle around the shapes near the floor that no arm moves, in full mm."""
     own = [name for name in structure.hanging(structure.base) if name not in moved]
     shapes = [each for name in own for each in structure.shapes(name)]
     low = [each for each in shapes if each[:, 2].min() < LOW] or shapes

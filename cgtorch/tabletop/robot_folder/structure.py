@@ -1,4 +1,4 @@
-"""How a robot is built: rigid bodies that joints connect, and the chains that end in hands."""
+"""The structure of a robot: rigid bodies connected by joints, and the chains that end in hands."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,13 +20,13 @@ _AROUND = 16  # points on a circle
 
 @dataclass(frozen=True)
 class Structure:
-    """The tree of a URDF's joints, with its joints where they are held.
+    """The tree of a URDF's joints, at fixed positions.
 
     Attributes:
-        urdf: One without meshes.
-        base: The link from which all is looked at.
-        corners: The corners (K, 3) of the meshes of links that collide as meshes only, in m and
-            their frames, which are nearer to the truth than the shapes around them.
+        urdf: The URDF, without meshes.
+        base: The base link.
+        corners: The corners (K, 3) of the meshes of links that only have collision meshes, in m and
+            their frames; these are more exact than the shapes around them.
     """
 
     urdf: Urdf
@@ -35,7 +35,7 @@ class Structure:
 
     @cached_property
     def above(self) -> dict[str, Any]:
-        """The joint that carries each link but the root."""
+        """The joint that carries each link except the root."""
         return {joint.child: joint for joint in self.urdf.model.robot.joints}
 
     @cached_property
@@ -47,7 +47,7 @@ class Structure:
         return found
 
     def rigid(self, link: str) -> list[str]:
-        """A link and all that hang from it by fixed joints."""
+        """A link and all links that are fixed to it below."""
         fixed = (j.child for j in self.below[link] if j.type not in MOVING)
         return [link, *(name for child in fixed for name in self.rigid(child))]
 
@@ -56,11 +56,11 @@ class Structure:
         return [j for name in self.rigid(link) for j in self.below[name] if j.type in MOVING]
 
     def hanging(self, link: str) -> list[str]:
-        """A link and all that hang from it."""
+        """A link and all links below it."""
         return [link, *(n for joint in self.below[link] for n in self.hanging(joint.child))]
 
     def path(self, link: str) -> list[Any]:
-        """The joints that move a link and follow no other, from the base on."""
+        """The independent joints that move a link, from the base on."""
         joints = self.urdf.joints_above(link, self.base)[::-1]
         return [joint for joint in joints if joint.type in MOVING and joint.mimic is None]
 
@@ -74,7 +74,7 @@ class Structure:
         return np.concatenate([np.zeros((0, 3)), *self.shapes(link, pose)])
 
     def shapes(self, link: str, pose: Array | None = None) -> list[Array]:
-        """Points (K, 3) on each shape with which a link collides, in the base frame or a pose's."""
+        """Points (K, 3) on each collision shape of a link, in the base frame or a pose's."""
         pose = self.pose(link) if pose is None else pose
         if link in self.corners:
             return [each @ pose[:3, :3].T + pose[:3, 3] for each in self.corners[link]]
@@ -88,8 +88,8 @@ class Structure:
         """The links that begin the rigid bodies at the ends of arms.
 
         Such a body carries several fingers or nothing, hangs from the base by a chain of five
-        joints or more, and not from another one. Legs, which reach the floor where the base does
-        not, are none.
+        joints or more, and not from another such body. Legs are excluded: they reach the floor
+        where the base does not.
         """
         found: list[str] = []
         floor = ON_FLOOR + self._lowest(self.hanging(self.base))
@@ -113,7 +113,7 @@ class Structure:
 
 
 def _outline(geometry: Any) -> Array:
-    """Points whose convex hull is, or nearly, a URDF's box, cylinder or sphere."""
+    """Points whose convex hull is (nearly) a URDF's box, cylinder or sphere."""
     if geometry.box is not None:
         signs = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
         return signs * np.asarray(geometry.box.size, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What can be chosen to be shown: skills, scenarios, and where the object lies."""
+"""The choices on the page: skills, scenarios, and where the object is."""
 
 from dataclasses import dataclass, replace
 
@@ -16,13 +16,13 @@ FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
 
 @dataclass(frozen=True)
 class Candidate:
-    """A skill that can be shown, and the tabletop that it is for."""
+    """A skill that can be shown, and its tabletop."""
 
     skill: Skill
     domain: Tabletop
 
     def world(self, scenarios: Scenarios) -> ObservedTabletop:
-        """The world that it acts in; SettingsError if the skill is for other percepts."""
+        """The world of scenarios; SettingsError if the skill reads other percepts."""
         world = self.domain.world(scenarios)
         check_percepts(self.skill, world.percept_size, "such scenarios")
         return world
@@ -30,9 +30,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be shown first: names of candidates, one of them to compare with or none.
+    """The first choice: names of candidates, one of them to compare with or none.
 
-    Of so many scenarios of a kind one can be chosen; `seed` is that of them and their noise.
+    There are `count` scenarios of a kind to choose from; `seed` is that of these and their noise.
     """
 
     skill: str
@@ -43,7 +43,7 @@ class Wish:
 
 
 def scenario_of(kind: str, count: int, seed: int, number: int) -> Scenarios:
-    """The scenario of a number, from 0 on, of those that `cgtorch-evaluate` tries."""
+    """Scenario `number`, from 0 on, of those that `cgtorch-evaluate` tries."""
     drawn = draw_of(kind)(count, Generator().manual_seed(seed))
     return drawn[torch.tensor([number])]
 

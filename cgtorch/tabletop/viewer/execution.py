@@ -1,4 +1,4 @@
-"""One skill on one scenario, step by step, with all that can be seen of it."""
+"""One skill on one scenario, step by step, with everything that the page shows."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -16,12 +16,12 @@ from cgtorch.simulation.rollout import rollout_in_torch
 from cgtorch.tabletop.world import ObservedTabletop, Scenarios
 
 Place: TypeAlias = tuple[Skill, int]
-"""A node: the skill it belongs to and its slot in that skill's graph."""
+"""A node: its skill, and its slot in that skill's graph."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """An action that was executed; `places` are the nodes that it runs in, its own node last."""
+    """An executed action; `places` are the nodes that contain it, its own node last."""
 
     places: tuple[Place, ...]
     name: str
@@ -31,14 +31,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Execution:
-    """What a skill did on a scenario, in T steps.
+    """The run of a skill on a scenario, in T steps.
 
     Attributes:
         end: success, failure or timeout.
         pose: (T + 1, 3) base x, y (m), θ (rad) before the first step and after each.
-        object: (T + 1, 3) where the object stood or lay, its foot, m.
-        percept: (T + 1, D) what the robot had perceived by then.
-        message: (T + 1, M) the message travelling along the edges, NaN where there is none.
+        object: (T + 1, 3) the foot of the object, m.
+        percept: (T + 1, D) the last percept.
+        message: (T + 1, M) the message on the current edge, NaN without one.
     """
 
     skill: Skill
@@ -52,7 +52,7 @@ class Execution:
 
 
 def execute(skill: Skill, world: ObservedTabletop, scenario: int = 0) -> Execution:
-    """Run a skill on one scenario of a world, whose percepts must be those that the skill reads."""
+    """Run a skill on one scenario of a world with the percepts that the skill reads."""
     program, which = compile_graphs(skill.graph, skill.actions), torch.tensor([scenario])
     frames = first_frames(program, 1, skill.max_transitions)
     sizes = program.actions.message_size, program.actions.memory_size
@@ -79,7 +79,7 @@ def execute(skill: Skill, world: ObservedTabletop, scenario: int = 0) -> Executi
 
 
 def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
-    """The step that the only lane is about to make, named by the nodes that it is at."""
+    """The next step of the only lane, with the names of its nodes."""
     callers = frames.caller[0, 1 : int(frames.level) + 1].tolist()
     places, within, offset = [], skill, 0
     for row in callers:
@@ -93,5 +93,5 @@ def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
 
 
 def _name(skill: Skill, slot: int) -> str:
-    """Of the action at a node."""
+    """The name of the action at a node."""
     return skill.actions.names[int(skill.graph.action[0, slot])]

@@ -1,4 +1,4 @@
-"""The page: a picture in three dimensions, the graph beside it, and what one can do with them."""
+"""The page: a three-dimensional scene, the graph beside it, and controls."""
 
 import contextlib
 import io
@@ -30,7 +30,7 @@ GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
 
 
 class Page:
-    """The page's state: what is chosen, what is shown of it, and which picture of it."""
+    """The state of the page: the choices, what is shown, and the present picture."""
 
     def __init__(
         self, server: viser.ViserServer, candidates: Mapping[str, Candidate], wish: Wish
@@ -97,13 +97,13 @@ class Page:
                 self.graphs.append((self.server.gui.add_html(""), self.server.gui.add_html("")))
 
     def choose(self) -> None:
-        """Take the scenario that is chosen, and run."""
+        """Run the chosen scenario."""
         number = min(int(self.number.value), self.wish.count) - 1
         seed = int(self.seed.value)
         self.run(scenario_of(self.kind.value, self.wish.count, seed, number))
 
     def run(self, scenario: Scenarios | None = None, play: bool = False) -> None:
-        """Run the chosen skills, or say why that cannot be and leave what is shown."""
+        """Run the chosen skills, or show why that is impossible and keep what is shown."""
         with self.lock:
             try:
                 self._run(self.scenario if scenario is None else scenario)
@@ -114,7 +114,7 @@ class Page:
                 self.toggle()
 
     def _run(self, scenario: Scenarios) -> None:
-        """Run the chosen skills on a scenario and show what they do, from its start."""
+        """Run the chosen skills on a scenario and show them from the start."""
         names = [n for n in (self.skill.value, self.against.value) if n != NONE]
         chosen = [self.candidates[name] for name in names]
         timelines = [
@@ -133,7 +133,7 @@ class Page:
             self.show(0)
 
     def _draw(self, robots: list[Robot], timelines: list[Timeline]) -> None:
-        """Make as many scenes as there are skills, of their robots, side by side."""
+        """Make one scene per skill, with its robot, side by side."""
         if [id(s.robot) for s in self.scenes] != [*map(id, robots)]:
             for scene in self.scenes:
                 scene.remove()
@@ -162,7 +162,7 @@ class Page:
                 readings.content, graph.content = NOTHING, ""
 
     def _explain(self, i: int, timeline: Timeline, picture: int) -> None:
-        """Graph and readings of one skill, where they differ from what is shown."""
+        """Update the graph and the readings of one skill."""
         step = int(timeline.step[picture])
         now = (step, int(timeline.seen[picture]), headline(timeline, picture))
         if i < len(self.shown) and self.shown[i] == now:
@@ -173,7 +173,7 @@ class Page:
         graph.content = levels_html(timeline.execution.skill, timeline.execution.steps[step])
 
     def toggle(self) -> None:
-        """Play, or pause; at the end play from the start."""
+        """Play or pause; at the end, play from the start."""
         with self.lock:
             if self.clock is not None:
                 self.pause()
@@ -185,13 +185,13 @@ class Page:
             self.playing.label, self.playing.icon = "Pause", viser.Icon.PLAYER_PAUSE
 
     def _wind(self) -> None:
-        """Set the clock so that the picture that is shown is due now."""
+        """Set the clock so that the present picture is due now."""
         with self.lock:
             if self.clock is not None:
                 self.clock = time.monotonic() - self.frame.value / (FPS * self.speed.value)
 
     def pause(self) -> None:
-        """Stay at the picture that is shown."""
+        """Stay at the present picture."""
         self.clock = None
         self.playing.label, self.playing.icon = "Play", viser.Icon.PLAYER_PLAY
 
@@ -210,13 +210,13 @@ class Page:
             self.frame.value = min(max(0, target), last)
 
     def _seek(self, event: Any) -> None:
-        """Show the picture that the slider is at."""
+        """Show the picture of the slider."""
         if event.client is not None:
             self._wind()
         self.show(int(self.frame.value))
 
     def tick(self) -> None:
-        """Go on playing."""
+        """Continue playing."""
         with self.lock:
             if self.clock is None:
                 return
@@ -237,9 +237,9 @@ class Page:
 def open_page(
     candidates: Mapping[str, Candidate], wish: Wish, host: str, port: int
 ) -> tuple[Page, str]:
-    """Serve the page; the address says where it is, also if the port was taken.
+    """Serve the page; also returns its address, which differs if the port was taken.
 
-    SettingsError if this machine cannot listen there, or a skill is for other percepts.
+    SettingsError if this machine cannot listen there, or a skill reads other percepts.
     """
     scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
     for name in filter(None, (wish.skill, wish.against)):
@@ -257,7 +257,7 @@ def open_page(
 
 
 def play_for_ever(page: Page) -> None:
-    """Keep the page going until the process is told to end."""
+    """Serve the page until the process is terminated."""
     while True:
         time.sleep(1 / FPS)
         page.tick()

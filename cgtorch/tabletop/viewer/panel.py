@@ -1,4 +1,4 @@
-"""What stands beside the scene, as HTML: the skill's graph, and what the robot perceives."""
+"""The panel beside the scene, as HTML: the skill's graph, and what the robot perceives."""
 
 import re
 from functools import cache
@@ -20,11 +20,11 @@ TEMPLATES = templates("cgtorch.tabletop.viewer")
 LIT, RIM = "#ffd60a", "#1c1f24"
 SCALE = 0.94  # of pictures, where 1 is 96 pixels an inch
 OUTER_HEIGHT = 2.1
-"""At most, in inches, of a level that only waits for the one within it."""
+"""The largest height, in inches, of a level that waits for the one within it."""
 
 
 def levels_html(skill: Skill, step: Step) -> str:
-    """The levels that a step runs in, outermost first, as HTML; its nodes and last edge are lit."""
+    """The levels of a step, outermost first, as HTML, with its nodes and last edge highlighted."""
     clusters = [_clusters(skill)[id(inner)] for inner, _ in step.places]
     nodes = [c.nodes[f"{c.key}_n{s}"] for c, (_, s) in zip(clusters, step.places, strict=True)]
     ended = nodes[-1].key, step.outcome
@@ -40,7 +40,7 @@ def levels_html(skill: Skill, step: Step) -> str:
 
 
 def _selector(gid: str) -> Markup:
-    """What selects an element in CSS; names come from files and may hold anything."""
+    """The CSS selector of an element; names come from files and may contain anything."""
     escaped = re.sub(r"[^\w .:›-]", lambda found: f"\\{ord(found[0]):x} ", gid)
     return Markup(f'[data-part="{escaped}"]')  # noqa: S704  nothing of HTML is left
 
@@ -77,7 +77,7 @@ def message_rows(message: Tensor) -> list[tuple[str, str]]:
 
 
 def headline(timeline: Timeline, frame: int) -> str:
-    """One line: which step of how many, the node that runs, how it comes out."""
+    """One line: the number of the step, the node that runs, and its outcome."""
     run, k = timeline.execution, int(timeline.step[frame])
     step = run.steps[k]
     skill, slot = step.places[-1]

@@ -1,4 +1,4 @@
-"""One skill at work in three dimensions: robot, table, object, its way, what it perceives."""
+"""One skill at work in three dimensions: robot, table, object, way, and percept."""
 
 import io
 import math
@@ -30,10 +30,10 @@ FLOOR = 0.006  # m above the floor that lines are drawn
 
 
 class Scene:
-    """What is drawn for one skill, under one name of the scene tree."""
+    """The drawing of one skill, under one name of the scene tree."""
 
     def __init__(self, server: viser.ViserServer, name: str, robot: Robot, y: float = 0.0):
-        """A scene whose world's origin is drawn at (0, y), m."""
+        """A scene with the world's origin drawn at (0, y), m."""
         self.server, self.name, self.robot = server, name, robot
         self.place = server.scene.add_frame(name, show_axes=False, position=(0.0, y, 0.0))
         self.base = server.scene.add_frame(f"{name}/base", show_axes=False)
@@ -61,7 +61,7 @@ class Scene:
         self.frame = -1
 
     def remove(self) -> None:
-        """Take everything away."""
+        """Remove everything."""
         self.place.remove()
 
     def load(self, timeline: Timeline) -> None:
@@ -129,7 +129,7 @@ class Scene:
         return torch.stack([ring, ring.roll(-1, 1)], 2).flatten(0, 1)
 
     def _perceived(self, timeline: Timeline, seen: int) -> None:
-        """The box of the table and the object, where the robot believes them to be."""
+        """Draw the table's box and the object as perceived."""
         run, table = timeline.execution, timeline.execution.scenario.table[0]
         pose, percept = run.pose[seen], run.percept[seen]
         box = corners(box_rectangle(percept[:BOX]))
@@ -142,7 +142,7 @@ class Scene:
                     float(percept[6]) + 2 * FLOOR, 4)  # fmt: skip
 
     def _asked(self, timeline: Timeline, step: int) -> None:
-        """The pose that the message asks for, as the outline of the base."""
+        """Draw the pose that the message commands, as the outline of the base."""
         run = timeline.execution
         message = run.message[step + 1, :3]
         there = len(message) == 3 and bool(message.isfinite().all())
@@ -165,13 +165,13 @@ class Scene:
 
 
 def _segments(points: Tensor) -> Tensor:
-    """(n, 2, 2) the pieces of a way (F, 2) that have a length."""
+    """(n, 2, 2) the pieces of a polyline (F, 2) that have a length."""
     pieces = torch.stack([points[:-1], points[1:]], 1)
     return pieces[(pieces[:, 0] != pieces[:, 1]).any(1)]
 
 
 def _rest(model: Any, robot: Robot) -> Array:
-    """Positions of all joints: those that the description holds, else the one nearest to 0."""
+    """Positions of all joints: those of the description, else the ones nearest to 0."""
     held, positions = robot.description.held, []
     for joint in model.actuated_joints:
         limit = joint.limit

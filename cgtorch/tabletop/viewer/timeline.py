@@ -1,4 +1,4 @@
-"""From the steps of an execution to pictures in time: where base, arms and object are when."""
+"""From the steps of an execution to pictures in time: the positions of base, arms and object."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,21 +16,21 @@ FPS = 20
 DRIVE, TURN, SWING = 0.6, 1.2, 1.2
 """Speeds of the base (m/s, rad/s) and of an arm's fastest joint (rad/s)."""
 NEAR = 0.05
-"""How long a hand takes at least between two waypoints of its line to the object and up (s)."""
+"""The least time (s) of a hand between two waypoints of its line to the object and up."""
 THINK, LOOK, REST = 0.4, 0.8, 1.0
-"""How long a step lasts that moves nothing, one that looks, and the end (s)."""
+"""Durations (s) of a step without motion, of one that perceives, and of the end."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """F pictures of an execution, `FPS` a second.
+    """F pictures of an execution, `FPS` per second.
 
     Attributes:
         pose: (F, 3) base x, y (m), θ (rad).
         joints: (F, J) positions of the joints of all arms, one arm after the other, rad or m.
-        object: (F, 3) where the object stands or is held, m.
-        step: (F,) long, the step that is being made.
-        seen: (F,) long, how many steps the robot's percept comes after.
+        object: (F, 3) where the object is, m.
+        step: (F,) long, the present step.
+        seen: (F,) long, the number of steps before the present percept.
     """
 
     execution: Execution
@@ -45,20 +45,20 @@ class Timeline:
         return len(self.step)
 
     def start_of(self, step: int) -> int:
-        """The first picture of a step, the last picture of all where there is no such step."""
+        """The first picture of a step; the last picture of all if there is no such step."""
         at = (self.step >= step).nonzero()
         return int(at[0]) if len(at) else len(self) - 1
 
 
 def joint_names(robot: Robot) -> tuple[str, ...]:
-    """The joints that the columns of `Timeline.joints` stand for."""
+    """The joints of the columns of `Timeline.joints`."""
     return tuple(name for arm in robot.arms for name in arm.joint_names)
 
 
 def timeline_of(execution: Execution, robot: Robot) -> Timeline:
-    """Lay an execution out in time; the base drives straight and then turns, as in the world.
+    """The pictures of an execution; the base drives straight and then turns, as in the world.
 
-    Where a grasp succeeds, an arm goes its way from home to the pre-grasp, grasps and lifts the
+    If a grasp succeeds, an arm follows its way from home to the pre-grasp, grasps and lifts the
     object (`cgtorch.tabletop.kinematics.arm_ways`).
     """
     scene = execution.scenario
@@ -93,18 +93,18 @@ def _count(seconds: float) -> int:
 
 
 def _held(rows: Tensor, count: int) -> Tensor:
-    """The rows, and the last one again until there are `count`."""
+    """The rows, with the last one repeated until there are `count`."""
     return torch.cat([rows, rows[-1:].expand(count - len(rows), -1)])
 
 
 def _line(start: Tensor, end: Tensor, seconds: float) -> Tensor:
-    """(F, n) on the straight line, its end included and its start not."""
+    """(F, n) points on the straight line, with its end and without its start."""
     count = _count(seconds)
     return start + torch.arange(1, count + 1, dtype=start.dtype)[:, None] / count * (end - start)
 
 
 def _drive(before: Tensor, after: Tensor) -> Tensor:
-    """(F, 3) poses from one to another: straight, then turning; one where nothing moves."""
+    """(F, 3) poses from one to another: straight, then turning; a single one without motion."""
     way, turn = float((after - before)[:2].norm()), wrap(after[2:] - before[2:])
     if way == 0 and float(turn) == 0:
         return after[None]

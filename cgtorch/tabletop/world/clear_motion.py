@@ -1,4 +1,4 @@
-"""Which motions MoveBase can make: those whose way is clear of the table and of obstacles."""
+"""Which motions MoveBase can carry out: those that are clear of the table and of obstacles."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +20,9 @@ def motion_possible(
 ) -> Tensor:
     """(n,) bool, whether the base can make motions (n, 3) beside things in its frame.
 
-    False where the swept footprint (4,) would come within `CLEARANCE` of one of them, for ways of
+    False if the swept footprint (4,) would come within `CLEARANCE` of one of them, for distances of
     more than `farthest` m, and for motions that are not finite. Things are a table (n, 5), or the
-    table and obstacles (n, R, 5); one of size 0 is none.
+    table and obstacles (n, R, 5); a thing of size 0 is absent.
     """
     if things.dim() == 2:
         things = things[:, None]
@@ -49,7 +49,7 @@ def motion_possible_in_torch(
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class ClearMotion:
-    """MoveBase's own check on percepts: the way must be clear of table and obstacles as seen.
+    """MoveBase's own check on percepts: the motion must be clear of table and obstacles as seen.
 
     Attributes:
         footprint: (4,) of the base (m).
@@ -63,7 +63,7 @@ class ClearMotion:
 
 
 def body_structure(footprint: Tensor, farthest: float = MAX_TRANSLATION) -> Any:
-    """The base as compiled code knows it."""
+    """The base in the form of compiled code."""
     x0, x1, y0, y1 = footprint.tolist()
     return structure("Body", footprint.dtype)(
         bx=(x0 + x1) / 2,

@@ -1,8 +1,8 @@
-"""The scene as seen from the edge nearest to the object: the symmetries of a table taken out.
+"""The scene in the frame of the edge nearest to the object, which removes a table's symmetries.
 
-The frame's origin is the object, x points from the nearest edge into the table, and y such that
-the robot is not at negative y: what is mirrored looks the same. Wherever a table is and however
-it is turned, an object at an edge with the robot before it is one and the same scene.
+The frame's origin is the object. Its x points from the nearest edge into the table, and its y is
+such that the robot is not at negative y, so mirrored scenes are equal. However a table is placed
+and turned, an object at an edge with the robot in front of it gives the same scene.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from cgtorch.tabletop.world.geometry import rotate, wrap
 from cgtorch.tabletop.world.percepts import BOX, TABLETOP, parts_of
 
 SCENE = 9
-"""Numbers of a scene without obstacles, see `scene`."""
+"""The length of a scene without obstacles; see `scene`."""
 OBSTACLE = 3
-"""Numbers of each obstacle in a scene."""
+"""The length of each obstacle in a scene."""
 NOWHERE = 3.0  # m behind the edge, where an obstacle that is not there is said to be
 
 
@@ -27,8 +27,8 @@ class EdgeFrame:
     Attributes:
         origin: (n, 2) the object (m).
         yaw: (n,) of the x axis (rad).
-        mirror: (n,) -1 where y points to the right of x, else 1.
-        extent: (n, 4) from the object to the nearest edge, the one opposite, and the ends of the
+        mirror: (n,) -1 if y points to the right of x, else 1.
+        extent: (n, 4) from the object to the nearest edge, the opposite one, and the ends of the
             table at positive and at negative y (m).
     """
 
@@ -39,13 +39,13 @@ class EdgeFrame:
 
 
 def scene_size(percept_size: int) -> int:
-    """Numbers that `scene` gives for percepts of a size."""
+    """The length of a `scene` for percepts of a size."""
     obstacles = (percept_size - TABLETOP) // BOX
     return SCENE + OBSTACLE * obstacles
 
 
 def edge_frame(percept: Tensor) -> EdgeFrame:
-    """The frames of percepts (n, D); errors are those of `parts_of`."""
+    """The frames of percepts (n, D); for errors see `parts_of`."""
     seen = parts_of(percept)
     table, placed = seen.table, seen.object
     at = rotate(placed - table[..., :2], -table[..., 2])
@@ -62,10 +62,10 @@ def edge_frame(percept: Tensor) -> EdgeFrame:
 
 
 def scene(percept: Tensor) -> Tensor:
-    """What there is, in its own frame (n, `scene_size`).
+    """The scenes (n, `scene_size`) of percepts in their own frames.
 
-    The robot's x and y (m), cosine and sine of its heading, the four extents and the object's
-    height (m); of each obstacle its centre's x and y and half its mean side (m).
+    They contain the robot's x and y (m), cosine and sine of its heading, the four extents and the
+    object's height (m); and for each obstacle its centre's x and y and half its mean side (m).
     """
     frame = edge_frame(percept)
     return torch.cat([table_scene(frame, percept), obstacles(frame, percept)], -1)

@@ -1,4 +1,4 @@
-"""Scenarios beyond the paper's table: any size, height and yaw, any side, things in the way."""
+"""Scenarios beyond the paper's table: any size, height and yaw, any side, with obstacles."""
 
 import math
 from collections.abc import Callable
@@ -33,10 +33,10 @@ ROOM = 0.55  # m around the robot's start that is free, so that it can turn ther
 def general_scenarios(count: int, generator: Generator) -> Scenarios:
     """Random tables, 0.6 to 1.4 m a side and 0.6 to 0.9 m high, with the robot on any side.
 
-    The table's centre is the origin. The object stands 0.05 to 0.25 m from an edge, which is drawn
-    by its length; the robot 1 to 2.5 m away from the table in any direction, its heading such that
-    the table's centre is within 45° of straight ahead. All else is uniform. SettingsError if the
-    count is negative.
+    The table's centre is the origin. The object is 0.05 to 0.25 m from an edge, which is drawn by
+    its length. The robot is 1 to 2.5 m away from the table in any direction, and its heading is
+    such that the table's centre is within 45° of straight ahead. Everything else is uniform.
+    SettingsError if the count is negative.
     """
     check_count(count)
     draw = torch.rand(count, 10, generator=generator)
@@ -56,9 +56,9 @@ def general_scenarios(count: int, generator: Generator) -> Scenarios:
 def cluttered_scenarios(count: int, generator: Generator) -> Scenarios:
     """`general_scenarios`, half of them with a box on the floor, 0.3 to 0.6 m a side.
 
-    It stands in any direction from the table, its centre up to 1.5 m away from the edge, neither
-    in the table nor where the robot needs the room to turn at its start. SettingsError if the
-    count is negative.
+    The box is in any direction from the table, with its centre up to 1.5 m away from the edge. It
+    overlaps neither the table nor the area that the robot needs to turn at its start. SettingsError
+    if the count is negative.
     """
     scenes = general_scenarios(count, generator)
     has_one = torch.rand(count, generator=generator) < OBSTACLE_SHARE
@@ -79,8 +79,8 @@ def _between(bounds: tuple[float, float], share: Tensor) -> Tensor:
 def _along_an_edge(sides: Tensor, pick: Tensor, along: Tensor, inset: Tensor) -> Tensor:
     """Objects (n, 2) in the frame of tables with sides (n, 2), `inset` (n,) m from an edge.
 
-    `pick` (n,) in [0, 1) says which: both of length size y, then both of length size x; `along`
-    (n,) in [-1, 1], where on the usable length.
+    `pick` (n,) in [0, 1) selects the edge: both of length size y, then both of length size x.
+    `along` (n,) in [-1, 1] is the place on its usable length.
     """
     half = sides / 2
     share = sides[:, 1] / sides.sum(1)  # of the perimeter, that the edges across x have
@@ -111,7 +111,7 @@ def beside(direction: Tensor, half: Tensor, distance: Tensor) -> Tensor:
 
 
 def _obstacles(scenes: Scenarios, generator: Generator) -> Tensor:
-    """(n, 5) boxes around the table, wherever they come to stand."""
+    """(n, 5) boxes around the table, at any place."""
     draw = torch.rand(len(scenes), 5, generator=generator)
     sides, away = _between(OBSTACLE_SIDE, draw[:, 0:2]), _between(OBSTACLE_AWAY, draw[:, 2])
     direction, yaw = (math.pi * (2 * draw[:, 3:5] - 1)).unbind(1)
@@ -121,14 +121,14 @@ def _obstacles(scenes: Scenarios, generator: Generator) -> Tensor:
 
 
 def _in_the_way(obstacle: Tensor, scenes: Scenarios) -> Tensor:
-    """(n,) bool, whether boxes (n, 5) stand in the table or too near to the robot."""
+    """(n,) bool, whether boxes (n, 5) overlap the table or are too close to the robot."""
     at = rotate(scenes.pose[:, :2] - obstacle[:, :2], -obstacle[:, 2])
     gap = (at.abs() - obstacle[:, 3:5] / 2).clamp_min(0).norm(dim=1)
     return rectangles_overlap(obstacle, scenes.table[:, :5]) | (gap < ROOM)
 
 
 Draw: TypeAlias = Callable[[int, Generator], Scenarios]
-"""How many, and the generator of all random choices, to scenarios."""
+"""Maps the number of scenarios and the generator of all random choices to scenarios."""
 
 DRAWS: dict[str, Draw] = {
     **{placement: partial(random_scenarios, placement) for placement in PLACEMENTS},
@@ -138,6 +138,6 @@ DRAWS: dict[str, Draw] = {
 
 
 def draw_of(name: str) -> Draw:
-    """What draws the scenarios called `name`; SettingsError if nothing is called so."""
+    """The function that draws the scenarios called `name`; SettingsError for an unknown name."""
     check_known("placement", name, DRAWS)
     return DRAWS[name]

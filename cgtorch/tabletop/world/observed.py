@@ -1,4 +1,4 @@
-"""What robots of all tabletop worlds see and where things are, whatever moves them."""
+"""The percepts and states of all tabletop worlds, whatever their physics."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -22,11 +22,11 @@ from cgtorch.tabletop.world.scenarios import Scenarios
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what the robot does and sees.
+    """Standard deviations of motions and percepts.
 
     Attributes:
-        position: m, of each coordinate after a motion and of each number of a percept.
-        heading: rad, of the heading after a motion.
+        position: Of each coordinate after a motion, and of each number of a percept, m.
+        heading: Of the heading after a motion, rad.
     """
 
     position: float
@@ -34,13 +34,13 @@ class Noise:
 
 
 LAB_NOISE = Noise(0.005, torch.pi / 360)
-"""A good lab robot: 5 mm and 0.5°."""
+"""The noise of a good lab robot: 5 mm and 0.5°."""
 
 
 def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
-    """(B, looks, size) standard normal numbers that depend on each scenario's own seed only.
+    """(B, looks, size) standard normal numbers that depend only on each scenario's own seed.
 
-    Sizes are drawn in turn, so what comes first does not depend on what comes after.
+    Sizes are drawn in turn, so earlier numbers do not depend on later sizes.
     """
     generator = Generator()
     out = [torch.zeros(len(seed), looks, size) for size in sizes]
@@ -52,13 +52,13 @@ def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
 
 
 class ObservedTabletop(ABC):
-    """An `Environment` of B scenarios whose subclass says how motions and grasps come out.
+    """An `Environment` of B scenarios; a subclass defines the results of motions and grasps.
 
-    A percept is what `cgtorch.tabletop.world.percepts` says, with noise on all that is there. A
-    lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), how often the robot has
-    perceived, and K obstacles; subclasses may keep more after these. The noise of a lane depends on
-    its scenario's seed and on that count alone, so it depends neither on what else runs beside it
-    nor on how the skill is nested in another one.
+    A percept is that of `cgtorch.tabletop.world.percepts`, with noise on everything present. A
+    lane's state (n, 12 + 5K) is base pose (3), table (6), object (2), the number of percepts so
+    far, and K obstacles; subclasses may append more. The noise of a lane depends only on its
+    scenario's seed and on that number. So it depends neither on other lanes nor on how the skill is
+    nested in another one.
     """
 
     control_size = 3
@@ -71,10 +71,10 @@ class ObservedTabletop(ABC):
         looks: int,
         percept: str,
     ):
-        """Set up what is seen of B scenarios.
+        """Set up the percepts of B scenarios.
 
-        The base's footprint is x min, x max, y min, y max (m). Noise is drawn for so many looks;
-        later ones use it again. The percept is a name in `PERCEPTS`, else a SettingsError.
+        The base's footprint is x min, x max, y min, y max (m). Noise is drawn for `looks` percepts;
+        later ones repeat it. `percept` is a key of `PERCEPTS`, else a SettingsError is raised.
         """
         if percept not in PERCEPTS:
             raise SettingsError(f"percept is {percept!r}; use one of {', '.join(PERCEPTS)}")
@@ -95,7 +95,7 @@ class ObservedTabletop(ABC):
 
     @property
     def seeds(self) -> Tensor:
-        """See `cgtorch.environment.Seeded.seeds`; those of the noise."""
+        """See `cgtorch.environment.Seeded.seeds`; they are those of the noise."""
         return self.scenarios.seed
 
     @property
@@ -119,7 +119,7 @@ class ObservedTabletop(ABC):
 
     @abstractmethod
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """The lanes after a grasp, and (n,) 1 where it succeeds, 0 elsewhere."""
+        """The lanes after a grasp, and (n,) 1 if it succeeds, else 0."""
 
     def observe(self, lanes: Lanes) -> Lanes:
         """Detect table, object and obstacles again, with fresh noise."""
@@ -134,17 +134,17 @@ class ObservedTabletop(ABC):
         return pose, table, placed, look, obstacles.unflatten(1, (self.num_obstacles, 5))
 
     def placed(self, state: Tensor) -> Tensor:
-        """(n, 3) where the object stands, m."""
+        """(n, 3) where the object is, m."""
         _, table, placed, _, _ = self._parts(state)
         return torch.cat([placed, table[:, 5:6]], 1)
 
     def exact(self, state: Tensor) -> Tensor:
-        """The percepts (n, 7) without noise, of table and object alone."""
+        """The percepts (n, 7) of table and object, without noise."""
         pose, table, placed, _, _ = self._parts(state)
         return percept_of(pose, table, placed)
 
     def _perceive(self, state: Tensor, scenario: Tensor) -> tuple[Tensor, Tensor]:
-        """The states after one more look, and what is seen (n, D)."""
+        """The states after one more percept, and the percept (n, D)."""
         pose, table, _, look, obstacles = self._parts(state)
         exact = self.exact(state)
         if self.tabletop > TABLETOP:

@@ -1,9 +1,9 @@
-"""What there is to perceive: the paper's seven numbers, and what may follow them.
+"""Percepts of the tabletop: the paper's seven numbers, and optional ones after them.
 
-A percept is the table's box x min, x max, y min, y max and the object's x, y, z (7); where it is
-to tell the table's yaw then one side of the table (2); then the box of each obstacle (4K). All in
-m, in the robot's base frame. A percept's length tells which of these it holds, and `Percept` gives
-its parts their names.
+A percept is the table's box x min, x max, y min, y max and the object's x, y, z (7). If it contains
+the table's yaw, one side of the table follows (2). Then comes the box of each obstacle (4K). All
+are in m, in the robot's base frame. The length of a percept determines which of these it contains,
+and `Percept` gives its parts their names.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from cgtorch.tabletop.world.geometry import (
 )
 
 PERCEPTS = {"box": 7, "yaw": 9}
-"""Numbers that table and object take, by the percept's name."""
+"""The length of the table and object part, by the percept's name."""
 TABLETOP = PERCEPTS["box"]
 BOX = 4
-"""Numbers that each obstacle takes: x min, x max, y min, y max; all 0 where there is none."""
+"""Numbers per obstacle: x min, x max, y min, y max; all 0 if it is absent."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Percept:
         box: (..., 4) of the table.
         object: (..., 2) its x and y.
         height: (..., 1) the object's z.
-        side: (..., 2 or 0) of the table, as of `side_seen`.
+        side: (..., 2 or 0) of the table, as in `side_seen`.
         obstacles: (..., K, 4) their boxes.
     """
 
@@ -48,7 +48,7 @@ class Percept:
 
     @property
     def present(self) -> Tensor:
-        """(..., K) bool, which obstacles there are."""
+        """(..., K) bool, which obstacles are present."""
         return (self.obstacles != 0).any(-1)
 
     @property
@@ -64,7 +64,7 @@ class Percept:
 
     @property
     def things(self) -> Tensor:
-        """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is none."""
+        """(..., 1 + K, 5) the table, then boxes around obstacles; one of size 0 is absent."""
         table = self.table[..., None, :]
         some = self.obstacles.shape[-2] > 0
         return torch.cat([table, box_rectangle(self.obstacles)], -2) if some else table
@@ -102,23 +102,23 @@ def percept_of(pose: Tensor, table: Tensor, placed: Tensor) -> Tensor:
 def side_seen(pose: Tensor, table: Tensor) -> Tensor:
     """The side (..., 2) of tables (..., 6) along their own x axis from poses (..., 3), in m.
 
-    A vector without noise, as long as the side, at twice the angle from the base's x axis to the
-    side: a side has no beginning and no end, and twice its angle is the same after half a turn.
-    The other side follows from the box.
+    It is a vector without noise, as long as the side, at twice the angle from the base's x axis to
+    the side. A side has no direction, and twice its angle is the same after half a turn. The other
+    side follows from the box.
     """
     angle = 2 * (table[..., 2] - pose[..., 2])
     return table[..., 3:4] * torch.stack([angle.cos(), angle.sin()], -1)
 
 
 def present(rectangle: Tensor) -> Tensor:
-    """(...) bool, whether rectangles (..., 5) stand for something: they have a size."""
+    """(...) bool, whether rectangles (..., 5) are present: they have a size."""
     return (rectangle[..., 3:5] > 0).all(-1)
 
 
 def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:
     """Boxes (..., 4K) of obstacles (..., K, 5) from poses (..., 3) (m), without noise.
 
-    What is not there is seen as four zeros, which no box can be: one that is there has a size.
+    An absent obstacle is four zeros, which no present one can be, as it has a size.
     """
     box = bounding_box(rectangle_in_frame(pose[..., None, :], obstacles))
     return (box * present(obstacles)[..., None]).flatten(-2)

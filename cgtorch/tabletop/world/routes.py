@@ -1,4 +1,4 @@
-"""A route around what is seen: the first of several straight motions that lead to a pose."""
+"""Routes of the base around what is seen: the first of several straight motions to a pose."""
 
 import torch
 from torch import Tensor
@@ -8,25 +8,25 @@ from cgtorch.tabletop.world.geometry import corners, rotate, wrap
 from cgtorch.tabletop.world.percepts import parts_of, present
 
 LONGEST = 1.9
-"""M of one motion: Γ has seen motions of up to 2 m."""
+"""The longest motion (m); Γ has seen motions of up to 2 m."""
 VIAS = 3
-"""Corners that a route may lead past."""
+"""The largest number of corners on a route."""
 WORTH_TURNING = 0.001
-"""By how much (m) a route that turns at its first corner has to be shorter, else it turns last."""
+"""How much shorter (m) a route that turns at its first corner must be than one that turns last."""
 AWAY = 0.05
-"""M from the base within which a corner has been passed."""
+"""The distance (m) from the base within which a corner has been passed."""
 ROOM = 1.05
-"""How far from a thing its corners are passed, in parts of what the base needs to turn there."""
+"""The distance at which corners are passed, in units of what the base needs to turn there."""
 
 
 def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
-    """The first motion (n, 3) of the shortest route found to where motions (n, 3) would lead.
+    """The first motion (n, 3) of the shortest route found to the goals of motions (n, 3).
 
-    That is the motion itself where it is clear of what percepts (n, D) show, or no route is found.
+    It is the motion itself if that is clear of what percepts (n, D) show, or if no route is found.
     Routes lead past corners of the table and of obstacles, far enough from each for the footprint
-    (4,) to turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the
-    heading that the base has, or turned at the first corner to the one that it shall have. Of what
-    is longer than `LONGEST` only so much is driven, without a turn.
+    (4,) to turn there: a visibility graph (Lozano-Pérez and Wesley 1979). The base drives them with
+    its present heading, or turns to its final heading at the first corner. A motion longer than
+    `LONGEST` is cut to that length, without a turn.
     """
     seen = parts_of(percept).things
     corner = corners(_wider(seen, footprint)).flatten(1, 2)
@@ -54,7 +54,7 @@ def _shortest(
 ) -> tuple[Tensor, Tensor]:
     """Lengths (n,) of routes past corners (n, J, 2), inf for none, and their first corners (n,).
 
-    The base turns by `turn` (n,) at the first one, and by what is left at the end.
+    The base turns by `turn` (n,) at the first corner, and by the rest at the end.
     """
     n, j, _ = corner.shape
     to_first = torch.cat([corner, turn[:, None, None].expand(n, j, 1)], 2)
@@ -103,7 +103,7 @@ def _turned(things: Tensor, turn: Tensor) -> Tensor:
 
 
 def _wider(things: Tensor, footprint: Tensor) -> Tensor:
-    """Things (n, R, 5), wider on each side by what the base needs to turn there."""
+    """Things (n, R, 5), enlarged on each side by what the base needs to turn there."""
     reach = ROOM * (footprint.view(2, 2).abs().amax(1) + CLEARANCE).norm()
     return torch.cat([things[..., :3], things[..., 3:] + 2 * reach], -1)
 

@@ -1,4 +1,4 @@
-"""Scenarios, and those of section VI: a robot before a table with an object near an edge."""
+"""Scenarios, and those of section VI: a robot in front of a table with an object near an edge."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
@@ -20,19 +20,19 @@ PLACEMENTS = (*EDGES, "perimeter")
 
 @dataclass(frozen=True)
 class Scenarios(ScenarioBatch):
-    """B states of the world that a skill starts from.
+    """B initial states of the world.
 
-    The world's origin is the table's centre in the paper's experiments, x pointing away from the
-    robot, so that the near edge is at -x and the left edge at +y.
+    The world's origin is the table's centre in the paper's experiments. x points away from the
+    robot, so the near edge is at -x and the left edge at +y.
 
     Attributes:
         pose: (B, 3) base x, y (m), θ (rad).
         table: (B, 6) centre x, centre y (m), yaw (rad), size x, size y, top height (m).
-        object: (B, 2) x, y (m); it stands on the table.
-        seed: (B,) long, of the noise that the robot meets. Noise is part of the scenario: the
-            same skill on the same scenario does the same.
+        object: (B, 2) x, y (m); it is on the table.
+        seed: (B,) long, of the robot's noise. Noise is part of the scenario: the same skill on the
+            same scenario gives the same result.
         obstacles: (B, K, 5) centre x, centre y (m), yaw (rad), size x, size y of boxes on the
-            floor, low enough to reach over; one of size 0 is none. K = 0 if not given.
+            floor, low enough to reach over; one of size 0 is absent. K = 0 by default.
     """
 
     pose: Tensor
@@ -42,12 +42,12 @@ class Scenarios(ScenarioBatch):
     obstacles: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 5))
 
     def __post_init__(self) -> None:
-        """As many scenarios without obstacles as there are poses."""
+        """Add the default of no obstacles."""
         if self.obstacles.shape[1] == 0:
             object.__setattr__(self, "obstacles", self.pose.new_zeros(len(self.pose), 0, 5))
 
     def joined(self, *more: "Scenarios") -> "Scenarios":
-        """These and more; those with fewer obstacles get some of size 0."""
+        """These scenarios, followed by more; those with fewer obstacles get some of size 0."""
         most = max(s.obstacles.shape[1] for s in (self, *more))
         padded = [
             replace(s, obstacles=pad(s.obstacles, (0, 0, 0, most - s.obstacles.shape[1])))
@@ -56,7 +56,7 @@ class Scenarios(ScenarioBatch):
         return ScenarioBatch.joined(*padded)
 
     def with_noise(self, copy: int) -> "Scenarios":
-        """The same placements met by other noise; copy 0 is the scenarios themselves."""
+        """The same initial states with other noise; copy 0 is unchanged."""
         return replace(self, seed=(self.seed + copy * 0x9E3779B1) % 2**31)
 
 
@@ -75,13 +75,13 @@ def _on_edge(edge: Tensor, along: Tensor, inset: Tensor) -> Tensor:
 
 
 def check_known(what: str, name: str, known: Collection[str]) -> None:
-    """SettingsError if a name is none of those that are known."""
+    """SettingsError if a name is not among the known ones."""
     if name not in known:
         raise SettingsError(f"unknown {what} {name!r}; use one of {', '.join(known)}")
 
 
 def check_count(count: int) -> None:
-    """SettingsError if there cannot be `count` scenarios."""
+    """SettingsError if the count is negative."""
     if count < 0:
         raise SettingsError(f"count is {count}; give 0 or more scenarios")
 
@@ -89,8 +89,8 @@ def check_count(count: int) -> None:
 def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
     """The paper's test of one edge: evenly spaced objects, from the centred start.
 
-    The first and last stand in the corners, 0.05 m from the adjoining edge. SettingsError if the
-    edge is none of `EDGES`, or the count is negative.
+    The first and last are in the corners, 0.05 m from the adjoining edge. SettingsError if the edge
+    is not in `EDGES`, or the count is negative.
     """
     check_count(count)
     check_known("table edge", edge, EDGES)
@@ -102,9 +102,9 @@ def stage_scenarios(edge: str, count: int = 5) -> Scenarios:
 
 
 def random_scenarios(placement: str, count: int, generator: Generator) -> Scenarios:
-    """Random placements along one edge or, with "perimeter", along all four.
+    """Random objects along one edge or, with "perimeter", along all four.
 
-    SettingsError if the placement is none of `PLACEMENTS`, or the count is negative.
+    SettingsError if the placement is not in `PLACEMENTS`, or the count is negative.
     """
     check_count(count)
     check_known("placement", placement, PLACEMENTS)

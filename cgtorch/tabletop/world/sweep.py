@@ -1,7 +1,7 @@
-"""What a driving footprint sweeps over: the separating-axis test of two rectangles, in columns.
+"""The area that a driving footprint sweeps: separating-axis tests of two rectangles, in columns.
 
-A skill asks for thousands of motions at once, so every operation works on n numbers that lie side
-by side: x of all motions, then y of all motions.
+Thousands of motions are tested at once, so every operation works on n adjacent numbers: x of all
+motions, then y of all motions.
 """
 
 import math
@@ -48,7 +48,7 @@ def sweep_blocked(
 def _drive_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
     """(n,) bool, whether the hull of the body before and after the drive meets the rectangle.
 
-    Convex shapes are apart where a normal separates them: the body's, the rectangle's, the way's.
+    Convex shapes are apart if a normal separates them: the body's, the rectangle's or the drive's.
     """
     dx, dy, _ = motion
     x, y, yaw, *size = rectangle
@@ -83,7 +83,7 @@ def _within_reach(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
 
 
 def _turn_blocked(motion: Tensor, rectangle: Tensor, body: _Body) -> Tensor:
-    """(n,) bool, whether the turn after the drive meets it, looked at every `TURN_STEP` or less."""
+    """(n,) bool, whether the turn after the drive meets it, tested every `TURN_STEP` or less."""
     steps = math.ceil(math.pi / TURN_STEP)
     share = torch.linspace(1 / steps, 1, steps, dtype=motion.dtype, device=motion.device)
     turned = share[:, None] * wrap(motion[2])

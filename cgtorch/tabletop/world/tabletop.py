@@ -1,4 +1,4 @@
-"""The tabletop world, which stands for the real robot in all experiments (section VI)."""
+"""The kinematic tabletop world, in place of the real robot in all experiments (section VI)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,11 +14,11 @@ from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.scenarios import Scenarios
 
 Graspable: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Object positions (n, 3) and tables (n, 6) in the base frame to (n,) bool."""
+"""Maps object positions (n, 3) and tables (n, 6) in the base frame to (n,) bool."""
 
 
 class TabletopWorld(ObservedTabletop):
-    """An `Environment` of B scenarios in the true world, in which nothing has a mass."""
+    """An `Environment` of B scenarios in the true world, without dynamics."""
 
     def __init__(
         self,
@@ -31,15 +31,16 @@ class TabletopWorld(ObservedTabletop):
     ):
         """Set up the world of B scenarios; see `ObservedTabletop`.
 
-        A grasp is possible where there is a collision-free arm solution (`graspable`).
+        A grasp is possible if an arm can reach the object without collision (`graspable`).
         """
         super().__init__(scenarios, footprint, noise, looks, percept)
         self.graspable = graspable
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
-        """Drive straight by dx, dy (m) and turn by dθ (rad), or stay where the way is blocked.
+        """Drive straight by dx, dy (m) and turn by dθ (rad), or stay if the motion is blocked.
 
-        The control (n, 3) is in the robot's frame; also (n,) bool, which lanes have moved.
+        The control (n, 3) is in the robot's frame. Also returned is (n,) bool, which lanes have
+        moved.
         """
         pose, table, _, looks, obstacles = self._parts(lanes.state)
         things = torch.cat([table[:, None, :5], obstacles], 1)
@@ -53,7 +54,7 @@ class TabletopWorld(ObservedTabletop):
         return replace(lanes, state=state, percept=percept), free
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """The lanes, and (n,) 1 where a grasp would succeed, 0 elsewhere."""
+        """The lanes, and (n,) 1 if a grasp would succeed, else 0."""
         pose, table, placed, _, _ = self._parts(lanes.state)
         at = torch.cat([to_frame(pose, placed), table[:, 5:6]], 1)
         seen = torch.cat([rectangle_in_frame(pose, table[:, :5]), table[:, 5:6]], 1)
