@@ -69,7 +69,10 @@ def _duration(plan: Plan) -> str:
     if plan.stage == AUTO:
         return f"No round begins after {plan.goal.minutes:g} minutes (--minutes)."
     if plan.run.settings.domain == TABLETOP:
-        return "On two quiet cores, S0 to S3 take about a minute together."
+        return (
+            "On two quiet cores, S0 to S3 take about a minute together, and about ten minutes in "
+            "physics (--world mujoco)."
+        )
     return "The time depends on the domain."
 
 

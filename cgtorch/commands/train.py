@@ -157,8 +157,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
     domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
-    usual = {k: v for k, v in domain_settings.usual().items() if k not in given}
-    values = {**{name: options[name] for name in settings & set(NAMES)}, **usual}
+    values = {name: options[name] for name in settings & set(NAMES)}
     run_settings = RunSettings(
         **values, actions=tuple(options["actions"]), domain=options["domain"]
     )

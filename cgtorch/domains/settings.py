@@ -83,10 +83,6 @@ class DomainSettings:
         """Check every value."""
         check_options(self)
 
-    def usual(self) -> Mapping[str, Any]:
-        """The `run_defaults`, given these settings."""
-        return self.run_defaults
-
 
 def to_plain(settings: Any) -> dict[str, Any]:
     """Settings as plain data for a file; numbers that are not finite become texts."""

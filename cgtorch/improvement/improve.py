@@ -69,8 +69,11 @@ def improve(
         )
         stage.watch(event)
         fresh = draw(stage.generator)
-        solved = torch.cat([succeeded, attempt(setup, skill, fresh).succeeded])
-        state = with_fresh(setup, state, solved, fresh)
+        # Members are tried on what failed only: what the skill solves joins the rest of W.
+        held = attempt(setup, skill, fresh).succeeded
+        solved = torch.cat([succeeded, torch.zeros(int((~held).sum()), dtype=torch.bool)])
+        state = with_fresh(setup, state, solved, fresh[~held])
+        state = replace(state, rest=state.rest.joined(fresh[held]))
         # A further try that fails moves parts of the rest of W into its scenarios.
         accepted = skill, state
         if solved.all() or not len(fresh):

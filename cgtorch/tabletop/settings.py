@@ -8,8 +8,6 @@ from typing import Any, ClassVar
 from cgtorch.domains.settings import DomainSettings, option
 
 WORLDS = "kinematic", "mujoco"
-PHYSICS_DEFAULTS = {"labels": 1600, "transitions": 800, "practice": 60}
-"""Defaults in physics, where each label costs a simulation of some seconds."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,3 @@ class TabletopSettings(DomainSettings):
         choices=("auto", "percept", "edge"),
         when="Use percept to reproduce the publication.",
     )
-
-    def usual(self) -> Mapping[str, Any]:
-        """See `DomainSettings.usual`."""
-        return PHYSICS_DEFAULTS if self.world == "mujoco" else self.run_defaults

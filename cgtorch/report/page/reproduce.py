@@ -83,7 +83,7 @@ def _settings(run: Run, at_first: Mapping[str, str]) -> list[str]:
     own = type(run.domain.settings)
     stored = run.domain.stored_options(run.folder)
     values = {**run.all_settings(), **stored}
-    usual = {**defaults_of(own), **run.domain.settings.usual()}
+    usual = defaults_of(own)
     named = vars(with_name(run.settings.domain, own()))  # which the domain's name says already
     words = []
     for f in all_fields(own):

@@ -5,7 +5,7 @@ import pytest
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.physics import engine
-from cgtorch.tabletop.settings import PHYSICS_DEFAULTS, TabletopSettings
+from cgtorch.tabletop.settings import TabletopSettings
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,8 +26,3 @@ def test_worlds_and_measures_by_name() -> None:
     assert lifted.physics is strict.physics is domain.physics, "they share what they know"
     with pytest.raises(SettingsError, match="use one of kinematic, mujoco"):
         domain.in_world("moon")
-
-
-def test_physics_has_defaults_of_its_own() -> None:
-    assert TabletopSettings(world="mujoco").usual() == PHYSICS_DEFAULTS
-    assert TabletopSettings().usual() == TabletopSettings.run_defaults
