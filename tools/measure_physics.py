@@ -12,7 +12,7 @@ about half an hour, and `physics`, whose skills are trained in physics, another 
 
 import json
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -61,33 +61,27 @@ def command(
     native.use_threads(cores())
     folder.mkdir(parents=True, exist_ok=True)
     sizes = Sizes(count, range(*map(int, seeds.split(":"))))
+    results = folder / "results.json"
+    kept = read_json(results) if results.is_file() else {}
     for name in only or PARTS:
-        if not kept(folder, name).is_file():
-            measure(folder, name, sizes)
-    whole = figure_of([row for n in PARTS if kept(folder, n).is_file() for row in rows(folder, n)])
+        for about, measured in PARTS[name](folder, sizes):
+            if about not in kept:
+                row = measured()
+                click.echo(" | ".join(cells(row)), err=True)
+                kept[about] = {"part": name, **asdict(row)}
+                write_json(results, kept)
+    whole = figure_of(in_order(kept.values()))
     text = json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
     click.echo(text if as_json else markdown(whole, {}))
     if figure is not None:
         write_bytes(figure, text.encode())
 
 
-def measure(folder: Path, name: str, sizes: Sizes) -> None:
-    """Measure a part, and keep its rows."""
-    found = []
-    for row in PARTS[name](folder, sizes):
-        click.echo(" | ".join(cells(row)), err=True)
-        found.append(asdict(row))
-    write_json(kept(folder, name), found)
-
-
-def kept(folder: Path, name: str) -> Path:
-    """Where the rows of a part are kept."""
-    return folder / f"{name}.json"
-
-
-def rows(folder: Path, name: str) -> list[Tried]:
-    """The rows of a part that is kept."""
-    return [Tried(**row) for row in read_json(kept(folder, name))]
+def in_order(kept: Collection[dict[str, Any]]) -> list[Tried]:
+    """The rows that are kept, part by part, each as it was measured."""
+    names = list(PARTS)
+    ordered = sorted(kept, key=lambda row: names.index(row["part"]))
+    return [Tried(**{k: v for k, v in row.items() if k != "part"}) for row in ordered]
 
 
 def figure_of(found: list[Tried]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import measure_physics
 from in_physics import poses, skills
-from in_physics.tried import Sizes, Tried
+from in_physics.tried import Rows, Sizes, Tried
 from make_figures import markdown
 
 from cgtorch.tabletop.kinematics.grasping import within_reach
@@ -30,9 +30,11 @@ def test_poses_are_as_they_are_asked_for() -> None:
 
 
 def test_accepted_poses_are_lifted_and_others_hardly(tmp_path: Path) -> None:
-    (row,) = poses.accepted(tmp_path, SMALL)
+    ((_, measured),) = poses.accepted(tmp_path, SMALL)
+    row = measured()
     assert (row.tried, row.lifted, row.strict) == (4, 4, 4)
-    (row,) = poses.refused(tmp_path, Sizes(10, range(1)))
+    ((_, measured),) = poses.refused(tmp_path, Sizes(10, range(1)))
+    row = measured()
     assert row.tried == 3
     assert row.strict <= row.lifted <= 1
 
@@ -45,7 +47,7 @@ def test_an_object_far_wider_than_the_hand_is_not_lifted() -> None:
 
 def test_a_skill_is_tried_as_often_as_asked() -> None:
     run = Path(__file__).resolve().parents[2] / "runs" / "reference"
-    found = [*skills.everywhere(run, SMALL, 0, "S3", "most", "many")]
+    found = [measured() for _, measured in skills.everywhere(run, SMALL, 0, "S3", "a", "b")]
     assert [row.about for row in found] == [
         f"S3: {kind}" for kind in ("perimeter", "near", "left", "right", "far")
     ]
@@ -58,9 +60,12 @@ def test_what_is_kept_is_not_measured_again(
 ) -> None:
     calls = []
 
-    def part(folder: Path, sizes: Sizes) -> list[Tried]:
-        calls.append(sizes)
-        return [Tried("this", 1000, 999, 998, "99 %")]
+    def measured() -> Tried:
+        calls.append(1)
+        return Tried("this", 1000, 999, 998, "99 %")
+
+    def part(folder: Path, sizes: Sizes) -> Rows:
+        yield "this", measured
 
     monkeypatch.setattr(measure_physics, "PARTS", {"poses": part})
     file = tmp_path / "figure.json"
@@ -69,7 +74,7 @@ def test_what_is_kept_is_not_measured_again(
             measure_physics.command, [str(tmp_path / "kept"), "--figure", str(file)]
         )
         assert done.exit_code == 0, done.output
-    assert calls == [Sizes(1000, range(3))]
+    assert calls == [1]
     figure = json.loads(file.read_text())
     assert figure["rows"] == [["this", "999 / 1,000", "998 / 1,000", "99 %"]]
     assert "| this | 999 / 1,000 |" in markdown(figure, {})

@@ -1,6 +1,8 @@
 """Grasps from poses of the base: those that `graspable` accepts, and those that it refuses."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -31,35 +33,43 @@ THINGS = {
 
 def accepted(folder: Path, sizes: Sizes) -> Rows:
     """The PR2, from poses from which `graspable` finds a way."""
-    domain = without_noise("pr2")
     about = "PR2, poses from which there is a way"
-    yield carried_out(domain, Thing(), poses(domain, sizes.count, True), about, "99.5 %, 98 %")
+    yield about, partial(from_poses, "pr2", Thing(), sizes.count, about, "99.5 %, 98 %")
 
 
 def fetch(folder: Path, sizes: Sizes) -> Rows:
     """The Fetch, from fewer such poses."""
-    domain = without_noise("fetch")
     about = "Fetch, poses from which there is a way"
-    yield carried_out(domain, Thing(), poses(domain, sizes.fewer, True), about, "–")
+    yield about, partial(from_poses, "fetch", Thing(), sizes.fewer, about, "–")
 
 
 def objects(folder: Path, sizes: Sizes) -> Rows:
     """Other objects, from fewer such poses."""
-    domain = without_noise("pr2")
-    chosen = poses(domain, sizes.fewer, True)
     for name, thing in THINGS.items():
-        yield carried_out(domain, thing, chosen, f"PR2, such poses, {name}", "98 %")
+        about = f"PR2, such poses, {name}"
+        yield about, partial(from_poses, "pr2", thing, sizes.fewer, about, "98 %")
 
 
 def refused(folder: Path, sizes: Sizes) -> Rows:
     """Poses that are refused though an arm is long enough, by a finer search."""
-    domain = without_noise("pr2")
-    chosen = poses(domain, sizes.fewer, False)
     about = "PR2, poses that are refused though within reach, by a finer search"
+    yield about, partial(from_refused, sizes.fewer, about)
+
+
+def from_poses(robot: str, thing: Thing, count: int, about: str, asked: str) -> Tried:
+    """Grasps of an object from poses from which there is a way."""
+    domain = without_noise(robot)
+    return carried_out(domain, thing, poses(domain, count, True), about, asked)
+
+
+def from_refused(count: int, about: str) -> Tried:
+    """Grasps that a finer search finds from poses that `graspable` refuses."""
+    domain = without_noise("pr2")
+    chosen = poses(domain, count, False)
     with finer_search():
         possible = in_parts(about, chosen, lambda part: label(Scenes(domain.world), part)[1])
         found = carried_out(domain, Thing(), chosen[possible], about, "3 % at most")
-    yield Tried(about, len(chosen), found.lifted, found.strict, found.asked)
+    return replace(found, tried=count)
 
 
 def without_noise(robot: str) -> Tabletop:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from cgtorch.commands.options import waiting
@@ -36,18 +37,18 @@ def physics(folder: Path, sizes: Sizes) -> Rows:
 def fetch(folder: Path, sizes: Sizes) -> Rows:
     """S3 of the Fetch trained in the kinematic world, on the perimeter."""
     seed = sizes.seeds[0]
-    run = trained(
-        folder / f"fetch-{seed}", "--stage", "S3", "--seed", str(seed), "--robot", "fetch"
-    )
-    about = f"Fetch, S3 of seed {seed}, trained in the kinematic world"
-    yield tried(run, "perimeter", sizes.count, seed, about, "98 %")
+    words = ["--stage", "S3", "--seed", str(seed), "--robot", "fetch"]
+    run = trained(folder / f"fetch-{seed}", *words)
+    about = f"Fetch, S3 of seed {seed}, trained in the kinematic world: perimeter"
+    yield about, partial(tried, run, "perimeter", sizes.count, seed, about, "98 %")
 
 
-def everywhere(run: Path, sizes: Sizes, seed: int, about: str, asked: str, of_edges: str) -> Rows:
+def everywhere(run: Path, sizes: Sizes, seed: int, what: str, asked: str, of_edges: str) -> Rows:
     """On the perimeter, and along each edge on fewer."""
-    yield tried(run, "perimeter", sizes.count, seed, about, asked)
-    for edge in EDGES:
-        yield tried(run, edge, sizes.fewer, seed, about, of_edges)
+    for kind in ("perimeter", *EDGES):
+        whole, about = kind == "perimeter", f"{what}: {kind}"
+        count = sizes.count if whole else sizes.fewer
+        yield about, partial(tried, run, kind, count, seed, about, asked if whole else of_edges)
 
 
 def tried(run: Path, kind: str, count: int, seed: int, about: str, asked: str) -> Tried:
@@ -57,9 +58,9 @@ def tried(run: Path, kind: str, count: int, seed: int, about: str, asked: str) -
     (allowed,) = strict.other_measures().values()  # which shares what physics has answered
     found = []
     for domain in (strict, allowed):
-        with waiting(f"{about}: {kind}", False, count) as done:
+        with waiting(about, False, count) as done:
             found.append(evaluate_skill(skill, domain, kind, count, FRESH_SEED + seed, done))
-    return Tried(f"{about}: {kind}", count, found[1].successes, found[0].successes, asked)
+    return Tried(about, count, found[1].successes, found[0].successes, asked)
 
 
 def trained(run: Path, *words: str) -> Path:

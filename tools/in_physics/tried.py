@@ -1,6 +1,6 @@
 """A row of what was tried in physics."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -16,8 +16,8 @@ class Tried:
     asked: str
 
 
-Rows: TypeAlias = Iterator[Tried]
-"""Rows as they are measured."""
+Rows: TypeAlias = Iterator[tuple[str, Callable[[], Tried]]]
+"""What each row is about, and what measures it."""
 
 
 @dataclass(frozen=True)
