@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+from safetensors.torch import load
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.ground.files import read_json
+from cgtorch.svm.storage import notes_of
 
 SMALL = [
     *("--population", "60", "--generations", "30", "--attempts", "6"),
@@ -83,8 +85,10 @@ def told(run: Path) -> dict[str, Any]:
     """All that a run has come to but times: its files by name, and its history of fitness."""
     names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
-    tensors = sorted(run.rglob("*.safetensors"))
-    found |= {str(p.relative_to(run)): sha256(p.read_bytes()).hexdigest() for p in tensors}
+    for path in sorted(run.rglob("*.safetensors")):
+        data = path.read_bytes()  # whose notes are in any order
+        tensors = {n: sha256(x.numpy().tobytes()).hexdigest() for n, x in load(data).items()}
+        found[str(path.relative_to(run))] = notes_of(data), tensors
     events = EventAccumulator(str(run), size_guidance={"scalars": 0})
     events.Reload()
     for tag in FITNESS:

@@ -66,6 +66,24 @@ class Estimate:
         return left + evolutions * (self._limit * self._per_generation + self._between)
 
 
+@dataclass(frozen=True)
+class Count:
+    """So much of some work is done, of so much in all, `seconds` after it began."""
+
+    done: int
+    total: int
+    seconds: float
+
+    @property
+    def text(self) -> str:
+        """How much is done, how fast, and how much longer it takes if it goes on like that."""
+        text = f"{self.done:,} of {self.total:,}"
+        if not self.done or self.seconds <= 0:
+            return text
+        speed = self.done / self.seconds
+        return f"{text}, {speed:.3g}/s, left {as_time((self.total - self.done) / speed)}"
+
+
 def stage_number(event: StageStarted) -> tuple[int, int]:
     """Which stage of the run it is, from 1, and how many there are."""
     known = event.stage in event.stages
