@@ -1,10 +1,10 @@
 """Kill a training at random moments, resume it each time, and compare it with an undisturbed one.
 
-    python tools/kill_and_resume.py FOLDER [--kills 50] [--stage S3] [--seed 0]
+    python tools/kill_and_resume.py FOLDER [--kills 50] [--stage S3] [--seed 0] [--world mujoco]
 
 A small run is made once without a disturbance, then again and again under `kill -9`, until it has
 survived the given number of kills. Runs are equal if all skills, W, M, ledgers and results except
-times, and the whole history of fitness in TensorBoard, are equal.
+times, data and models, and the whole history of fitness in TensorBoard, are equal.
 """
 
 import random
@@ -13,18 +13,26 @@ import signal
 import subprocess
 import sys
 import time
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import click
+from safetensors.torch import load
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.ground.files import read_json
+from cgtorch.svm.storage import notes_of
 
 SMALL = [
-    *("--population", "60", "--generations", "30", "--attempts", "6", "--practice", "10"),
-    *("--transitions", "300", "--labels", "600", "--checkpoint-seconds", "0.5", "--quiet"),
+    *("--population", "60", "--generations", "30", "--attempts", "6"),
+    *("--checkpoint-seconds", "0.5", "--quiet"),
 ]
+SIZES = {
+    "kinematic": ["--practice", "10", "--transitions", "300", "--labels", "600"],
+    "mujoco": ["--practice", "4", "--transitions", "100", "--labels", "200"],
+}
+"""Of the runs, by the world that they are made in."""
 TIMES = ("seconds", "search_seconds")
 FITNESS = ("fitness/best", "fitness/mean", "solved/W", "solved/M")
 
@@ -34,12 +42,14 @@ FITNESS = ("fitness/best", "fitness/mean", "solved/W", "solved/M")
 @click.option("--kills", default=50, show_default=True, help="Kills to survive at least.")
 @click.option("--stage", default="S3", show_default=True, help="Stage to train up to.")
 @click.option("--seed", default=0, show_default=True, help="Of the runs and of the moments.")
-def command(folder: Path, kills: int, stage: str, seed: int) -> None:
+@click.option("--world", default="kinematic", show_default=True, type=click.Choice([*SIZES]))
+def command(folder: Path, kills: int, stage: str, seed: int, world: str) -> None:
     """Kill a training at random moments and compare it with one left alone."""
     draw = random.Random(seed)  # noqa: S311  of moments, not of secrets
     shutil.rmtree(folder / "alone", ignore_errors=True)
     began = time.monotonic()
-    train(folder / "alone", stage, seed)
+    words = ["--stage", stage, "--seed", str(seed), "--world", world, *SIZES[world]]
+    train(folder / "alone", words)
     usual = time.monotonic() - began
     wanted, survived, runs = results_of(folder / "alone"), 0, 0
     while survived < kills:
@@ -47,19 +57,18 @@ def command(folder: Path, kills: int, stage: str, seed: int) -> None:
         shutil.rmtree(run, ignore_errors=True)
         hits = 0
         # What comes before the first stage is not kept half-way, so patience grows.
-        while not train(run, stage, seed, draw.uniform(0, usual * (0.5 + hits / 10))):
+        while not train(run, words, draw.uniform(0, usual * (0.5 + hits / 10))):
             hits += 1
         check_same(run, wanted)
         survived, runs = survived + hits, runs + 1
         click.echo(f"{run}: {hits} kills, the same; {survived} of {kills}")
 
 
-def train(run: Path, stage: str, seed: int, seconds: float | None = None) -> bool:
+def train(run: Path, words: list[str], seconds: float | None = None) -> bool:
     """Begin or resume a run, for at most `seconds`; returns whether it has ended."""
-    program = [str(Path(sys.executable).with_name("cgtorch-train")), "--stage", stage]
-    about = ["--seed", str(seed), "--run-dir", str(run)]
+    program = [str(Path(sys.executable).with_name("cgtorch-train")), "--run-dir", str(run)]
     process = subprocess.Popen(
-        [*program, *about, *SMALL], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*program, *words, *SMALL], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
         code = process.wait(seconds)
@@ -76,6 +85,10 @@ def results_of(run: Path) -> dict[str, Any]:
     """All results of a run except times: its files by name, and its history of fitness."""
     names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
+    for path in sorted(run.rglob("*.safetensors")):
+        data = path.read_bytes()  # whose notes are in any order
+        tensors = {n: sha256(x.numpy().tobytes()).hexdigest() for n, x in load(data).items()}
+        found[str(path.relative_to(run))] = notes_of(data), tensors
     events = EventAccumulator(str(run), size_guidance={"scalars": 0})
     events.Reload()
     for tag in FITNESS:

@@ -2,27 +2,15 @@
 
     python tools/measure_grasps.py [--robot pr2] [--count 400] [--seed 0]
 
-It takes minutes. The finer search samples the pan angle four times as densely, tests every posture
-at every approach, and plans ten times as long to many more of them.
+It takes minutes. The finer search is that of `tools/solvability/finer.py`.
 """
-
-from unittest.mock import patch
 
 import click
 import torch
 from benchmarks.grasps import objects
+from solvability.finer import finer_search
 
-from cgtorch.tabletop.kinematics import (
-    grasp_lines,
-    graspable,
-    has_posture,
-    load_robot,
-    rrt_connect,
-    way_search,
-)
-from cgtorch.tabletop.kinematics.arm import ArmModel
-
-FINER = 4
+from cgtorch.tabletop.kinematics import graspable, has_posture, load_robot
 
 
 @click.command()
@@ -35,13 +23,7 @@ def main(robot: str, count: int, seed: int) -> None:
     position, table = objects(count, seed)
     found = graspable(loaded, position, table)
     posture = has_posture(loaded, position, table)
-    usual = ArmModel.candidates
-    with (
-        patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, 36 * FINER)),
-        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=36 * FINER),
-        patch.object(way_search, "PLANNED", 20),
-        patch.object(rrt_connect, "ROUNDS", 1000),
-    ):
+    with finer_search():
         finer = graspable(loaded, position[~found], table[~found])
     possible = int(finer.sum())
     refused = possible / max(1, possible + int(found.sum()))

@@ -130,7 +130,8 @@ def number_option(
 def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Show on a terminal a live line with a message, the elapsed time, and the work done.
 
-    Yields a function to call with the amount of further work done, of `total`.
+    Yields a function to call with the amount of further work done, of `total`. Long work that is
+    counted within has a line of its own until it is done (`cgtorch.ground.counted_work`).
     """
     from rich.console import Console
     from rich.progress import (
@@ -140,19 +141,33 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
         SpinnerColumn,
         TextColumn,
         TimeElapsedColumn,
+        TimeRemainingColumn,
     )
+
+    from cgtorch.ground.counted_work import listening
 
     console = Console(stderr=True)
     counted = (BarColumn(24), MofNCompleteColumn()) if total is not None else ()
+    left = (TextColumn("left"), TimeRemainingColumn()) if total is not None else ()
     progress = Progress(
         SpinnerColumn(),
         TextColumn("{task.description} …", markup=False),
         *counted,
         TimeElapsedColumn(),
+        *left,
         console=console,
         transient=True,
         disable=quiet or not console.is_terminal,
     )
-    with progress:
+    within: dict[str, Any] = {}
+
+    def show(what: str, done: int, of: int) -> None:
+        if what not in within:
+            within[what] = progress.add_task(what, total=of)
+        progress.update(within[what], completed=done, total=of)
+        if done == of:
+            progress.remove_task(within.pop(what))
+
+    with progress, listening(show):
         task = progress.add_task(message, total=total)
         yield lambda more: progress.advance(task, more)

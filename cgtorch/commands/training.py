@@ -16,6 +16,7 @@ from cgtorch.commands import guidance
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.counted_work import listening
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
@@ -176,7 +177,8 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
             )
         for line in _changes(taken):
             display.say(line)
-        with _board(run, run.all_settings() | (vars(goal) if auto else {})) as board:
+        settled = run.all_settings() | (vars(goal) if auto else {})
+        with listening(display.counted), _board(run, settled) as board:
 
             def watch(event: Event) -> None:
                 board(event)

@@ -66,6 +66,24 @@ class Estimate:
         return left + evolutions * (self._limit * self._per_generation + self._between)
 
 
+@dataclass(frozen=True)
+class Count:
+    """So much of some work is done, of so much in all, `seconds` after it began."""
+
+    done: int
+    total: int
+    seconds: float
+
+    @property
+    def text(self) -> str:
+        """How much is done, how fast, and how much longer it takes if it goes on like that."""
+        text = f"{self.done:,} of {self.total:,}"
+        if not self.done or self.seconds <= 0:
+            return text
+        speed = self.done / self.seconds
+        return f"{text}, {speed:.3g}/s, left {as_time((self.total - self.done) / speed)}"
+
+
 def stage_number(event: StageStarted) -> tuple[int, int]:
     """The number of the stage in the run, from 1, and the number of stages."""
     known = event.stage in event.stages

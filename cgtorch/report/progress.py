@@ -14,9 +14,10 @@ from rich.text import Text
 
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.improvement import events
-from cgtorch.report.estimate import Estimate, as_time, stage_number
+from cgtorch.report.estimate import Count, Estimate, as_time, stage_number
 from cgtorch.report.event_messages import few_kept, message_of
 
+OFTEN = 60.0  # s at least between two lines on the same work where there is no terminal
 ENOUGH = 30  # scenarios solved in the search, to say how many of them the world keeps
 
 
@@ -40,6 +41,8 @@ class ProgressDisplay:
         # Scenarios of candidates' groups that are solved in the search and in the world.
         self._solved = self._kept = 0
         self._working: list[tuple[str, float, Spinner]] = []
+        # Of counted work: when it began, when a line last told of it, and how far it is.
+        self._counts: dict[str, tuple[float, float, Count]] = {}
 
     def __enter__(self) -> Self:
         """Begin; elapsed time counts from here."""
@@ -101,6 +104,17 @@ class ProgressDisplay:
         finally:
             self._working.remove(entry)
 
+    def counted(self, what: str, done: int, total: int) -> None:
+        """Show how much is done of long work, until all is; see `cgtorch.ground.counted_work`."""
+        now = time.monotonic()
+        began, told, _ = self._counts.pop(what, (now, now, None)) if done else (now, now, None)
+        count = Count(done, total, now - began)
+        if done < total and now - told >= OFTEN:
+            self._plain(f"{what}: {count.text}")
+            told = now
+        if done < total:
+            self._counts[what] = began, told, count
+
     def say(self, line: str, style: str = "") -> None:
         """Print a line that stays, unless quiet."""
         if not self._quiet:
@@ -134,6 +148,8 @@ class ProgressDisplay:
         for message, began, spinner in list(self._working):
             frame = cast(Text, spinner.render(now))
             lines.append(_line(frame, f" {message} … {as_time(now - began)}"))
+        for what, (_, _, done) in list(self._counts.items()):
+            lines.append(_line((f"  {what}: {done.text}", "dim")))
         return Group(*lines)
 
 

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from cgtorch.commands.command import run_command
 from cgtorch.commands.options import waiting
+from cgtorch.ground.counted_work import counted
 
 
 @pytest.mark.parametrize(
@@ -27,10 +28,14 @@ def test_what_is_waited_for(
 
     monkeypatch.setattr("rich.console.Console", console)
     with waiting("trying S3 [on] 40", quiet, 40) as done:
+        more = counted("grasps in physics", 7)
+        more(3)
         done(40)
+        more(4)
     text = written.getvalue()
     assert ("trying S3 [on] 40 …" in text) == shown
     assert ("40/40" in text) == shown
+    assert ("grasps in physics" in text) == shown
     assert (text == "") == (not shown)
     assert not shown or text.endswith("\x1b[2K")  # the line is cleared
 

@@ -245,3 +245,36 @@ def test_what_an_unfinished_episode_is_worth_is_on_no_line(events: list[Event]) 
 
     assert "fitness best -2.000 mean -3.000  M " in shown([-4.0, -2.0, WORST, WORST / 1000])
     assert "fitness best – mean –  M " in shown([WORST, WORST / 1000])
+
+
+def test_long_work_shows_how_much_is_done_how_fast_and_what_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    display = ProgressDisplay(console(True))
+    display.counted("grasps in physics", 0, 1200)
+    assert snapshot(display) == ["  grasps in physics: 0 of 1,200"]
+    clock[0] += 20
+    display.counted("labels", 0, 50)
+    display.counted("grasps in physics", 300, 1200)
+    line = "  grasps in physics: 300 of 1,200, 15/s, left 1:00"
+    assert snapshot(display) == ["  labels: 0 of 50", line]
+    display.counted("labels", 50, 50)
+    assert snapshot(display) == [line]
+    display.counted("grasps in physics", 0, 10)  # others
+    assert snapshot(display) == ["  grasps in physics: 0 of 10"]
+
+
+def test_without_a_terminal_there_is_a_line_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    display = ProgressDisplay(console(False))
+    for done in range(0, 101, 2):
+        display.counted("grasps", done, 100)
+        clock[0] += 3
+    lines = text_of(display).splitlines()
+    assert lines == [
+        "grasps: 40 of 100, 0.667/s, left 1:30",
+        "grasps: 80 of 100, 0.667/s, left 0:30",
+    ]

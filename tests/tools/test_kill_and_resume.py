@@ -18,12 +18,13 @@ def test_a_training_that_is_killed_ends_as_one_left_alone(tmp_path: Path) -> Non
     assert "the same" in result.output
     found = results_of(tmp_path / "alone")
     assert {"S0/skill.json", "S0/scenarios.json", "ledger/S0.json"} <= set(found)
+    assert {"start/data.safetensors", "S0/gamma.safetensors"} <= set(found)
     assert found["fitness/best"]
     assert not list(tmp_path.glob("*/journal/S0"))
 
 
 def test_a_difference_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def train(run: Path, stage: str, seed: int, seconds: float | None = None) -> bool:
+    def train(run: Path, words: list[str], seconds: float | None = None) -> bool:
         run.mkdir(parents=True)
         return True
 

@@ -5,6 +5,7 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import Lanes, start_lanes
 from cgtorch.environment.dataset import Dataset
+from cgtorch.ground.counted_work import counted
 from cgtorch.tabletop.data.labels import grasp_labels
 from cgtorch.tabletop.data.poses import Scenes, poses_around
 
@@ -28,7 +29,7 @@ def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Ten
     Moves that are blocked or would leave the arena are not made.
     """
     rows: list[tuple[Tensor, Tensor, Tensor]] = []
-    have = 0
+    have, more = 0, counted("transitions", count)
     while have < count:
         robots = 2 + (count - have) // (2 * scenes.thrift)
         world = scenes.world(poses_around(scenes, robots, generator))
@@ -41,6 +42,7 @@ def drive(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Ten
             lanes = _either(ok, lanes, before)
             rows.append((before.percept[ok], motion[ok], lanes.percept[ok]))
             have += int(ok.sum())
+            more(int(ok.sum()))
     p, u, q = (torch.cat(part) for part in zip(*rows, strict=True))
     pick = torch.randperm(len(p), generator=generator)[:count]
     return p[pick], u[pick], q[pick]

@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.environment import start_lanes
+from cgtorch.ground.counted_work import counted
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.data.poses import Scenes, poses_around, poses_at_object
 from cgtorch.tabletop.world import Scenarios
@@ -41,7 +42,9 @@ def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tens
     anywhere, beside = int(ANYWHERE * count), int(BESIDE * count) // ROUNDS
     first = count - anywhere - ROUNDS * beside
     poses = poses_at_object(scenes, max(first, PROBE), generator)
+    answered = counted("labels", len(poses) + ROUNDS * beside + anywhere)
     percept, graspable = label(scenes, poses)
+    answered(len(poses))
     rate = float(graspable.float().mean())
     if not 0.01 < rate < 0.99:
         raise DataError(
@@ -54,7 +57,9 @@ def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tens
         more = more[nearest_to_boundary(more, percept, graspable, beside)]
         seen, answer = label(scenes, more)
         percept, graspable = torch.cat([percept, seen]), torch.cat([graspable, answer])
+        answered(beside)
     far, fails = label(scenes, poses_around(scenes, anywhere, generator, 2))
+    answered(anywhere)
     percept = torch.cat([percept[:first], percept[probes:], far])
     graspable = torch.cat([graspable[:first], graspable[probes:], fails])
     order = torch.randperm(count, generator=generator)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from cgtorch import native
 from cgtorch.ground import distributed
+from cgtorch.ground.counted_work import counted
 from cgtorch.ground.processes import in_processes
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics.drive import Watch, drive
@@ -63,7 +64,7 @@ class Physics:
 
 def drives(physics: Physics, rows: Tensor) -> Tensor:
     """(n, 11) base pose, object and whether it arrived, for scenes and goals (n, 16 + 5 K + 3)."""
-    return _asked(physics, b"drive", _drives, rows)
+    return _asked(physics, "motions", _drives, rows)
 
 
 def grasps(physics: Physics, rows: Tensor) -> Tensor:
@@ -71,25 +72,25 @@ def grasps(physics: Physics, rows: Tensor) -> Tensor:
 
     Inputs are scenes and where the object is seen (n, 16 + 5 K + 3).
     """
-    return _asked(physics, b"grasp", _grasps, rows)
+    return _asked(physics, "grasps", _grasps, rows)
 
 
-def _asked(physics: Physics, what: bytes, answer: Answer, rows: Tensor) -> Tensor:
+def _asked(physics: Physics, what: str, answer: Answer, rows: Tensor) -> Tensor:
     """Results (n, A), from the memo or simulated now."""
     if physics.watch is not None:
         return answer(physics, rows)
-    keys = [what + row.tobytes() for row in rows.numpy()]
+    keys = [what.encode() + row.tobytes() for row in rows.numpy()]
     new = {key: row for row, key in reversed([*enumerate(keys)]) if key not in physics.memo}
     order = sorted(new.values())
     if order:
-        found = _found(physics, answer, rows[order])
+        found = _found(physics, what, answer, rows[order])
         physics.memo.update((keys[row], one) for row, one in zip(order, found, strict=True))
     if not keys:
         return answer(physics, rows)
     return torch.stack([physics.memo[key] for key in keys])
 
 
-def _found(physics: Physics, answer: Answer, rows: Tensor) -> Tensor:
+def _found(physics: Physics, what: str, answer: Answer, rows: Tensor) -> Tensor:
     """Results (n, A), simulated on all ranks, and on each in several processes."""
     count = len(rows)
     if count < WORTH_SHARING:
@@ -103,7 +104,9 @@ def _found(physics: Physics, answer: Answer, rows: Tensor) -> Tensor:
     def work(part: int) -> Tensor:
         return answer(physics, mine[slice(*bounds[part])])
 
-    return distributed.all_gather(torch.cat(in_processes(work, parts, native.threads())), count)
+    more = counted(f"{what} in physics", len(mine))
+    found = in_processes(work, parts, native.threads(), lambda part: more(len(part)))
+    return distributed.all_gather(torch.cat(found), count)
 
 
 def _drives(physics: Physics, rows: Tensor) -> Tensor:

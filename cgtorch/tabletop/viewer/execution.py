@@ -1,5 +1,6 @@
 """One skill on one scenario, step by step, with everything that the page shows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -51,8 +52,16 @@ class Execution:
     message: Tensor
 
 
-def execute(skill: Skill, world: ObservedTabletop, scenario: int = 0) -> Execution:
-    """Run a skill on one scenario of a world with the percepts that the skill reads."""
+def execute(
+    skill: Skill,
+    world: ObservedTabletop,
+    scenario: int = 0,
+    ended: Callable[[], object] = lambda: None,
+) -> Execution:
+    """Run a skill on one scenario of a world with the percepts that the skill reads.
+
+    `ended` is called after each step.
+    """
     program, which = compile_graphs(skill.graph, skill.actions), torch.tensor([scenario])
     frames = first_frames(program, 1, skill.max_transitions)
     sizes = program.actions.message_size, program.actions.memory_size
@@ -63,6 +72,7 @@ def execute(skill: Skill, world: ObservedTabletop, scenario: int = 0) -> Executi
         nonlocal frames
         steps.append(_step(skill, program, frames, int(outcome)))
         seen.append(lanes.rows(torch.zeros_like(active)))
+        ended()
         # That something has changed keeps loops from being skipped, which only saves time.
         frames, _, _ = advance(program, frames, outcome, torch.ones(1, dtype=torch.bool))
 

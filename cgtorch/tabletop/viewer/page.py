@@ -15,10 +15,12 @@ import viser
 
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.physics import MujocoWorld
 from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.panel import headline, levels_html, readings_html
 from cgtorch.tabletop.viewer.scene import Scene
+from cgtorch.tabletop.viewer.simulated import simulated_timeline
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.general import DRAWS
@@ -117,9 +119,7 @@ class Page:
         """Run the chosen skills on a scenario and show them from the start."""
         names = [n for n in (self.skill.value, self.against.value) if n != NONE]
         chosen = [self.candidates[name] for name in names]
-        timelines = [
-            timeline_of(execute(c.skill, c.world(scenario)), c.domain.robot) for c in chosen
-        ]
+        timelines = [_timeline(candidate, scenario) for candidate in chosen]
         self.scenario = scenario
         with self.server.atomic():
             self.pause()
@@ -232,6 +232,14 @@ class Page:
         with self.lock:
             at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
             self.run(put_object(self.scenario, at), play=True)
+
+
+def _timeline(candidate: Candidate, scenario: Scenarios) -> Timeline:
+    """What a candidate does, as it is simulated or as it would be."""
+    skill, domain, world = candidate.skill, candidate.domain, candidate.world(scenario)
+    if isinstance(world, MujocoWorld):
+        return simulated_timeline(skill, domain, scenario)
+    return timeline_of(execute(skill, world), domain.robot)
 
 
 def open_page(

@@ -14,7 +14,8 @@ from viser.extras import ViserUrdf
 
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
-from cgtorch.tabletop.viewer.timeline import Timeline, joint_names
+from cgtorch.tabletop.physics.thing import Thing
+from cgtorch.tabletop.viewer.timeline import Timeline
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, moved, rotate
 from cgtorch.tabletop.world.percepts import BOX, present
 
@@ -22,10 +23,10 @@ Array = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 WOOD, LEG, OBJECT, BOX_COLOUR = (196, 154, 108), (120, 92, 66), (214, 39, 40), (140, 145, 152)
-DONE, AHEAD, SEEN, GOAL, REFUSED = (
-    (31, 119, 180), (150, 170, 192), (0, 150, 136), (255, 140, 0), (214, 39, 40),
+DONE, AHEAD, SEEN, GOAL, REFUSED, GRIP = (
+    (31, 119, 180), (150, 170, 192), (0, 150, 136), (255, 140, 0), (214, 39, 40), (255, 214, 10),
 )  # fmt: skip
-OBJECT_RADIUS, LEG_SIDE, OBSTACLE_HEIGHT = 0.03, 0.06, 0.35  # m
+OBJECT_RADIUS, LEG_SIDE, OBSTACLE_HEIGHT, CONTACT = Thing().size[0], 0.06, 0.35, 0.02  # m
 FLOOR = 0.006  # m above the floor that lines are drawn
 
 
@@ -53,12 +54,13 @@ class Scene:
             load_meshes=visual, load_collision_meshes=not visual,
         )  # fmt: skip
         self.rest = _rest(model, robot)
-        self.columns = [model.actuated_joint_names.index(n) for n in joint_names(robot)]
+        self.actuated = model.actuated_joint_names
+        self.columns: list[int] = []
         self.object = server.scene.add_cylinder(
             f"{name}/object", OBJECT_RADIUS, 2 * GRASP_HEIGHT, color=OBJECT
         )
         self.timeline: Timeline | None = None
-        self.frame = -1
+        self.frame, self.marked = -1, 0
 
     def remove(self) -> None:
         """Remove everything."""
@@ -67,6 +69,7 @@ class Scene:
     def load(self, timeline: Timeline) -> None:
         """Show another execution, from its start."""
         self.timeline, self.frame = timeline, -1
+        self.columns = [self.actuated.index(name) for name in timeline.names]
         scene, run = timeline.execution.scenario, timeline.execution
         self._table(scene.table[0])
         for k, box in enumerate(scene.obstacles[0]):
@@ -95,7 +98,11 @@ class Scene:
         x, y, turn = timeline.pose[frame].tolist()
         self.base.position = np.array([x, y, 0.0])
         self.base.wxyz = np.array([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)])
-        self.object.position = timeline.object[frame].numpy() + np.array([0.0, 0.0, GRASP_HEIGHT])
+        turned = viser.transforms.SO3(timeline.turned[frame].double().numpy())
+        middle = turned.apply(np.array([0.0, 0.0, GRASP_HEIGHT]))
+        self.object.position = timeline.object[frame].numpy() + middle
+        self.object.wxyz = turned.wxyz
+        self._contacts(timeline.contacts[frame].numpy())
         joints = timeline.joints[frame].double().numpy()
         if first or not np.array_equal(joints, self.rest[self.columns]):
             self.rest[self.columns] = joints
@@ -103,6 +110,17 @@ class Scene:
         self._lines("driven", _segments(timeline.pose[: frame + 1, :2]), DONE, 2 * FLOOR, 5)
         self._perceived(timeline, int(timeline.seen[frame]))
         self._asked(timeline, int(timeline.step[frame]))
+
+    def _contacts(self, points: Array) -> None:
+        """Where the robot presses on something (C, 4), in red where it should not."""
+        if not len(points) and not self.marked:
+            return
+        self.marked = len(points)
+        points = points if len(points) else np.zeros((1, 4))  # as a cloud has one point at least
+        self.server.scene.add_point_cloud(
+            f"{self.name}/contacts", points[:, :3], np.where(points[:, 3:] > 0, REFUSED, GRIP),
+            point_size=CONTACT, point_shape="circle", visible=self.marked > 0,
+        )  # fmt: skip
 
     def _table(self, table: Tensor) -> None:
         x, y, yaw, sx, sy, height = table.tolist()

@@ -1,12 +1,13 @@
 """From the steps of an execution to pictures in time: the positions of base, arms and object."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Detect, Grasp
+from cgtorch.actions import Action, Detect, Grasp
 from cgtorch.tabletop.kinematics import Robot, arm_ways
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT
 from cgtorch.tabletop.viewer.execution import Execution
@@ -21,22 +22,75 @@ THINK, LOOK, REST = 0.4, 0.8, 1.0
 """Durations (s) of a step without motion, of one that perceives, and of the end."""
 
 
+UPRIGHT = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+"""The quaternion of an object that stands, w first."""
+
+
+@dataclass(frozen=True)
+class Moves:
+    """F pictures, one at least, of a step; see `Timeline`."""
+
+    pose: Tensor
+    joints: Tensor
+    object: Tensor
+    turned: Tensor
+    contacts: tuple[Tensor, ...]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Moves"]) -> "Moves":
+        """One after the other."""
+        return cls(
+            torch.cat([part.pose for part in parts]),
+            torch.cat([part.joints for part in parts]),
+            torch.cat([part.object for part in parts]),
+            torch.cat([part.turned for part in parts]),
+            tuple(points for part in parts for points in part.contacts),
+        )
+
+    def __len__(self) -> int:
+        """F."""
+        return len(self.pose)
+
+    @property
+    def last(self) -> "Moves":
+        """The last picture, without its contacts."""
+        return Moves(self.pose[-1:], self.joints[-1:], self.object[-1:], self.turned[-1:], ())
+
+    def lasting(self, seconds: float) -> "Moves":
+        """The last picture for so long."""
+        none, rows = torch.zeros(0, 4, dtype=torch.float64), [-1] * _count(seconds)
+        return Moves(
+            self.pose[rows],
+            self.joints[rows],
+            self.object[rows],
+            self.turned[rows],
+            (none,) * len(rows),
+        )
+
+
 @dataclass(frozen=True)
 class Timeline:
     """F pictures of an execution, `FPS` per second.
 
     Attributes:
+        names: J joints, those of all arms first, one arm after the other.
         pose: (F, 3) base x, y (m), θ (rad).
-        joints: (F, J) positions of the joints of all arms, one arm after the other, rad or m.
-        object: (F, 3) where the object is, m.
+        joints: (F, J) positions of the joints, rad or m.
+        object: (F, 3) where the object stands or is held, its foot, m.
+        turned: (F, 4) its quaternion, w first.
+        contacts: F times (C, 4): points (m) where the robot presses on something, and 1 where it
+            should not, else 0.
         step: (F,) long, the present step.
         seen: (F,) long, the number of steps before the present percept.
     """
 
     execution: Execution
+    names: tuple[str, ...]
     pose: Tensor
     joints: Tensor
     object: Tensor
+    turned: Tensor
+    contacts: tuple[Tensor, ...]
     step: Tensor
     seen: Tensor
 
@@ -51,7 +105,7 @@ class Timeline:
 
 
 def joint_names(robot: Robot) -> tuple[str, ...]:
-    """The joints of the columns of `Timeline.joints`."""
+    """The joints of all arms, one arm after the other."""
     return tuple(name for arm in robot.arms for name in arm.joint_names)
 
 
@@ -64,28 +118,44 @@ def timeline_of(execution: Execution, robot: Robot) -> Timeline:
     scene = execution.scenario
     joints = torch.cat(robot.home).double()[None]
     thing = torch.cat([scene.object[0], scene.table[0, 5:6]]).double()[None]
-    pieces: list[list[Tensor]] = []
+    pieces = []
     for k, step in enumerate(execution.steps):
         before, after = execution.pose[k].double(), execution.pose[k + 1].double()
         there = execution.object[k + 1 : k + 2].double()
+        grasped = isinstance(step.action, Grasp) and step.outcome == "success"
         pose = _drive(before, after)
-        if isinstance(step.action, Grasp) and step.outcome == "success":
+        if grasped:
             joints, thing = _grasp(execution, k, robot, joints[-1], thing[-1])
         elif len(pose) == 1:
-            looks = isinstance(step.action, Detect | Grasp)
-            pose = pose.expand(_count(LOOK if looks else THINK), 3)
-        count = max(len(pose), len(joints))
-        seen = torch.full((count,), k)
-        seen[-1] = k + 1
-        moving = [_held(rows, count) for rows in (pose, joints, thing)]
-        pieces.append([*moving, torch.full((count,), k), seen])
-        grasped = isinstance(step.action, Grasp) and step.outcome == "success"
+            pose = pose.expand(_count(seconds_of(step.action)), 3)
+        pieces.append(_together(pose, joints, thing))
         joints, thing = joints[-1:], thing[-1:] if grasped else there
-    last, count = len(execution.steps), _count(REST)
-    still = [_held(rows, count) for rows in (execution.pose[-1:].double(), joints, thing)]
-    pieces.append([*still, torch.full((count,), max(0, last - 1)), torch.full((count,), last)])
-    pose, joints, thing, which, seen = (torch.cat(rows) for rows in zip(*pieces, strict=True))
-    return Timeline(execution, pose.float(), joints.float(), thing.float(), which, seen)
+    return laid_out(execution, joint_names(robot), pieces)
+
+
+def laid_out(execution: Execution, names: tuple[str, ...], pieces: Sequence[Moves]) -> Timeline:
+    """The pictures of all steps one after the other, and the last one for a while."""
+    rest = pieces[-1].lasting(REST)
+    every, steps = Moves.joined([*pieces, rest]), len(pieces)
+    which = [torch.full((len(moves),), k) for k, moves in enumerate(pieces)]
+    seen = [torch.cat([rows[1:], rows[:1] + 1]) for rows in which]
+    which.append(torch.full((len(rest),), max(0, steps - 1)))
+    seen.append(torch.full((len(rest),), steps))
+    rows = every.pose.float(), every.joints.float(), every.object.float(), every.turned.float()
+    return Timeline(execution, names, *rows, every.contacts, torch.cat(which), torch.cat(seen))
+
+
+def seconds_of(action: Action) -> float:
+    """How long a step of an action lasts that moves nothing (s)."""
+    return LOOK if isinstance(action, Detect | Grasp) else THINK
+
+
+def _together(*rows: Tensor) -> Moves:
+    """Poses, joints and objects of a step, each with its last row again until all are as long."""
+    count = max(map(len, rows))
+    pose, joints, thing = (_held(each, count) for each in rows)
+    none = torch.zeros(0, 4, dtype=torch.float64)
+    return Moves(pose, joints, thing, UPRIGHT.expand(count, 4), (none,) * count)
 
 
 def _count(seconds: float) -> int:

@@ -8,6 +8,7 @@ import torch
 from cgtorch import native
 from cgtorch.environment import Lanes, start_lanes
 from cgtorch.environment.dry_run import check_environment
+from cgtorch.ground.counted_work import listening
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld, Physics, questions
@@ -79,6 +80,19 @@ def test_nothing_is_asked_twice(physics: Physics, monkeypatch: pytest.MonkeyPatc
     assert torch.equal(done, done_again)
     assert done.tolist()[2] is False, "too far"
     assert torch.equal(world.success(again)[1], found[1])
+
+
+def test_how_many_questions_are_answered_is_told(robot: Robot) -> None:
+    """Of those that are new, and of each kind."""
+    told: list[tuple[str, int, int]] = []
+    world = MujocoWorld(stage_scenarios("near", 8), Physics(robot))
+    lanes = start_lanes(world, torch.arange(8), 3, 0)
+    with listening(lambda *given: told.append(given)):
+        for _ in range(2):
+            world.step(lanes, torch.tensor([[0.2, 0.0, 0.0]]).expand(8, 3))
+    assert told[0] == ("motions in physics", 0, 8)
+    assert [done for _, done, _ in told] == sorted({done for _, done, _ in told})
+    assert told[-1] == ("motions in physics", 8, 8)
 
 
 def test_noise_changes_the_question(physics: Physics) -> None:

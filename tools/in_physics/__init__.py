@@ -1,0 +1,1 @@
+"""What grasps and skills come to when physics carries them out."""

@@ -1,0 +1,27 @@
+"""A finer search for an arm's way than the one that labels are made with; it takes far longer."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from unittest.mock import patch
+
+from cgtorch.tabletop.kinematics import grasp_lines, rrt_connect, way_search
+from cgtorch.tabletop.kinematics.arm import ArmModel
+
+FINER = 4
+
+
+@contextmanager
+def finer_search() -> Iterator[None]:
+    """Within it `graspable` and `arm_ways` look more closely.
+
+    The pan angle is sampled four times as closely, every posture is looked at at every approach,
+    and ways are planned ten times as long to many more of them.
+    """
+    usual = ArmModel.candidates
+    with (
+        patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, 36 * FINER)),
+        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=36 * FINER),
+        patch.object(way_search, "PLANNED", 20),
+        patch.object(rrt_connect, "ROUNDS", 1000),
+    ):
+        yield
