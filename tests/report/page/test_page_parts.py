@@ -55,7 +55,7 @@ def test_the_course_of_the_reference_run() -> None:
     assert {name: end - first + 1 for name, first, end in course.stages} == {
         name: count for name, count in counts.items() if count
     }
-    best = contents.told.scalars["fitness/best"]
+    best = contents.events.scalars["fitness/best"]
     lines = course.lines(best)
     assert [x for line in lines for x, _ in line] == list(range(1, len(best) + 1))
     assert {line[-1][0] for line in lines} == set(course.ends)
