@@ -39,11 +39,12 @@ class Moves:
     @classmethod
     def joined(cls, parts: Sequence["Moves"]) -> "Moves":
         """One after the other."""
-        tensors = (
+        pose, joints, thing, turned = (
             torch.cat([getattr(part, name) for part in parts])
             for name in ("pose", "joints", "object", "turned")
         )
-        return cls(*tensors, tuple(points for part in parts for points in part.contacts))
+        points = tuple(points for part in parts for points in part.contacts)
+        return cls(pose, joints, thing, turned, points)
 
     def __len__(self) -> int:
         """F."""
@@ -58,8 +59,9 @@ class Moves:
         """The last picture for so long."""
         count = _count(seconds)
         rows = self.pose, self.joints, self.object, self.turned
+        pose, joints, thing, turned = (row[-1:].expand(count, -1) for row in rows)
         none = torch.zeros(0, 4, dtype=torch.float64)
-        return Moves(*(row[-1:].expand(count, -1) for row in rows), (none,) * count)
+        return Moves(pose, joints, thing, turned, (none,) * count)
 
 
 @dataclass(frozen=True)
