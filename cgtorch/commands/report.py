@@ -40,8 +40,10 @@ def command(
 
     from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
+    from cgtorch.tabletop.physics.engine import draw_without_display
 
     torch.set_num_threads(1)
+    draw_without_display()
     with options.waiting(f"drawing {run}", quiet):
         page = report_page(run, actions, domain)
     write_bytes(output, page)

@@ -1,6 +1,5 @@
 """`cgtorch-view`: watch a skill at work in the browser."""
 
-import os
 from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
@@ -110,16 +109,16 @@ def _film(
     """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
-    if "DISPLAY" not in os.environ:
-        os.environ.setdefault("MUJOCO_GL", "egl")  # which MuJoCo reads when it is imported
     with importing():
         import torch
 
         from cgtorch.ground.files import write_bytes
+        from cgtorch.tabletop.physics.engine import draw_without_display
         from cgtorch.tabletop.physics.film import film_of
         from cgtorch.tabletop.viewer.choice import scenario_of
 
     torch.set_num_threads(1)
+    draw_without_display()
     chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, "mujoco")
     scenario = scenario_of(chosen.kind, count, seed, 0)
     with options.waiting(f"filming {chosen.skill.name}", rest["quiet"]):

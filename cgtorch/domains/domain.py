@@ -43,6 +43,8 @@ from cgtorch.simulation.model import anything
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from cgtorch.graphs import Skill
+
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a domain."""
 
@@ -250,6 +252,13 @@ class Domain(ABC, Generic[S]):
 
         `targets` (B,) bool marks the test scenarios of a stage. A report shows the figure's label
         (`Figure.set_label`) below it.
+        """
+        return None
+
+    def film(self, skill: "Skill", scenarios: S) -> bytes | None:
+        """An animated WebP picture of a skill on the first scenario; None if the domain has none.
+
+        A report shows it. CgtorchError if it cannot be drawn on this machine.
         """
         return None
 

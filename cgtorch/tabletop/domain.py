@@ -60,6 +60,8 @@ from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from cgtorch.graphs import Skill
+
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
@@ -302,6 +304,14 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.draw_scenarios`: the scenes from above."""
         footprint = self.robot.description.footprint
         return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
+
+    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
+        """See `Domain.film`: what MuJoCo's renderer sees of it in physics."""
+        from cgtorch.tabletop.physics.film import film_of  # which is about this class
+
+        if self.settings.world != "mujoco":
+            return None
+        return film_of(skill, self, scenarios, "webp")[1]
 
     def draw_stage(self, stage: str) -> str:
         """See `Domain.draw_stage`: the paper's drawing of an experiment."""

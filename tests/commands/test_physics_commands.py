@@ -58,3 +58,21 @@ def test_an_animated_picture_of_a_skill(run: Path, tmp_path: Path) -> None:
     assert ended.code == 0, ended.err
     assert "ends in success" in ended.out
     assert film.read_bytes()[:3] == b"GIF"
+
+
+def test_the_report_of_a_run_in_physics_has_a_film(run: Path, tmp_path: Path) -> None:
+    """Or says why there is none; the page still needs nothing else."""
+    folder, page = tmp_path / "run", tmp_path / "report.html"
+    shutil.copytree(run, folder)
+    about = json.loads((folder / "run.json").read_text())
+    about["domain_settings" if "domain_settings" in about else "settings"]["world"] = "mujoco"
+    (folder / "run.json").write_text(json.dumps(about))
+    ended = in_a_shell("cgtorch-report", str(folder), "--output", str(page), "--quiet")
+    assert ended.code == 0, ended.err
+    text = page.read_text()
+    if "There is no film of S3: MuJoCo cannot draw here" in text:  # without a graphics library
+        assert "<img" not in text
+        return
+    assert text.count('<img src="data:image/webp;base64,') == 1
+    assert "img-src data:" in text
+    assert "film" not in (ended.out + ended.err)

@@ -1,6 +1,7 @@
 """The page: the contents of a run's folder, in a template."""
 
 import shlex
+from base64 import b64encode
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +11,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from cgtorch.domains.registry import is_code
+from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import place_of
 from cgtorch.ground.interval import wilson
 from cgtorch.ground.version import __version__
@@ -44,6 +46,7 @@ def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = 
 
 def _context(contents: Contents) -> dict[str, Any]:
     run, domain = contents.run, contents.run.domain
+    film, undrawn = _film(contents)
     names = {**versions(), **domain.made_with()}
     return {
         "name": run.folder.resolve().name,
@@ -55,7 +58,8 @@ def _context(contents: Contents) -> dict[str, Any]:
         "stages": stage_sections(contents),
         "results": [stage.result for stage in contents.stages],
         "usual": run.kind == domain.usual_kind,
-        "missing": _missing(contents),
+        "film": film,
+        "missing": [*_missing(contents), *undrawn],
         "success": _success(contents),
         **_evolution(contents),
         "models": model_quality(contents),
@@ -73,6 +77,22 @@ def _interval(succeeded: int, tried: int) -> str:
     """The 95 % confidence interval of a share."""
     low, high = wilson(succeeded, tried, 0.95)
     return f"95 %: {low:.1%} to {high:.1%}"
+
+
+def _film(contents: Contents) -> tuple[str, list[str]]:
+    """A moving picture of the last skill on something that it has solved, as a URL; "" if none.
+
+    Also, why it could not be drawn.
+    """
+    solved = [stage for stage in contents.stages if len(stage.solved)]
+    if not solved:
+        return "", []
+    skill, scenarios = solved[-1].skill, solved[-1].solved
+    try:
+        data = contents.run.domain.film(skill, scenarios[len(scenarios) - 1 :])
+    except CgtorchError as e:
+        return "", [f"There is no film of {skill.name}: {e}."]
+    return "data:image/webp;base64," + b64encode(data).decode() if data else "", []
 
 
 def _missing(contents: Contents) -> list[str]:

@@ -16,6 +16,7 @@ from cgtorch.tabletop.kinematics.urdf import MOST
 KINDS = (".stl", ".dae", ".obj")
 MAX_BYTES = 32 * 2**20
 MAX_TRIANGLES = 500_000
+MAX_TAGS = 400_000  # of a DAE; each is an object of a hundred bytes or more
 MAX_INSTANCES = 10_000  # of a DAE's nodes, which may stand for one another
 _REFERENCES = "{*}instance_node", "{*}instance_geometry"
 
@@ -33,6 +34,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     if kind not in KINDS:
         raise RobotError(f"{where} is none of {', '.join(KINDS)}: convert it to one of these")
     data, unit = read_bytes(path, MAX_BYTES, RobotError), 1.0
+    if kind == ".obj":
+        _check_corners(data, where)
     if kind == ".dae":
         data, unit = _checked_collada(data, where)
     try:
@@ -61,12 +64,26 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
 
 
+def _check_corners(data: bytes, where: str) -> None:
+    """RobotError if an OBJ's faces have far more corners than is allowed, before they are read."""
+    # A face may go on in the next line, which begins with a number then.
+    faces = (line for line in io.BytesIO(data) if not line.lstrip().startswith((b"v", b"#")))
+    corners = sum(line.count(b" ") + line.count(b"\t") for line in faces)
+    if corners > 6 * MAX_TRIANGLES:  # twice as many as triangles need, as blanks may be doubled
+        raise RobotError(
+            f"{where} has faces with {corners} corners: give from 1 to {MAX_TRIANGLES} triangles, "
+            "as many as show its form"
+        )
+
+
 def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
     """A DAE without anything that could name other files, and its unit, m."""
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
         remove_comments=True, remove_pis=True,
     )  # fmt: skip
+    if data.count(b"<") > 2 * MAX_TAGS:
+        raise RobotError(f"{where} has more than {MAX_TAGS} elements: give fewer")
     try:
         root = etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:

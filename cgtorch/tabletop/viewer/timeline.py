@@ -39,13 +39,12 @@ class Moves:
     @classmethod
     def joined(cls, parts: Sequence["Moves"]) -> "Moves":
         """One after the other."""
-        return cls(
-            torch.cat([part.pose for part in parts]),
-            torch.cat([part.joints for part in parts]),
-            torch.cat([part.object for part in parts]),
-            torch.cat([part.turned for part in parts]),
-            tuple(points for part in parts for points in part.contacts),
+        pose, joints, thing, turned = (
+            torch.cat([getattr(part, name) for part in parts])
+            for name in ("pose", "joints", "object", "turned")
         )
+        points = tuple(points for part in parts for points in part.contacts)
+        return cls(pose, joints, thing, turned, points)
 
     def __len__(self) -> int:
         """F."""
@@ -58,14 +57,11 @@ class Moves:
 
     def lasting(self, seconds: float) -> "Moves":
         """The last picture for so long."""
-        none, rows = torch.zeros(0, 4, dtype=torch.float64), [-1] * _count(seconds)
-        return Moves(
-            self.pose[rows],
-            self.joints[rows],
-            self.object[rows],
-            self.turned[rows],
-            (none,) * len(rows),
-        )
+        count = _count(seconds)
+        rows = self.pose, self.joints, self.object, self.turned
+        pose, joints, thing, turned = (row[-1:].expand(count, -1) for row in rows)
+        none = torch.zeros(0, 4, dtype=torch.float64)
+        return Moves(pose, joints, thing, turned, (none,) * count)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 import io
 import re
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -116,6 +118,43 @@ def test_files_and_meshes_that_are_too_large(tmp_path, monkeypatch):
     assert "has 12 triangles: give from 1 to 11" in refused(tmp_path / "a.stl", data)
     monkeypatch.setattr(meshes, "MAX_BYTES", len(data) - 1)
     assert f"larger than {len(data) - 1} bytes" in refused(tmp_path / "a.stl", data)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        (
+            "a.obj",
+            "v 0 0 0\n" * 3 + "f" + " 1 2 3" * 5_000_000 + "\n",
+            "15000000 corners: give from",
+        ),
+        ("a.obj", "v 0 0 0\n" * 3 + "f" + " 1 2 3 \\\n" * 3_000_000, "corners: give from"),
+        ("a.obj", "v 0 0 0\n" * 3 + "f 1 2 3\n" * 4_000_000, "corners: give from 1 to 500000"),
+        ("a.dae", COLLADA.format("<a/>" * 7_000_000), "more than 400000 elements"),
+        (
+            "a.stl",
+            b"\0" * 80 + (600_000).to_bytes(4, "little") + b"\0" * 50 * 600_000,
+            "600000 tri",
+        ),
+    ],
+    ids=("one face", "lines that go on", "faces", "elements", "triangles"),
+)
+def test_memory_is_bounded(tmp_path, name, data, message):
+    """A file of up to 32 MiB is refused before it takes a gigabyte."""
+    (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    program = (
+        "import resource, sys; from pathlib import Path\n"
+        "from cgtorch.tabletop.kinematics.meshes import read_mesh\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try: read_mesh(Path(sys.argv[1]))\n"
+        "except Exception as error: print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    words = [sys.executable, "-c", program, str(tmp_path / name)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    said, more = done.stdout.splitlines()
+    assert message in said
+    assert int(more) < 2**20  # KiB
 
 
 def test_no_file(tmp_path):

@@ -1,6 +1,7 @@
 """Merged links are where the library's own kinematics have them, and weigh what the URDF says."""
 
 import json
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -64,6 +65,36 @@ def test_merged_inertia_is_that_of_the_parts(robot: Robot) -> None:
     whole = rigid_bodies(robot, (), held)[0]
     about = whole.inertia[2, 2] + whole.mass * (whole.centre[:2] @ whole.centre[:2])
     assert moment[2] == pytest.approx(about, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('value="25.8"', 'value="nan"', "line 118: mass value is 'nan'"),
+        ('value="25.8"', 'value="1e30"', "mass value is '1e30'"),
+        ('value="25.8"', 'value="-1"', "l_shoulder_pan_link.*mass -1"),
+        ('ixx="0.2982" ixy="0"', 'ixx="inf" ixy="0"', "line 119: inertia ixx is 'inf'"),
+        ('ixx="0.2982" ixy="0"', 'ixx="0.2982" ixy="9"', "l_shoulder_pan_link.*inertia of -8"),
+    ],
+)
+def test_masses_that_cannot_be_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = (robots_folder() / "pr2" / "pr2.urdf").read_text()
+    at = text.index('<link name="l_shoulder_pan_link"')
+    shutil.copy(robots_folder() / "pr2" / "robot.json", tmp_path)
+    (tmp_path / "pr2.urdf").write_text(text[:at] + text[at:].replace(old, new, 1))
+    with pytest.raises(RobotError, match=message):
+        build(load_robot(tmp_path / "pr2.urdf"), 0, 0, Thing())
+
+
+def test_links_without_mass_or_inertia_are_simulated(tmp_path: Path) -> None:
+    text = (robots_folder() / "pr2" / "pr2.urdf").read_text()
+    at = text.index('<link name="l_shoulder_pan_link"')
+    shutil.copy(robots_folder() / "pr2" / "robot.json", tmp_path)
+    for old, new in (('value="25.8"', 'value="0"'), ('ixx="0.2982"', 'ixx="0"')):
+        (tmp_path / "pr2.urdf").write_text(text[:at] + text[at:].replace(old, new, 1))
+        model = build(load_robot(tmp_path / "pr2.urdf"), 0, 0, Thing())
+        assert (model.model.body_inertia[1:] >= 0).all()
+        assert numpy.isfinite(model.model.body_inertia).all()
 
 
 def test_an_inertia_that_cannot_be_is_named(tmp_path: Path) -> None:
