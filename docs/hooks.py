@@ -74,13 +74,14 @@ def settings_tables() -> str:
 
 def _settings(kind: type) -> str:
     rows = [
-        "| setting | meaning | default | values | when to change it | fixed |",
-        "|---|---|---|---|---|---|",
+        "| setting | meaning, and when to change it | default | values | fixed |",
+        "|---|---|---|---|---|",
     ]
     for f in fields(kind):
         about = f.metadata
         fixed = "yes" if about["fixed"] else "no"
-        cells = f"`{f.name}`", about["help"], _default(kind, f), _values(f), about["when"], fixed
+        meaning = f"{about['help']} *{about['when']}*"
+        cells = f"`{f.name}`", meaning, _default(kind, f), _values(f), fixed
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
