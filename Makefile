@@ -44,7 +44,7 @@ prose: setup  ## Check README, documentation, help texts and docstrings against 
 	$(BIN)/python tools/check_prose.py
 
 docs: setup  ## Build the documentation into site/
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 types: setup  ## Check types
 	$(BIN)/mypy

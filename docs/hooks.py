@@ -18,7 +18,7 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.settings import MOST
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import RunSettings
-from cgtorch.tabletop.settings import PHYSICS_DEFAULTS, TabletopSettings
+from cgtorch.tabletop.settings import TabletopSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in (ROOT / "cgtorch").glob("*/__init__.py"))
@@ -30,7 +30,6 @@ REFERENCE = {
 """Each page of the reference: its title, and the modules that it shows."""
 OTHER_DEFAULTS = {
     "tabletop": TabletopSettings.run_defaults,
-    "tabletop with `--world mujoco`": PHYSICS_DEFAULTS,
     "Gymnasium": GymnasiumSettings.run_defaults,
 }
 """Defaults of settings of a run where they are others than usual, by domain."""

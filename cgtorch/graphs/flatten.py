@@ -37,7 +37,7 @@ class Level:
         sub: The level that a node enters, `NO_NODE` if it is no sub-skill.
         heads: The slots that outcomes lead to, `NO_NODE` for terminal ones; of a sub-skill, only
             that of its failure.
-        cheapest: [c][slot] the fewest actions in which a run makes c more transitions.
+        cheapest: `[c][slot]` is the fewest actions in which a run makes c more transitions.
     """
 
     skill: Skill
