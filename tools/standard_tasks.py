@@ -1,4 +1,4 @@
-"""Measure this library and its peers on ten standard tasks, with the same worlds and budgets.
+"""Measure this library and its peers on standard tasks, with the same worlds and budgets.
 
     python tools/standard_tasks.py [--only cartpole] [--library evosax] [--seeds 0:10] [--jobs 2]
                                    [--json] [--output FILE]
