@@ -249,7 +249,7 @@ def test_what_has_failed_is_said_and_made_again(
     words += ["--output", str(tmp_path / "results.json")]
     made = []
 
-    def apart(task: str, library: str, seed: int) -> Found:
+    def apart(task: str, library: str, seed: int, cpu_seconds: float) -> Found:
         made.append(seed)
         if made == [3]:
             return standard_tasks._failed(task, library, seed, "it broke")
@@ -267,7 +267,7 @@ def test_what_has_failed_is_said_and_made_again(
 
 def test_a_process_that_dies_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standard_tasks, "_search", os._exit)  # which takes no such arguments
-    found = standard_tasks.apart("cartpole", "cgtorch", 0)
+    found = standard_tasks.apart("cartpole", "cgtorch", 0, 1.0)
     assert (found.note, found.solved) == ("failed: exit code 1", False)
 
 
@@ -293,12 +293,12 @@ def test_an_error_becomes_a_note(
 
     monkeypatch.setattr("standard.ours.search", search)
     answers: Any = Answers()
-    standard_tasks._search(answers, "cartpole", "cgtorch", 0)
+    standard_tasks._search(answers, "cartpole", "cgtorch", 0, BUDGETS["cartpole"])
     assert [(each.note, each.solved, each.evaluations) for each in answers] == [(note, False, 7)]
     assert asdict(answers[0])["seed"] == 0
 
 
 def test_a_library_that_cannot_be_imported_is_said_so(one_missing: None) -> None:
     answers: Any = Answers()
-    standard_tasks._search(answers, "cartpole", "evosax", 0)
+    standard_tasks._search(answers, "cartpole", "evosax", 0, BUDGETS["cartpole"])
     assert answers[0].note.startswith("failed: cannot be imported (")
