@@ -61,6 +61,7 @@ Work: TypeAlias = tuple[str, str, int]
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
+@click.option("--kept-only", is_flag=True, help="Measure nothing, show what --output holds.")
 @click.option("--figure", type=click.Path(path_type=Path), help="Whose rows are replaced.")
 def command(
     only: tuple[str, ...],
@@ -70,6 +71,7 @@ def command(
     jobs: int,
     as_json: bool,
     output: Path | None,
+    kept_only: bool,
     figure: Path | None,
 ) -> None:
     """Measure what is not kept yet, and print what has come out."""
@@ -78,6 +80,8 @@ def command(
     there = [name for name in libraries if importlib.util.find_spec(EVERY[name].package)]
     kept = _kept(output)
     work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
+    if kept_only:
+        work = [each for each in work if each in kept]
     for found in measured([each for each in work if each not in kept], cpu_seconds, jobs):
         kept[found.task, found.library, found.seed] = found
         click.echo(_line(found), err=True)

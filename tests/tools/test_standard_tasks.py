@@ -222,6 +222,8 @@ def test_the_command(one_missing: None, tmp_path: Path, monkeypatch: pytest.Monk
     assert [Found(**each).evaluations for each in kept] == [ours["evaluations_median"]]
     monkeypatch.setattr(standard_tasks, "apart", None)  # nothing is made again
     assert json.loads(run(*words, "--json").stdout)["tasks"] == whole["tasks"]
+    further = run(*words, "--seeds", "0:3", "--kept-only", "--json")
+    assert json.loads(further.stdout)["tasks"] == whole["tasks"]
     lines = run(*words).stdout.splitlines()
     assert len(lines) == 4
     assert lines[2].startswith("| CartPole | cgtorch | 1 of 1 | ")
