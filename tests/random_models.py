@@ -11,7 +11,7 @@ from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.grasp_features import grasp_features
 from cgtorch.tabletop.world import (
-    ClearWay,
+    ClearMotion,
     TabletopWorld,
     cluttered_scenarios,
     general_scenarios,
@@ -82,7 +82,7 @@ def random_models(
         percepts,
         random_gamma(seed).predict_with_novelty,
         random_classifier(seed, percepts),
-        ClearWay(torch.tensor(FOOTPRINT, dtype=torch.float64)),
+        ClearMotion(torch.tensor(FOOTPRINT, dtype=torch.float64)),
         errors=noise if errors else None,
         most_novel=0.9,
         compiled=compiled_models,
@@ -105,7 +105,7 @@ def models_as(
         environment.percepts.to(device, dtype),
         gamma.predict_with_novelty,
         classifier,
-        ClearWay(environment.possible.footprint.to(device, dtype)),  # type: ignore[attr-defined]
+        ClearMotion(environment.possible.footprint.to(device, dtype)),  # type: ignore[attr-defined]
         errors=None if errors is None else errors.to(device, dtype),
         most_novel=environment.most_novel,
         compiled=environment.compiled,

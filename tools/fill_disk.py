@@ -6,7 +6,7 @@
 A small run is made elsewhere without a disturbance. Then, again and again, it is made on the small
 file system, where all but a random part of what it needs is taken. It must end with exit code 2 and
 one line, and once there is space again, the same command must end as the run left alone, in all
-that `kill_and_resume.told` compares.
+that `kill_and_resume.results_of` compares.
 """
 
 import os
@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from kill_and_resume import SMALL, told
+from kill_and_resume import SMALL, results_of
 
 SMALLEST, LARGEST = 16 * 2**20, 2**30  # bytes of a file system that is filled
 
@@ -43,7 +43,7 @@ def command(folder: Path, times: int, stage: str, seed: int, options: str) -> No
     words = ["--stage", stage, "--seed", str(seed), *shlex.split(options)]
     with tempfile.TemporaryDirectory() as elsewhere:
         complete(alone := Path(elsewhere) / "alone", words)
-        wanted, needed = told(alone), used(alone)
+        wanted, needed = results_of(alone), used(alone)
     done = 0
     while done < times:
         shutil.rmtree(run, ignore_errors=True)
@@ -57,7 +57,7 @@ def command(folder: Path, times: int, stage: str, seed: int, options: str) -> No
         if left := [str(p) for p in run.rglob(".*.tmp")]:
             raise click.ClickException(f"with {space} bytes it leaves {left[0]}")
         complete(run, words)
-        if (found := told(run)) != wanted:
+        if (found := results_of(run)) != wanted:
             odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
             raise click.ClickException(f"with {space} bytes {run} differs in {', '.join(odd)}")
         done += 1

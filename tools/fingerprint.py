@@ -21,7 +21,7 @@ from pathlib import Path
 
 import click
 import torch
-from kill_and_resume import SMALL, told
+from kill_and_resume import SMALL, results_of
 from measure_ranks import torchrun
 
 from cgtorch import native
@@ -92,8 +92,8 @@ def train(run: Path, stage: str, seed: int, ranks: int) -> None:
 
 def fingerprint(run: Path) -> str:
     """16 hexadecimal digits of what a run came to."""
-    told_json = json.dumps(told(run), sort_keys=True)
-    return hashlib.sha256(told_json.encode()).hexdigest()[:16]
+    results = json.dumps(results_of(run), sort_keys=True)
+    return hashlib.sha256(results.encode()).hexdigest()[:16]
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from hostile.formats import FORMATS
 
 PATIENCE, START = 10.0, 300.0  # s for an answer, and for a worker to be ready
 LEAST = 1000  # inputs of a format
-TOLD, KEPT = 5, 20  # failures of a format
+SHOWN, KEPT = 5, 20  # failures of a format
 
 
 @dataclass
@@ -66,7 +66,7 @@ def command(count: int, seed: int, only: str | None, first: int, keep: Path | No
     for name, inputs in ({only: count} if only else shares(count)).items():
         tallies[name] = tally = fuzzed(name, seed, first, first + inputs, keep)
         click.echo(line(name, tally) if len(tallies) > 1 else f"{HEAD}\n{line(name, tally)}")
-        for number, what in tally.failed[:TOLD]:
+        for number, what in tally.failed[:SHOWN]:
             again = f"--only '{name}' --seed {seed} --first {number} --count 1"
             click.echo(f"  {what}\n    again: python tools/fuzz.py {again}")
     if len(tallies) > 1:

@@ -41,7 +41,7 @@ def command(folder: Path, kills: int, stage: str, seed: int) -> None:
     began = time.monotonic()
     train(folder / "alone", stage, seed)
     usual = time.monotonic() - began
-    wanted, survived, runs = told(folder / "alone"), 0, 0
+    wanted, survived, runs = results_of(folder / "alone"), 0, 0
     while survived < kills:
         run = folder / f"killed-{runs}"
         shutil.rmtree(run, ignore_errors=True)
@@ -72,7 +72,7 @@ def train(run: Path, stage: str, seed: int, seconds: float | None = None) -> boo
     return True
 
 
-def told(run: Path) -> dict[str, Any]:
+def results_of(run: Path) -> dict[str, Any]:
     """All that a run has come to but times: its files by name, and its history of fitness."""
     names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
@@ -84,8 +84,8 @@ def told(run: Path) -> dict[str, Any]:
 
 
 def check_same(run: Path, wanted: dict[str, Any]) -> None:
-    """ClickException unless a run has come to what is wanted, as `told` tells it."""
-    if (found := told(run)) != wanted:
+    """ClickException unless a run has come to what is wanted, as `results_of` gives it."""
+    if (found := results_of(run)) != wanted:
         odd = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
         raise click.ClickException(f"{run} differs in {', '.join(odd)}")
 

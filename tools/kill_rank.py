@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import click
-from kill_and_resume import SMALL, check_same, told, train
+from kill_and_resume import SMALL, check_same, results_of, train
 
 PATIENCE = 20.0  # times what one process takes
 
@@ -35,7 +35,7 @@ def command(folder: Path, kills: int, ranks: int, stage: str, seed: int) -> None
     began = time.monotonic()
     train(folder / "alone", stage, seed)
     usual = time.monotonic() - began
-    wanted, survived = told(folder / "alone"), 0
+    wanted, survived = results_of(folder / "alone"), 0
     while survived < kills:
         run = folder / f"killed-{survived}"
         shutil.rmtree(run, ignore_errors=True)

@@ -83,8 +83,8 @@ def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
     made = len(read_json(run / "summary.json")["stages"])
-    told = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
-    return {**told, "solved": solved, **found}
+    about = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    return {**about, "solved": solved, **found}
 
 
 def _ended(run: Path, rounds: int) -> bool:
@@ -140,8 +140,8 @@ def _tried(run: Path) -> dict[str, Any]:
     program = str(Path(sys.executable).with_name("cgtorch-evaluate"))
     test = ["--count", str(EPISODES), "--seed", str(FRESH_SEED), "--json"]
     words = [program, str(run), *test]
-    told = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    found = json.loads(told)
+    output = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    found = json.loads(output)
     return {name: found[name] for name in ("mean_return", "succeeded", "tried")}
 
 

@@ -98,8 +98,12 @@ def evaluate_as_rank(population: int, repeats: int) -> None:
             seconds.append(time.perf_counter() - began)
         if ranks.first():
             digest = hashlib.sha256(result.scores.numpy().tobytes()).hexdigest()
-            told = {"seconds": seconds[1:], "transitions": result.transitions, "fitness": digest}
-            click.echo(json.dumps(told))
+            measured = {
+                "seconds": seconds[1:],
+                "transitions": result.transitions,
+                "fitness": digest,
+            }
+            click.echo(json.dumps(measured))
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def run_command(command: click.Command) -> None:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort):
         resumes = any(parameter.name == "resume" for parameter in command.params)
-        kept = "; what was done is kept, go on with --resume" if resumes else ""
+        kept = "; finished work is kept; continue with --resume" if resumes else ""
         _end(name, f"interrupted{kept}", 1)
     except OSError as e:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""

@@ -123,7 +123,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
             f"of which {promised['succeeded']} succeeded in the world, {_confidence(promised)}"
         )
     if noise is not None:
-        click.echo(f"of W, met by other noise when it was accepted, {_as_text(noise)}")
+        click.echo(f"W under other noise, when it was accepted: {_as_text(noise)}")
 
 
 def _returns_as_text(score: "Score", target: float) -> str:

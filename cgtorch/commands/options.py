@@ -88,7 +88,7 @@ domain_option = click.option(
 
 world_option = click.option(
     "--world",
-    help="Try it in another world of its domain: of the tabletop kinematic, or mujoco for physics."
+    help="The world to try the skill in. The tabletop has kinematic and mujoco (physics)."
     "  [that of the run]",
 )
 

@@ -24,55 +24,62 @@ NO_JOINT = "none"
 
 @click.command("cgtorch-robot", epilog=options.epilog(EXAMPLES))
 @click.argument("urdf", metavar="URDF", type=click.Path(path_type=Path))
-@options.output_option("The robot folder to make; its last part must not be there yet.")
+@options.output_option("The robot folder to make; it must not exist yet.")
 @click.option(
     "--package-path",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="A folder in which the packages of package:// lie, or such a package; may be given more "
-    "than once. Those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are looked through, too.",
+    help="A folder that contains ROS packages, which the URDF names by package://, or one such "
+    "package. Repeat the option for several. ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are searched "
+    "as well.",
 )
-@click.option("--name", "robot_name", help="What the robot is called.  [as in the URDF]")
-@click.option("--base-frame", help="The link on the floor that all is relative to.  [the root]")
+@click.option("--name", "robot_name", help="The name of the robot.  [as in the URDF]")
+@click.option(
+    "--base-frame", help="The base link, on the floor; positions are relative to it.  [the root]"
+)
 @click.option(
     "--footprint",
     type=float,
     nargs=4,
     metavar="X_MIN X_MAX Y_MIN Y_MAX",
-    help="The body seen from above, m.  [what stands near the floor]",
+    help="The outline of the base seen from above, m.  [of the shapes near the floor]",
 )
 @click.option(
-    "--torso-joint", help="The joint that lifts the arms, or none.  [the slide below all arms]"
+    "--torso-joint",
+    help="The joint that lifts the arms, or none.  [the prismatic joint below all arms]",
 )
-@click.option("--torso-position", type=float, help="Where it stays, m.  [shoulders 1 m high]")
+@click.option(
+    "--torso-position", type=float, help="The position of the torso joint, m.  [shoulders 1 m high]"
+)
 @click.option(
     "--arm",
     "arms",
     multiple=True,
     metavar="NAME=BASE_LINK:TOOL_FRAME",
-    help="An arm, from the link that carries it to its tool frame, of which x leads along the "
-    "approach and y across the fingers; may be given more than once.  [chains that end in hands]",
+    help="An arm, from the link that carries it to its tool frame, whose x axis points along the "
+    "approach and whose y axis points across the fingers. Repeat the option for several arms.  "
+    "[chains that end in hands]",
 )
 @click.option(
     "--body",
     multiple=True,
     metavar="LINK",
-    help="A link that arms must not touch; may be given more than once.  [all that move with no "
-    "arm and are not low]",
+    help="A link that arms must not touch. Repeat the option for several.  [all links that no arm "
+    "moves, except those near the floor]",
 )
 @click.option(
     "--hold",
     multiple=True,
     metavar="JOINT=POSITION",
-    help="Where a joint outside the arms stays, rad or m; may be given more than once.  [fingers "
-    "open, others at 0]",
+    help="The position of a joint outside the arms, rad or m. Repeat the option for several.  "
+    "[fingers open, others at 0]",
 )
 @click.option(
     "--home",
     multiple=True,
     metavar="JOINT=POSITION",
-    help="Where a joint of an arm is while the robot drives, rad or m; may be given more than "
-    "once.  [a computed posture]",
+    help="The position of an arm joint while the robot drives, rad or m. Repeat the option for "
+    "several.  [a computed posture]",
 )
 @options.common_options
 def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: Any) -> None:
@@ -106,7 +113,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
     )
     with options.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
         made = make_robot_folder(urdf, output, wishes, package_path)
-    for line in _told(made, output):
+    for line in _summary(made, output):
         click.echo(line)
 
 
@@ -128,7 +135,7 @@ def _position(option: str, text: str) -> tuple[str, float]:
         raise SettingsError(f"{option} is {text!r}; give JOINT=POSITION") from None
 
 
-def _told(made: "Made", folder: Path) -> list[str]:
+def _summary(made: "Made", folder: Path) -> list[str]:
     """What was made, and what a person should look at."""
     words, robot = made.robot.description, made.robot
     x0, x1, y0, y1 = words.footprint

@@ -111,13 +111,13 @@ def fastest_device(run: Run) -> torch.device:
     actions = run.actions.actions
     known = all(a.native_kind and a.native_kind not in WITH_MEMORY for a in actions)
     known &= ranks.count() == 1
-    name, why, other = "cpu", f"is as fast for a population of {population}", "cuda"
+    name, why, other = "cpu", f"is as fast as a GPU for a population of {population}", "cuda"
     if not known or launcher_of(gpu) is None:
         why = "is faster, as a GPU has no kernels for this run"
     elif population >= WORTH_A_GPU:
         name, why, other = "cuda", f"is faster for a population of {population}", "cpu"
     if ranks.first():
-        click.echo(f"device: {name}, which {why}; --device {other} takes the other", err=True)
+        click.echo(f"device: {name}, which {why}; --device {other} selects the other one", err=True)
     return torch.device(name)
 
 
@@ -168,7 +168,7 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
         if not auto and stage in missing[1:]:
             earlier = ", ".join(missing[: missing.index(stage)])
             display.say(
-                f"{stage} needs {earlier} first; {run.folder} lacks them, so they are made as well"
+                f"{stage} builds on {earlier}, which {run.folder} lacks; they are made first"
             )
         for line in _changes(taken):
             display.say(line)
@@ -195,18 +195,18 @@ def _changes(taken: TakenOver) -> Iterator[str]:
     versions = [name for name in ("cgtorch", "torch", "engine") if name in taken.changed]
     for name in (n for n in taken.changed if n not in versions):
         was, now = taken.changed[name]
-        yield f"{name} is {now} in place of {was}{again}"
+        yield f"{name} is {now} instead of {was}{again}"
     if versions:
         was, now = (
             " and ".join(f"{name} {taken.changed[name][i]!s:.20}" for name in versions)
             for i in (0, 1)
         )
         yield (
-            f"run {taken.run.folder} was made with {was} so far, this is {now}: what is finished "
-            f"stays, what comes may differ from what {was} would make{again}"
+            f"run {taken.run.folder} was made with {was} so far, this is {now}: finished stages "
+            f"stay, later results may differ from those of {was}{again}"
         )
     if taken.set_aside:
-        yield f"what {taken.before} had come to is in {taken.run.folder / taken.set_aside}"
+        yield f"the unfinished work on {taken.before} is in {taken.run.folder / taken.set_aside}"
 
 
 def _board(run: Run, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
@@ -235,4 +235,4 @@ def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) ->
         return f"has reached its goal of {aim:.4g}"
     if not rounds:
         return "has made no round; raise --minutes"
-    return f"has not reached its goal of {aim:.4g}; go on with --resume"
+    return f"has not reached its goal of {aim:.4g}; continue with --resume"

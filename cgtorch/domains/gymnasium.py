@@ -122,8 +122,8 @@ class Gymnasium(Domain[Starts]):
             return given
         if own is None:
             raise DomainError(
-                f"environment {self.settings.environment!r} says no return from which it is "
-                "solved; give one with --target"
+                f"environment {self.settings.environment!r} names no return from which "
+                "it counts as solved; give one with --target"
             )
         return own
 

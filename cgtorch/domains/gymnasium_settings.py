@@ -24,13 +24,13 @@ class GymnasiumSettings(DomainSettings):
     environment: str = option(
         "CartPole-v1",
         "Id of the environment, as in the domain's name.",
-        "the run is about it",
+        "the run was made for it",
         when="It follows from --domain gymnasium:ENV_ID.",
     )
     target_return: float = option(
         math.inf,
         "Return from which an episode counts as solved; by default the environment's threshold.",
-        "W is what has that return",
+        "W was selected by that return",
         least=-math.inf,
         most=math.inf,
         when="Give --target if the environment has no threshold.",

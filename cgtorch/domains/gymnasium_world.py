@@ -62,8 +62,8 @@ class Episode:
         """Go on from an earlier step; WorldError if it came to that step in another way."""
         if step >= len(self.keys) or self.keys[step] != key:
             raise WorldError(
-                "a lane cannot go on from where it is, as its Gymnasium environment has gone "
-                "another way since; run each lane from its start"
+                "a lane cannot continue from this step, because its Gymnasium environment has "
+                "moved on; run each lane from its start"
             )
         if step < len(self.actions):
             before = self.actions[:step]

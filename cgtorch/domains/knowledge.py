@@ -15,7 +15,7 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset
-from cgtorch.evolution.islands import generator_of
+from cgtorch.evolution.islands import derived_generator
 from cgtorch.ground.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import MOST_NOVEL, Compile, Possible
@@ -76,7 +76,7 @@ def fit_models(
     unless it is to be done `alone`, in this process, as what has to do with other ranks must be.
     What finds out `more` must not draw from a generator that is used later.
     """
-    data, aside = parted(dataset)
+    data, aside = hold_out(dataset)
 
     def part(number: int) -> Any:
         if number == 0:
@@ -89,7 +89,7 @@ def fit_models(
     return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside), found
 
 
-def parted(dataset: Dataset) -> tuple[Dataset, Dataset]:
+def hold_out(dataset: Dataset) -> tuple[Dataset, Dataset]:
     """The data without every tenth row, and these rows."""
     moves = torch.arange(len(dataset.percept)) % ASIDE == ASIDE - 1
     tests = torch.arange(len(dataset.succeeded)) % ASIDE == ASIDE - 1
@@ -141,7 +141,7 @@ def imagine(
     rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)
     percepts = percepts.repeat_interleave(replicas, 0)
     errors = residual[rows] * noisy(percepts)[:, None]
-    own = generator_of(generator, CHANCE)
+    own = derived_generator(generator, CHANCE)
     seeds = torch.randint(2**31, (len(percepts),), generator=own)
     return ModelEnvironment(
         percepts.to(device),
@@ -170,7 +170,7 @@ def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Kn
     with torch.no_grad():
         believed = knowledge.classifier(experience.tested) > 0.5
     surprise = believed != experience.succeeded
-    new, aside = parted(sampled(experience, surprise, MOST_NEW, generator))
+    new, aside = hold_out(sampled(experience, surprise, MOST_NEW, generator))
     known = knowledge.dataset, new, knowledge.aside
     transitions = [(data.percept, data.control, data.next_percept) for data in known]
     tests = [(data.tested, data.succeeded) for data in known]
@@ -217,4 +217,4 @@ def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
     if len(gamma.machine.centres) <= SWIFT_CENTRES:
         return gamma
     with torch.no_grad():
-        return gamma.compacted(SWIFT_CENTRES, dataset.percept, dataset.control)
+        return gamma.with_fewer_centres(SWIFT_CENTRES, dataset.percept, dataset.control)

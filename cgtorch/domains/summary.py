@@ -59,7 +59,7 @@ def _errors(report: TransitionReport) -> str:
 def _learned(name: str, acceptance: Acceptance) -> str:
     """What was decided about a model that learned on."""
     if acceptance.accepted:
-        return f"{name} has learned on"
+        return f"{name} was trained on more data"
     return (
         f"{name} stays as it was, since its error on earlier data would be "
         f"{acceptance.after:.4f} instead of {acceptance.before:.4f}"

@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
-from cgtorch.svm import SVR, compact, inputs
+from cgtorch.svm import SVR, fit_reduced_set, inputs
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel
 LN2 = math.log(2)
@@ -181,10 +181,10 @@ class TransitionModel(LearnedModel):
         else:
             self.reach = torch.ones_like(self.machine.gamma_value)
 
-    def compacted(self, centres: int, percept: Tensor, control: Tensor) -> Self:
-        """A model of fewer centres that says nearly the same (`cgtorch.svm.compact`)."""
+    def with_fewer_centres(self, centres: int, percept: Tensor, control: Tensor) -> Self:
+        """A model of fewer centres that says nearly the same (`cgtorch.svm.fit_reduced_set`)."""
         smaller, features = deepcopy(self), self.features(percept, control)
-        smaller.machine = compact(self.machine, centres, features)
+        smaller.machine = fit_reduced_set(self.machine, centres, features)
         smaller.measure_reach(features)  # few centres lie further apart
         return smaller
 

@@ -1,4 +1,4 @@
-"""What a running skill starts from, sees, acts in and experiences."""
+"""The interfaces between skills and worlds: scenarios, lanes, environments, datasets."""
 
 from cgtorch.environment.dataset import Dataset as Dataset
 from cgtorch.environment.environment import Environment as Environment

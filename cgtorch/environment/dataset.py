@@ -1,4 +1,4 @@
-"""Experience of a world: what Γ and C are learned from."""
+"""Data collected in a world, from which Γ and C are learned."""
 
 from dataclasses import dataclass, fields
 
@@ -15,7 +15,7 @@ class Dataset:
         control: (N, U) u.
         next_percept: (N, D) p′.
         tested: (L, D) percepts at which success was tested.
-        succeeded: (L,) bool, what the world said there.
+        succeeded: (L,) bool, the results of these tests.
     """
 
     percept: Tensor
@@ -25,13 +25,13 @@ class Dataset:
     succeeded: Tensor
 
     def extended(self, more: "Dataset") -> "Dataset":
-        """Both datasets, the rows of `more` last."""
+        """Both datasets, with the rows of `more` last."""
         return Dataset(
             *(torch.cat([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self))
         )
 
     def whole(self, percept_size: int | None = None) -> bool:
-        """Whether the tensors, which may be anything, fit one another, and D, and are finite."""
+        """Whether untrusted tensors are finite and fit one another, and percepts have D numbers."""
         n, d = (*self.percept.shape, 0, 0)[:2]
         return (
             self.percept.shape == self.next_percept.shape == (n, d)

@@ -1,7 +1,7 @@
-"""Dry runs: what others plug in is tried on two rows at the door, where errors can say what it is.
+"""Dry runs: user-defined parts are tried on two rows before anything long begins.
 
-That is done once, before anything long begins, with actions, Γ and C, and whole environments. Each
-error names the method, what it returned, and what it should have.
+Actions, Γ, C and whole environments are tried once. Each error names the method, what it returned,
+and what it should return.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,12 @@ ROWS = 2
 
 
 def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
-    """(2,) long, the first two indices of so many, or twice the only one."""
+    """(2,) long, the first two of `count` indices, or twice the only one."""
     return torch.tensor([0, min(1, count - 1)], device=device)
 
 
 def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *given: Any) -> Any:
-    """What a method returns; whatever it raises becomes an `error` that names it."""
+    """The result of a method; any exception becomes an `error` that names the method."""
     try:
         with torch.no_grad():
             return method(*given)
@@ -34,7 +34,7 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
 
 
 def reason(e: Exception) -> str:
-    """What an exception says, in one short line."""
+    """The message of an exception, in one short line."""
     return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
 
 
@@ -46,9 +46,10 @@ def expect(
     shape: Sequence[int],
     dtype: torch.dtype,
 ) -> None:
-    """An `error` unless a value is a tensor of that shape and type.
+    """Raise `error` unless a value is a tensor of that shape and type.
 
-    It is about `who`, such as "action 'Wave': forward", and `what` of several things it returned.
+    The message begins with `who`, such as "action 'Wave': forward", and names `what` if the method
+    returns several things.
     """
     if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
         raise error(
@@ -58,7 +59,7 @@ def expect(
 
 
 def kind(value: object) -> str:
-    """What a value is, in a few words."""
+    """A short description of a value."""
     if isinstance(value, Tensor):
         return f"a tensor {tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
     if isinstance(value, tuple) and len(value) < 5:
@@ -67,14 +68,14 @@ def kind(value: object) -> str:
 
 
 def expect_pair(error: type[CgtorchError], who: str, what: str, value: object) -> tuple[Any, Any]:
-    """The two things that should have been returned; an `error` if these are not two."""
+    """The two elements of a returned pair; `error` if it is not a pair."""
     if not isinstance(value, tuple) or len(value) != 2:
         raise error(f"{who} returned {kind(value)}; return ({what})")
     return value
 
 
 def copied(lanes: Lanes) -> Lanes:
-    """The same lanes in memory of their own."""
+    """A copy of the lanes."""
     return Lanes(*(getattr(lanes, f.name).clone() for f in fields(Lanes)))
 
 

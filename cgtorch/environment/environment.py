@@ -1,7 +1,7 @@
-"""What a running skill starts from, sees, and acts in: scenarios, lanes, environments.
+"""The interfaces that skills run in: scenarios, lanes, environments.
 
-A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes, and
-every place a skill can run in, models or worlds, is an `Environment`: a step returns new lanes.
+A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes.
+Everything that skills run in, model or world, is an `Environment`, and a step returns new lanes.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -13,11 +13,11 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class ScenarioBatch:
-    """B states of a world that a skill starts from.
+    """B initial states of a world.
 
-    A subclass is a frozen dataclass of tensors of B rows, of whatever a world needs to know, such
-    as where things stand or a seed; it needs nothing more than its fields. A skill that is run
-    again on a scenario must do the same again, so noise is part of a scenario, too.
+    A subclass is a frozen dataclass of tensors with B rows: whatever the world needs to know, such
+    as positions or a seed. It needs only its fields. A skill that runs again on a scenario must
+    behave in the same way, so the noise of the world belongs to the scenario.
     """
 
     def __len__(self) -> int:
@@ -27,12 +27,12 @@ class ScenarioBatch:
         return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def joined(self, *more: Self) -> Self:
-        """These scenarios, and more of them after these."""
+        """These scenarios, followed by more."""
         parts = (self, *more)
         return type(self)(*(torch.cat([getattr(s, f.name) for s in parts]) for f in fields(self)))
 
     def with_noise(self, copy: int) -> Self:
-        """The same under other noise; copy 0 is the scenarios themselves. Here nothing is noisy."""
+        """The same scenarios with other noise; copy 0 is unchanged. By default nothing is noisy."""
         return self
 
 
@@ -42,12 +42,12 @@ class Lanes:
 
     Attributes:
         percept: (n, D) what the robot perceives.
-        state: (n, S) what the environment keeps of each lane; never seen by actions.
-        message: (n, M) the message travelling along the edges.
+        state: (n, S) what the environment stores for each lane; actions never see it.
+        message: (n, M) the message on the current edge.
         has_message: (n,) bool, whether a message has been sent yet.
         memory: (n, C) the common memory of a lane's nodes; an action sees its part of it.
-        scenario: (n,) long, which scenario the lane runs on.
-        step: (n,) long, how many actions the lane has executed.
+        scenario: (n,) long, the index of the lane's scenario.
+        step: (n,) long, the number of actions that the lane has executed.
     """
 
     percept: Tensor
@@ -71,16 +71,16 @@ class Lanes:
         return type(self)(percept, state, *rest)
 
     def part(self, which: slice) -> Self:
-        """Some of the lanes, which lie where these do."""
+        """Some of the lanes, as views of the same memory."""
         return type(self)(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def differs(self, other: "Lanes") -> Tensor:
-        """(n,) bool, whether anything but the step count differs from lanes of the same rows."""
+        """(n,) bool, whether anything except the step count differs from lanes of the same rows."""
         changed = torch.zeros(len(self), dtype=torch.bool, device=self.percept.device)
         for f in fields(self):
-            mine, theirs = getattr(self, f.name), getattr(other, f.name)
-            if mine is not theirs and f.name not in ("scenario", "step"):
-                changed |= (mine != theirs).view(len(self), -1).any(1)
+            one, two = getattr(self, f.name), getattr(other, f.name)
+            if one is not two and f.name not in ("scenario", "step"):
+                changed |= (one != two).view(len(self), -1).any(1)
         return changed
 
     def with_memory(self, part: slice) -> Self:
@@ -88,7 +88,7 @@ class Lanes:
         return replace(self, memory=self.memory[:, part])
 
     def write(self, which: slice, before: "Lanes", after: "Lanes") -> None:
-        """Overwrite in place some lanes with what differs between two versions of them."""
+        """Overwrite some lanes in place with the differences between two versions of them."""
         for f in fields(self):
             value = getattr(after, f.name)
             if value is not getattr(before, f.name):
@@ -96,10 +96,10 @@ class Lanes:
 
 
 def rows_where(mask: Tensor) -> Tensor:
-    """Rows (k,) long that hold all for which `mask` (n,) is true: these alone, or on a GPU all.
+    """(k,) long, rows with all for which `mask` (n,) is true: exactly these, or all rows on a GPU.
 
-    To count them there would make the host wait for it in the middle of a step. What is found out
-    about such rows counts only where the mask is true.
+    Counting them on a GPU would make the host wait in the middle of a step. So results for such
+    rows are used only where the mask is true.
     """
     few = mask.is_cpu and not torch.compiler.is_compiling()  # an exported graph knows no counts
     return mask.nonzero()[:, 0] if few else torch.arange(len(mask), device=mask.device)
@@ -107,15 +107,15 @@ def rows_where(mask: Tensor) -> Tensor:
 
 @runtime_checkable
 class Environment(Protocol):
-    """Where skills run: a transition model, a world, or a user's own domain.
+    """Where skills run: a learned model, a world, or a user's own domain.
 
-    All methods are batched and must treat rows independently, so that a result never depends on
-    which other lanes happen to be in the batch.
+    All methods are batched and must treat rows independently, so that a result never depends on the
+    other lanes of the batch.
     """
 
     @property
     def num_scenarios(self) -> int:
-        """How many scenarios the environment holds."""
+        """The number of scenarios, B."""
         ...
 
     @property
@@ -141,47 +141,47 @@ class Environment(Protocol):
         ...
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
-        """Lanes that may remember it, and the probability in [0, 1] (n,) that the task succeeds.
+        """The probability (n,) in [0, 1] that the task succeeds here and now; a world gives 0 or 1.
 
-        That is here and now; a world says 0 or 1. Nothing about the lanes changes that an action
-        could notice.
+        Also returned are the lanes, whose states may store the result. Nothing about the lanes may
+        change that an action could notice.
         """
         ...
 
 
 @runtime_checkable
 class Seeded(Protocol):
-    """An environment whose scenarios have seeds of their own, for actions that are stochastic.
+    """An environment whose scenarios have their own seeds, for stochastic actions.
 
-    It is for environments that can hold the same scenario under another index.
+    It is needed where the same scenario can have several indices.
     """
 
     @property
     def seeds(self) -> Tensor:
-        """(B,) long, one of each scenario."""
+        """(B,) long, one seed per scenario."""
         ...
 
 
 @runtime_checkable
 class Rewarded(Protocol):
-    """An environment that gives rewards, in episodes that come to an end.
+    """An environment with rewards, in episodes that end.
 
-    A lane whose episode is over ends, wherever it is in its graph, and has succeeded if
-    `Environment.success` says so. One that ends before has not finished its episode: it gets no
-    return at all, so that a skill which does nothing gains nothing by it.
+    When its episode is over, a lane ends, at whatever node it is. It has succeeded if
+    `Environment.success` says so. A lane that ends earlier has not finished its episode and gets no
+    return, so a skill gains nothing by doing nothing.
     """
 
     def over(self, lanes: Lanes) -> Tensor:
-        """(n,) bool, whether the episodes of lanes are over, by their states alone."""
+        """(n,) bool, whether the episodes of lanes are over, judged by their states alone."""
         ...
 
     def returns(self, lanes: Lanes) -> Tensor:
-        """(n,) float, the sums of the rewards so far."""
+        """(n,) float, the sums of rewards so far."""
         ...
 
 
 def seeds_of(environment: Environment, scenario: Tensor) -> Tensor:
-    """(n,) long, the seeds of scenarios (n,): their indices where the environment has none."""
+    """(n,) long, the seeds of scenarios (n,), or their indices if the environment has no seeds."""
     return environment.seeds[scenario] if isinstance(environment, Seeded) else scenario
 
 

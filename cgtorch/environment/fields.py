@@ -1,4 +1,4 @@
-"""What the numbers of a percept or a control are: names, units and bounds."""
+"""Names, units and bounds of the numbers of a percept or a control."""
 
 import math
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ class Field:
     """One number of a percept or a control; DomainError for an unknown kind or impossible bounds.
 
     Attributes:
-        name: what it is called in pictures, reports and exported code.
-        unit: such as "m"; an angle is in rad.
-        low: the least that it can be; of a control, the least that is worth trying.
-        high: the most.
+        name: Its name in pictures, reports and exported code.
+        unit: Such as "m"; an angle is in rad.
+        low: The smallest possible value; of a control, the smallest that is worth trying.
+        high: The largest.
         kind: "number"; "angle", which is the same after a whole turn; or "discrete", a whole
             number.
     """
@@ -45,7 +45,7 @@ class Field:
 def named(
     *names: str, unit: str = "", low: float = -math.inf, high: float = math.inf
 ) -> tuple[Field, ...]:
-    """Fields that differ in their names only."""
+    """Fields that differ only in their names."""
     return tuple(Field(name, unit, low, high) for name in names)
 
 
@@ -55,17 +55,17 @@ def columns_of(fields: Sequence[Field], kind: str) -> list[int]:
 
 
 def bounds_of(fields: Sequence[Field]) -> tuple[Tensor, Tensor]:
-    """The least (D,) and the most (D,) that the fields can be."""
+    """The lower bounds (D,) and upper bounds (D,) of the fields."""
     return torch.tensor([f.low for f in fields]), torch.tensor([f.high for f in fields])
 
 
 def wrapped(angle: Tensor) -> Tensor:
-    """Angles in rad, brought to [-π, π)."""
+    """Angles in rad, wrapped to [-π, π)."""
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
 def within_bounds(values: Tensor, fields: Sequence[Field]) -> Tensor:
-    """Values (..., D) within the bounds of their fields, angles by whole turns where possible."""
+    """Values (..., D) clamped to the bounds of their fields; angles are wrapped if possible."""
     low, high = (bound.to(values) for bound in bounds_of(fields))
     angles = columns_of(fields, "angle")
     if not angles:
@@ -78,7 +78,7 @@ def within_bounds(values: Tensor, fields: Sequence[Field]) -> Tensor:
 
 
 def as_features(values: Tensor, fields: Sequence[Field]) -> Tensor:
-    """Values (..., D) with sine and cosine in place of each angle, which come last."""
+    """Values (..., D) in which the sine and cosine of each angle replace it, at the end."""
     angles = columns_of(fields, "angle")
     if not angles:
         return values

@@ -1,4 +1,4 @@
-"""Algorithm 2: evolving computational graphs, the whole population in batched tensors."""
+"""Algorithm 2: evolution of computational graphs, with the whole population in batched tensors."""
 
 from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state

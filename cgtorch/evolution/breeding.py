@@ -1,4 +1,4 @@
-"""The next population from the one before: the elite and children (Algorithm 2, lines 7 to 12)."""
+"""The next population: the elite and the children (Algorithm 2, lines 7 to 12)."""
 
 from torch import Generator, Tensor
 
@@ -19,7 +19,7 @@ def next_population(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """The elite and children of individuals that were evaluated."""
+    """The next population: the elite of the evaluated individuals, and children."""
     population, size = evaluated.population, settings.population
     order, scores = evaluated.order, evaluated.scores
     elite, pairs = order[: settings.elite], (size - settings.elite + 1) // 2
@@ -30,12 +30,12 @@ def next_population(
     elite, best = elite.to(home), int(order[0])
     if settings.crossover is crossover and settings.mutation is mutate:
         sizes = settings.capacity, settings.tau, size
-        following = offspring(population, elite, parents, actions, generator, *sizes)
+        individuals = offspring(population, elite, parents, actions, generator, *sizes)
     else:
         children = _children(population, parents, settings, actions, generator)
-        following = join(slim(population[elite]), children)[:size]
+        individuals = join(slim(population[elite]), children)[:size]
     return EvolutionState(
-        population=following,
+        population=individuals,
         generation=state.generation + 1,
         best=population[best : best + 1],
         best_fitness=float(evaluated.fitness[best]),
@@ -50,7 +50,7 @@ def _children(
     actions: ActionSet,
     generator: Generator,
 ) -> Population:
-    """As many children as parents (2 Q,), by operators of which one at least is of one's own."""
+    """As many children as parents (2 Q,), where the user has replaced crossover or mutation."""
     graphs, q = population.graphs, len(parents) // 2
     slots = min(int(graphs.num_nodes.max()) + 1, settings.capacity)
     sizes = slots, graphs.edges.shape[2], graphs.parameters.shape[2]

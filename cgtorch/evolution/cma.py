@@ -1,9 +1,9 @@
-"""CMA-ES: a normal distribution of parameters that follows what was good (Hansen 2016).
+"""CMA-ES: a normal distribution of parameters that adapts to the best samples (Hansen 2016).
 
-Equations and constants are those of Hansen, "The CMA Evolution Strategy: A Tutorial"
-(arXiv:1604.00772). Of more than `MOST_FULL` parameters only variances are learned, by the larger
-rates of sep-CMA-ES (Ros and Hansen, "A simple modification in CMA-ES achieving linear time and
-space complexity", PPSN 2008).
+The equations and constants are those of Hansen, "The CMA Evolution Strategy: A Tutorial"
+(arXiv:1604.00772). With more than `MOST_FULL` parameters, only the variances are learned, at the
+higher learning rates of sep-CMA-ES (Ros and Hansen, "A simple modification in CMA-ES achieving
+linear time and space complexity", PPSN 2008).
 """
 
 import math
@@ -13,9 +13,9 @@ import torch
 from torch import Generator, Tensor
 
 MOST_FULL = 200
-"""Parameters up to which their covariances are learned, too."""
+"""The largest number of parameters for which covariances are learned."""
 LEAST_VARIANCE = 1e-20
-"""Of any direction, in units of the squared step."""
+"""The least variance of any direction, in units of the squared step size."""
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
@@ -24,11 +24,11 @@ class Distribution:
 
     Attributes:
         mean: (n,).
-        step: the step size σ.
-        covariance: C, (n, n), or its diagonal (n,) of more than `MOST_FULL` parameters.
+        step: The step size σ.
+        covariance: C (n, n), or only its diagonal (n,) for more than `MOST_FULL` parameters.
         path: (n,) the evolution path of C.
-        step_path: (n,) the evolution path of the step.
-        updates: how many there have been.
+        step_path: (n,) the evolution path of the step size.
+        updates: Number of updates so far.
     """
 
     mean: Tensor
@@ -40,7 +40,7 @@ class Distribution:
 
 
 def initial_distribution(mean: Tensor, deviation: Tensor) -> Distribution:
-    """The distribution around a mean (n,) with these deviations (n,) and no correlations."""
+    """The uncorrelated distribution with a mean (n,) and standard deviations (n,)."""
     n, mean, variance = len(mean), mean.double(), deviation.double().square()
     zeros = torch.zeros_like(mean)
     covariance = variance.diag() if n <= MOST_FULL else variance
@@ -48,7 +48,7 @@ def initial_distribution(mean: Tensor, deviation: Tensor) -> Distribution:
 
 
 def usual_count(parameters: int) -> int:
-    """The default number λ of samples."""
+    """The default number λ of samples per generation."""
     return 4 + int(3 * math.log(max(1, parameters)))
 
 
@@ -61,7 +61,7 @@ def sampled(distribution: Distribution, count: int, generator: Generator) -> Ten
 
 
 def axes(covariance: Tensor) -> tuple[Tensor | None, Tensor]:
-    """Principal axes (n, n), or None where they are the parameters' own, and deviations (n,)."""
+    """Principal axes (n, n), or None for a diagonal covariance, and standard deviations (n,)."""
     if covariance.dim() == 1:
         return None, covariance.clamp_min(LEAST_VARIANCE).sqrt()
     variance, basis = torch.linalg.eigh(covariance)
@@ -69,7 +69,7 @@ def axes(covariance: Tensor) -> tuple[Tensor | None, Tensor]:
 
 
 def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Distribution:
-    """The distribution after samples (λ, n) of it had such a fitness (λ,), more being better."""
+    """The distribution after an update by samples (λ, n) and their fitness (λ,); more is better."""
     old, n, count = distribution, len(distribution.mean), len(samples)
     weights = _weights(count)
     mass = 1 / float(weights.square().sum())  # μ_eff
@@ -115,7 +115,7 @@ class _Rates:
 
 
 def _weights(count: int) -> Tensor:
-    """(μ,) positive weights of the better half of so many samples; their sum is 1."""
+    """(μ,) positive weights of the better half of `count` samples; their sum is 1."""
     ranks = torch.arange(1, count // 2 + 1, dtype=torch.float64)
     weights = math.log((count + 1) / 2) - ranks.log()
     return weights / weights.sum()

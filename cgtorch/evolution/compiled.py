@@ -1,7 +1,7 @@
-"""Operators in C (`cgtorch/native/engine`), one individual after the other, as they are in torch.
+"""The genetic operators in C (`cgtorch/native/engine`), one individual at a time.
 
-Those in torch run where there is no compiler, or graphs are not of a size or type that the sources
-take. Both give the same children to the last bit.
+The operators in torch run instead if there is no compiler, or if the sizes or types of the graphs
+are not supported in C. Both give the same children, bit for bit.
 """
 
 from collections.abc import Mapping
@@ -21,33 +21,33 @@ from cgtorch.native.interface import agree
 
 
 def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
-    """Whether graphs, parameters of such a type, and so many slots are for compiled operators."""
+    """Whether the compiled operators support these graphs, parameter types and numbers of slots."""
     _, n, o = graphs.edges.shape
     return (
-        function("changed", parameters.dtype) is not None
-        and function("bred", torch.float32) is not None
+        function("perturb_parameters", parameters.dtype) is not None
+        and function("breed", torch.float32) is not None
         and within_limits(max(n, slots), o)
         and all(is_whole(x) for x in (graphs.action, graphs.edges, graphs.start))
     )
 
 
 def within_limits(nodes: int, outcomes: int) -> bool:
-    """Whether compiled operators have room for graphs of so many nodes and outcomes."""
+    """Whether the compiled operators support graphs with so many nodes and outcomes."""
     limits = _limits()
     return nodes <= limits["MOST_NODES"] and outcomes <= limits["MOST_OUTCOMES"]
 
 
 def is_whole(numbers: Tensor) -> bool:
-    """Whether numbers are of the type that compiled code takes for indices."""
+    """Whether a tensor has the type of indices in compiled code: long, on the CPU."""
     return numbers.is_cpu and numbers.dtype == torch.long
 
 
 def takes_scores(scores: Tensor) -> bool:
-    """Whether parents are chosen by compiled code from scores."""
+    """Whether compiled code can select parents by these scores."""
     return scores.device.type == "cpu" and function("lexicase", scores.dtype) is not None
 
 
-def bred(
+def breed(
     population: Population,
     elite: Tensor,
     parents: Tensor,
@@ -55,7 +55,7 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """See `cgtorch.evolution.offspring.bred`."""
+    """See `cgtorch.evolution.offspring.breed`."""
     count, (_, n, o) = len(elite) + len(parents), population.graphs.edges.shape
     size, kinds = (count, min(n + 1, capacity)), 0 if actions is None else len(actions)
     sizes = size, (*size, o), (*size, 1), size[:1]
@@ -70,11 +70,11 @@ def bred(
         individuals=len(population), elites=len(elite), pairs=len(parents) // 2, actions=kinds,
         pair_key=keys[0], key=keys[1], width=0,
     )  # fmt: skip
-    _call("bred", torch.float32, breeding, threads())
+    _call("breed", torch.float32, breeding, threads())
     return _in_slots(room, breeding.made.nodes), strategy, first.tolist()
 
 
-def changed(
+def perturb_parameters(
     graphs: Graphs,
     old: Tensor,
     fresh: Tensor,
@@ -84,7 +84,7 @@ def changed(
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
-    """See `cgtorch.evolution.parameters.changed_in_torch`."""
+    """See `cgtorch.evolution.parameters.perturb_parameters_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
     made, drifted = old.new_empty(p, n, k), torch.empty(p, len(STRATEGY))
     children = structure("Children", old.dtype)(
@@ -93,7 +93,7 @@ def changed(
         quantiles=quantiles(), parameters=made, drifted=drifted, rows=p, nodes=n, most=k,
         actions=len(actions), same=same, key=key, spread=spread(tau),
     )  # fmt: skip
-    _call("changed", old.dtype, children, threads())
+    _call("perturb_parameters", old.dtype, children, threads())
     return made, drifted
 
 
@@ -113,7 +113,7 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
 
 
 def shuffled(count: int, key: int) -> Tensor:
-    """See `cgtorch.ground.counter_rng.shuffled`, which does it where nothing is compiled."""
+    """A shuffled order, compiled if possible; see `cgtorch.ground.counter_rng.shuffled`."""
     if function("shuffled_order", torch.float32) is None:
         return counter_rng.shuffled(count, key)
     order = torch.empty(count, dtype=torch.long)
@@ -137,13 +137,13 @@ def _limits() -> Mapping[str, int]:
 def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
     failure = function(name, dtype)(*arguments)
     if failure == NO_PARENT:
-        raise IndexError("a parent is none of the individuals; choose indices from 0 on")
+        raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
     if failure:
         raise MemoryError(f"no memory to run {name}")
 
 
 def graphs_structure(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
-    """A `Graphs` of graph.h, of graphs with so many slots, whose nodes carry `origins` or none."""
+    """The `Graphs` of graph.h, with `nodes` slots per graph and `origins` at the nodes if given."""
     action, edges, start = (x.contiguous() for x in (graphs.action, graphs.edges, graphs.start))
     kind = structure("Graphs", torch.float32)
     sizes = {"nodes": nodes, "outcomes": edges.shape[2]}
@@ -151,7 +151,7 @@ def graphs_structure(graphs: Graphs, origins: Tensor | None, nodes: int) -> Any:
 
 
 def _in_slots(room: Graphs, slots: int) -> Graphs:
-    """The graphs that lie in this room with fewer slots each than there is room for."""
+    """The graphs with only their first `slots` slots, as views of the same memory."""
     if slots == room.capacity:
         return room
     p, _, o = room.edges.shape

@@ -1,4 +1,4 @@
-"""Crossover: swap connected subgraphs, which are the likely sub-solutions (section IV-B)."""
+"""Crossover: swaps connected subgraphs, which are likely to be sub-solutions (section IV-B)."""
 
 import torch
 from torch import Tensor
@@ -9,10 +9,17 @@ from cgtorch.ground.counter_rng import BITS, fields, individual_words, nth_true,
 
 
 def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int) -> Graphs:
-    """Children (2 Q) of pairs, in torch; `native/engine/crossover.h` makes one after the other.
+    """Children (2 Q) of Q pairs, in torch; `native/engine/crossover.h` makes one pair at a time.
 
-    Parents (2 Q,), with rates (2 Q, S) and at most `width` nodes, are the first of all pairs, then
-    the second. Children have their nodes in the first slots, and origins in place of parameters.
+    Args:
+        graphs: The P graphs of the population.
+        parents: (2 Q,) long, the first parents of all pairs, then the second ones.
+        rates: (2 Q, S) float32 strategies of the parents.
+        key: Determines all random numbers.
+        width: An upper bound of the number of nodes of a parent.
+
+    The nodes of children are in their first slots, with origins in place of parameters
+    (`cgtorch.evolution.parameters`).
     """
     q, (_, n, o) = len(parents) // 2, graphs.edges.shape
     both = compacted(with_origins(graphs)[parents])
@@ -32,16 +39,17 @@ def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int
 
 
 def group(graphs: Graphs, begin: Tensor, jitter: Tensor) -> Tensor:
-    """(Q, N) long, slots in the order an undirected breadth-first search meets them.
+    """(Q, N) long, the slots in the order in which an undirected breadth-first search meets them.
 
-    The word `begin` (Q, 1) draws its first node; words `jitter` (Q, N) order nodes of one distance.
+    The random word `begin` (Q, 1) selects the first node. The words `jitter` (Q, N) order nodes at
+    the same distance.
     """
     distance = undirected_distance(graphs, nth_true(graphs.used, uniform_from(begin))[:, 0])
     return torch.argsort((distance << BITS) + fields(jitter), dim=1, stable=True)
 
 
 def undirected_distance(graphs: Graphs, source: Tensor) -> Tensor:
-    """(Q, N) long, edges between `source` (Q,) and each slot; N where there is no way."""
+    """(Q, N) long, the number of edges from `source` (Q,) to each slot; N if it is unreachable."""
     q, n, o = graphs.edges.shape
     tail = torch.arange(n)[:, None].expand(n, o)
     heads = torch.where(graphs.edges == NO_NODE, n, graphs.edges)
@@ -69,9 +77,9 @@ def graft(
     k: Tensor,
     heads: Tensor,
 ) -> Graphs:
-    """The hosts with their first k group nodes replaced by the donors', by position.
+    """The hosts with their first k group nodes replaced by those of the donors, one by one.
 
-    Edges that leave the group go where `heads` (Q, N, O), by position, draws.
+    Edges that leave the group lead to nodes selected by the uniform numbers `heads` (Q, N, O).
     """
     q, n, o = host.edges.shape
     inside = torch.arange(n) < k[:, None]
@@ -84,7 +92,7 @@ def graft(
     edges = torch.where(before == NO_NODE, NO_NODE, edges)
 
     def put(old: Tensor, new: Tensor) -> Tensor:
-        """New values at the group's slots, in group order, where they are within the first k."""
+        """New values at the group's first k slots, in group order."""
         shape = (q, n, *[1] * (old.dim() - 2))
         index = host_group.view(shape).expand_as(old)
         kept = old.gather(1, index)

@@ -1,4 +1,4 @@
-"""Individuals with what they achieved."""
+"""Individuals with their fitness and scores."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ from cgtorch.evolution.selection import ranking
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Evaluated:
-    """P individuals with what they achieved, as in `Evaluation`: fitness (P,) and scores (P, B)."""
+    """P individuals with their fitness (P,) and scores (P, B), as in `Evaluation`."""
 
     population: Population
     fitness: Tensor
@@ -20,15 +20,15 @@ class Evaluated:
 
     @cached_property
     def order(self) -> Tensor:
-        """(P,) long, from best to worst; of equal fitness the smaller graph first."""
+        """(P,) long, from best to worst; of equally fit individuals, the smaller graph first."""
         return ranking(self.fitness, self.population.graphs)
 
     def rows(self, index: Tensor | slice) -> "Evaluated":
-        """Those at `index` (k,)."""
+        """The individuals at `index` (k,)."""
         return Evaluated(self.population[index], self.fitness[index], self.scores[index])
 
     def with_others(self, others: "Evaluated") -> "Evaluated":
-        """These, and others after them."""
+        """These individuals, followed by others."""
         return Evaluated(
             join(self.population, others.population),
             torch.cat([self.fitness, others.fitness]),

@@ -5,6 +5,7 @@ from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment.dry_run import kind
+from cgtorch.evolution.alternating import next_alternating
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
@@ -16,7 +17,6 @@ from cgtorch.evolution.population import (
 )
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
-from cgtorch.evolution.turns import next_in_turn
 from cgtorch.ground.errors import DataError
 
 
@@ -26,10 +26,16 @@ def initial_state(
     generator: Generator,
     seeds: Population | None = None,
 ) -> EvolutionState:
-    """The first population: random, or half of it `seeds` (section IV-B).
+    """The first population: random, or half random and half `seeds` (section IV-B).
 
-    Seeds are earlier individuals, with the same actions first in their sets; GraphError if one has
-    more nodes than `settings.capacity`. The generator, of all random choices, is a CPU one.
+    Args:
+        settings: How the population evolves.
+        actions: What nodes can do.
+        generator: A CPU generator of all random choices.
+        seeds: Earlier individuals, whose actions come first in `actions`.
+
+    Raises:
+        GraphError: A seed has more nodes than `settings.capacity`.
     """
     sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
@@ -42,10 +48,10 @@ def initial_state(
 
 
 def ask(state: EvolutionState) -> Population:
-    """The P individuals to evaluate next, the same ones until `tell`.
+    """The P individuals to evaluate next. They stay the same until `tell` is called.
 
-    These are `settings.population`, or samples of lineages. Their graphs have as many slots as the
-    largest may need, however many nodes there could be.
+    P is `settings.population`, or the number of samples of the lineages. All graphs have as many
+    slots as the largest of them needs.
     """
     return state.population
 
@@ -58,15 +64,22 @@ def tell(
     generator: Generator,
     scores: Tensor | None = None,
 ) -> EvolutionState:
-    """The next generation, given how this one did (Algorithm 2, lines 7 to 12).
+    """The next generation, given the results of this one (Algorithm 2, lines 7 to 12).
 
-    The fitness (P,) of the individuals, in the order of `ask` and on the CPU, decides on the elite
-    and the best. Selection looks at scores (P, B), a column for each scenario or aim, and without
-    them at the fitness. In each, more is better, whatever its unit, and NaN is the worst.
+    Args:
+        state: The state whose population was evaluated.
+        fitness: (P,) on the CPU, in the order of `ask`. It decides on the elite and the best.
+        settings: How the population evolves.
+        actions: What nodes can do.
+        generator: The generator of all random choices.
+        scores: (P, B), one column per scenario or objective, for selection. Without them, the
+            fitness is the only column.
+
+    In both, more is better in any unit, and NaN counts as the worst.
 
     Raises:
-        DataError: fitness or scores are not of such a shape.
-        SettingsError: a crossover or mutation of one's own has made what is no valid population.
+        DataError: The fitness or the scores have a wrong shape.
+        SettingsError: A crossover or mutation that you wrote returned an invalid population.
     """
     _check(fitness, scores, len(state.population))
     fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
@@ -83,14 +96,18 @@ def next_state(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """`tell` unchecked, of individuals whose fitness and scores have no NaN."""
-    how = next_in_turn if settings.lineages else next_population
+    """`tell` without validation: neither fitness nor scores may contain NaN."""
+    how = next_alternating if settings.lineages else next_population
     return how(state, evaluated, settings, actions, generator)
 
 
 def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
-    """DataError unless both are about a population of that size."""
+    """DataError unless fitness and scores fit a population of that size."""
     if not isinstance(fitness, Tensor) or fitness.shape != (size,):
-        raise DataError(f"fitness is {kind(fitness)}; give a tensor ({size},), one of each")
+        raise DataError(
+            f"fitness is {kind(fitness)}; give a tensor ({size},), one number for each individual"
+        )
     if scores is not None and (scores.dim() != 2 or len(scores) != size or not scores.shape[1]):
-        raise DataError(f"scores are {kind(scores)}; give a tensor ({size}, B), B at least 1")
+        raise DataError(
+            f"scores are {kind(scores)}; give a tensor ({size}, B) with B of at least 1"
+        )

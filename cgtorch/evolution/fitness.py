@@ -1,4 +1,4 @@
-"""The fitness of eq. 3, or one of one's own in its place."""
+"""The fitness of eq. 3, and the interface for other fitness functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,25 +18,27 @@ from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
-"""From how P graphs did on B scenarios, and C(p_t) (P, B) where each ended, to the worth (P, B) of
-each. More is better. What is less than 0 counts as 0, which is what an individual gets that has
-lost W; but where the environment gives rewards the worth may be any number, and who has lost W gets
-`WORST`. Rows must not influence one another, and equal arguments must give equal results."""
+"""Maps the rollouts of P graphs on B scenarios, and C(p_t) (P, B) at their ends, to their values
+(P, B).
+
+More is better. Without rewards, negative values count as 0, and an individual that loses W gets 0.
+With rewards, values may be any numbers, and an individual that loses W gets `WORST`. Rows must not
+influence one another, and equal arguments must give equal results."""
 
 WORST = -1e30
-"""The worth of an episode that was not finished: finite, so that differences can be taken."""
+"""The value of an episode that did not finish; it is finite, so differences can be computed."""
 
 WORTHLESS = WORST / 1e9
-"""The mean of a billion worths is less than this only if one of them is `WORST`."""
+"""Even the mean of a billion values is less than this only if one of them is `WORST`."""
 
 
 def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
-    """Eq. 3: C(p_t), and half of it where an individual has not come to an end with success."""
+    """Eq. 3: C(p_t), halved if the rollout did not end in success."""
     return torch.where(runs.succeeded, probability, probability / 2)
 
 
 def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
-    """(P, B) returns of episodes, -inf where not finished; SettingsError without rewards."""
+    """(P, B) returns of episodes, -inf for unfinished ones; SettingsError without rewards."""
     if runs.returns is None:
         raise SettingsError(
             "fitness is episode_return, but the environment gives no rewards; implement over and "
@@ -47,17 +49,17 @@ def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What P individuals achieved.
+    """The results of P individuals on B scenarios.
 
     Attributes:
-        fitness: (P,); of eq. 3 in [0, 1].
-        scores: (P, B), what `fitness` is the mean of: what each run is worth, and all 0, or
-            `WORST`, where W is lost.
-        succeeded: (P, B) bool; False where an individual had already lost W and was not run.
-        transitions: actions until the ends of all runs, also those of endless loops.
-        executed: how many of them were executed, and not only counted.
-        not_finite: individuals whose parameters, last percepts, C(p_t) or scores were not all
-            finite; nothing of what they did counts.
+        fitness: (P,), the mean of the scores; with eq. 3 in [0, 1].
+        scores: (P, B) values of the rollouts; all 0, or `WORST`, for an individual that loses W.
+        succeeded: (P, B) bool; False where an individual was not run because it had lost W.
+        transitions: Number of actions until the ends of all rollouts, those of endless loops
+            included.
+        executed: How many of these were actually executed; the rest of a loop is only counted.
+        not_finite: Number of individuals with parameters, last percepts, C(p_t) or scores that are
+            not finite. Their results do not count.
     """
 
     fitness: Tensor
@@ -69,15 +71,15 @@ class Evaluation:
 
 
 MOST_LANES = 2**16
-"""Runs that are evaluated at once, which bounds the memory whatever the population: about 2 kB each
-with the actions of section VI."""
+"""Rollouts that are evaluated at once. This bounds the memory: a rollout needs about 2 kB with the
+actions of section VI."""
 
 
 Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
-"""What P individuals of an action set achieve in an environment."""
+"""Evaluates P graphs in an environment."""
 
 Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int, int]
-"""Fields of an `Evaluation`."""
+"""The fields of an `Evaluation`."""
 
 
 def evaluator(
@@ -89,17 +91,24 @@ def evaluator(
     group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluator:
-    """Eq. 3: 0 where a scenario of W fails, else the mean of C(p_t) over all scenarios.
+    """The evaluation of eq. 3: 0 if a scenario of W fails, else the mean of C(p_t) over scenarios.
 
-    Where an individual runs out of transitions, C(p_t) counts half, so that getting near is worth
-    something and ending in success is worth more. W comes first: who fails there is not run on the
-    rest. Another `fitness` says what a run is worth instead of C(p_t).
+    A rollout that does not end in success counts half its C(p_t). So coming near counts something,
+    and ending in success counts more. An individual that fails a scenario of W is not run on the
+    others.
 
-    Of the environment's scenarios `keep` (B,) bool are those of W and the others those of M.
-    Rollouts run on its device, which must be the environment's; results come back to the graphs'.
-    Of individuals times scenarios `most_lanes` run at once, B at least, which changes no result. A
-    group of ranks (`cgtorch.ground.distributed`), all if not given, shares out the individuals, and
-    each rank gets all results. No argument may change in place from one generation to the next.
+    Args:
+        actions: What nodes can do.
+        environment: B scenarios.
+        keep: (B,) bool, True for W and False for M, on the environment's device.
+        max_transitions: Transitions after which a rollout fails.
+        most_lanes: Number of rollouts at once (at least B); it does not change results.
+        group: The ranks that share the individuals; all by default. Each gets all results. See
+            `cgtorch.ground.distributed`.
+        fitness: The value of a rollout in place of C(p_t).
+
+    No argument may be changed in place between two generations. Results come back to the device of
+    the graphs.
     """
     engine = engine_of(actions, environment) if fitness is chance_of_success else None
     steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))
@@ -138,7 +147,7 @@ def _by_rollouts(
     max_transitions: int,
     fitness: Fitness,
 ) -> Parts:
-    """Results of any fitness, actions, environment and device, from what `rollout` says."""
+    """An evaluation by `rollout`, for any fitness, actions, environment and device."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
     least = WORST if isinstance(environment, Rewarded) else 0.0
     graphs = graphs.to(device)
@@ -169,7 +178,7 @@ def _by_rollouts(
 def last_success(
     runs: Rollouts, environment: Environment, scenarios: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """(P, B) C(p_t) where each lane ended, 0 where not finite; (P, B) whether all is finite."""
+    """(P, B) C(p_t) where each lane ended, 0 if not finite; (P, B) whether all of it is finite."""
     p, b = runs.succeeded.shape
     percept, state = runs.percept.flatten(0, 1), runs.state.flatten(0, 1)
     nothing, steps = percept[:, :0], runs.transitions.flatten()

@@ -1,6 +1,6 @@
-"""Operators and selection on a GPU, from the C sources (`native/cuda/breeding.cu`, `selection.cu`).
+"""Operators and selection on a GPU, from C sources (`native/cuda/breeding.cu`, `selection.cu`).
 
-They are those of `cgtorch.evolution.compiled`, bit for bit; tensors are on the GPU all the time.
+They give the same bits as `cgtorch.evolution.compiled`. All tensors stay on the GPU.
 """
 
 import ctypes
@@ -21,16 +21,16 @@ from cgtorch.native.gpu import Launcher, Module
 
 BREEDING = partial(Module, "breeding", kernels=("elite", "pairs", "children"))
 SELECTION = partial(Module, "selection", kernels=("order", "sort_groups", "parents"))
-"""Kernels for numbers of a type."""
+"""The kernels for one type of numbers."""
 
 THREADS, WARP = 128, 32
 PAIRS = 64
-"""Threads of a block that crosses pairs: each needs much memory of its own."""
+"""Threads per block of the crossover kernel, where each thread needs much memory."""
 WARPS = 32
-"""Warps of a multiprocessor that choose parents at once."""
+"""Warps per multiprocessor that select parents at once."""
 
 
-def bred(
+def breed(
     gpu: Launcher,
     population: Population,
     elite: Tensor,
@@ -39,13 +39,13 @@ def bred(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor]:
-    """See `cgtorch.evolution.offspring.bred`; new nodes are not numbered yet."""
+    """See `cgtorch.evolution.offspring.breed`; new nodes are not numbered yet."""
     graphs, rows = population.graphs, torch.cat([elite, parents])
     count, (_, n, o) = len(rows), graphs.edges.shape
     sizes = graphs.num_nodes.index_select(0, rows.clamp(0, len(graphs) - 1))
     low, high, width = torch.stack([rows.min(), rows.max(), sizes.max()]).tolist()
     if low < 0 or high >= len(graphs):
-        raise IndexError("a parent is none of the individuals; choose indices from 0 on")
+        raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
     slots = capacity if actions is None else min(width + 1, capacity)
     like = graphs.action
     made = Graphs(
@@ -67,7 +67,7 @@ def bred(
     return made, strategy
 
 
-def changed(
+def perturb_parameters(
     gpu: Launcher,
     graphs: Graphs,
     old: Tensor,
@@ -78,7 +78,7 @@ def changed(
     same: int,
     key: int,
 ) -> tuple[Tensor, Tensor]:
-    """See `cgtorch.evolution.parameters.changed_in_torch`."""
+    """See `cgtorch.evolution.parameters.perturb_parameters_in_torch`."""
     (p, n), k = graphs.action.shape, old.shape[2]
     made, drifted = old.new_empty(p, n, k), strategy.new_empty(p, len(STRATEGY))
     tables = _tables(actions, gpu.device)
@@ -103,9 +103,9 @@ def shuffled(gpu: Launcher, count: int, key: int) -> Tensor:
 def lexicase(
     gpu: Launcher, scores: Tensor, members: Tensor, keys: Sequence[int], count: int
 ) -> Tensor:
-    """Parents (count,) of individuals in groups, one for each key, that are chosen one by one.
+    """Parents (count,) by lexicase selection within groups of individuals, one group per key.
 
-    `members` (P,) are all individuals, group after group, of scores (P, B).
+    `members` (P,) lists the individuals, group after group; they have scores (P, B).
     """
     dtype, (p, b), groups = scores.dtype, scores.shape, len(keys)
     most = constants("selection_limits", dtype)["CANDIDATES"]
@@ -119,7 +119,7 @@ def lexicase(
         scores=inside, epsilon=epsilon, members=members,
         keys=torch.tensor(list(keys)).to(gpu.device), cases=scores.new_empty(groups, b, most),
         ordered=places[0], leader=places[1],
-        turns=torch.empty(warps, b, dtype=torch.int32, device=gpu.device), chosen=chosen,
+        case_order=torch.empty(warps, b, dtype=torch.int32, device=gpu.device), chosen=chosen,
         scenarios=b, groups=groups, smaller=smaller, larger=larger, count=count, warps=warps,
     )  # fmt: skip
     module = SELECTION(dtype)
@@ -129,7 +129,7 @@ def lexicase(
 
 
 def _deviations(scores: Tensor, groups: int) -> Tensor:
-    """(G, B) `selection.deviation` of the scores (P, B) of each group."""
+    """(G, B) `selection.deviation` of the scores (P, B) in each group."""
     smaller, larger = divmod(len(scores), groups)
     end, b = larger * (smaller + 1), scores.shape[1]
     parts = scores[:end].view(larger, smaller + 1, b), scores[end:].view(-1, smaller, b)
@@ -143,7 +143,7 @@ def _deviations(scores: Tensor, groups: int) -> Tensor:
 
 @cache
 def _tables(actions: ActionSet, device: torch.device) -> tuple[Tensor, ...]:
-    """What kernels look up: of actions, of strategies, and of normal numbers."""
+    """Lookup tables of the kernels: actions, bounds of strategies, and normal quantiles."""
     tables = actions.num_parameters, actions.standard, bounds(), quantiles()
     return tuple(table.to(device) for table in tables)
 

@@ -1,11 +1,10 @@
-"""Islands: populations that evolve apart and send their best to the next one now and then.
+"""Islands: populations that evolve separately and exchange their best individuals now and then.
 
-A search grows by islands once one population no longer fits into a machine's memory: each is
-evaluated, selected and bred by itself, with random numbers of its own, and only a few individuals
-pass between them. Every `EvolutionSettings.migration` generations the best tenth of each replaces
-the worst of the next, the last one's those of the first. Fernández, Tomassini and Vanneschi
-recommend a tenth every five to ten generations ("An empirical study of multipopulation genetic
-programming", Genetic Programming and Evolvable Machines 4, 2003).
+Islands let a search grow beyond the memory of one machine. Each island is evaluated and bred by
+itself, with its own random numbers. Every `EvolutionSettings.migration` generations, the best tenth
+of each island replaces the worst tenth of the next island; the last island sends to the first.
+Fernández, Tomassini and Vanneschi recommend a tenth every five to ten generations ("An empirical
+study of multipopulation genetic programming", Genetic Programming and Evolvable Machines 4, 2003).
 """
 
 import hashlib
@@ -28,11 +27,11 @@ MIGRANTS = 10  # one individual in so many
 
 @dataclass(frozen=True)
 class Island:
-    """A population with random numbers of its own.
+    """A population with its own random numbers.
 
     Attributes:
-        state: where its evolution stands.
-        generator: of all its random choices.
+        state: The state of its evolution.
+        generator: The generator of all its random choices.
     """
 
     state: EvolutionState
@@ -41,37 +40,37 @@ class Island:
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
 class Tried(Evaluated):
-    """The same, and what each of them has solved, as in `Evaluation`."""
+    """`Evaluated` individuals, with `succeeded` (P, B) as in `Evaluation`."""
 
     succeeded: Tensor
 
     def best(self, count: int) -> "Tried":
-        """The best of them."""
+        """The `count` best individuals."""
         rows = self.order[:count]
         return Tried.of([values.index_select(0, rows) for values in self.tensors()])
 
     def widened(self, nodes: int) -> "Tried":
-        """The same with so many slots, as those have that others are to take over."""
+        """The same individuals, with graphs of `nodes` slots."""
         population = self.population
         graphs = widened(population.graphs, nodes)
         return replace(self, population=Population(graphs, population.strategy))
 
     def tensors(self) -> list[Tensor]:
-        """All of it as tensors of P rows."""
+        """All fields as tensors with P rows each."""
         graphs, strategy = vars(self.population.graphs).values(), self.population.strategy
         return [*graphs, strategy, self.fitness, self.scores, self.succeeded]
 
     @staticmethod
     def of(tensors: Sequence[Tensor]) -> "Tried":
-        """What `tensors` gave."""
+        """The inverse of `tensors`."""
         *graphs, strategy, fitness, scores, succeeded = tensors
         return Tried(Population(Graphs(*graphs), strategy), fitness, scores, succeeded)
 
 
-def generator_of(generator: Generator, number: int) -> Generator:
-    """The random numbers of an island: the first one's are those given, others derive from them.
+def derived_generator(generator: Generator, number: int) -> Generator:
+    """The generator of an island: the given one for island 0, else one derived from its state.
 
-    Nothing is drawn for it, so with one island all is as it would be without islands.
+    Nothing is drawn from the given generator, so a single island gives the results of no islands.
     """
     if number == 0:
         return generator
@@ -87,18 +86,18 @@ def first_islands(
     generator: Generator,
     seeds: Population | None = None,
 ) -> list[Island]:
-    """Those of the islands, counted from 0, whose numbers are given; see `initial_state`."""
-    own = [generator_of(generator, number) for number in numbers]
+    """The islands with these numbers, counted from 0; see `initial_state`."""
+    own = [derived_generator(generator, number) for number in numbers]
     return [Island(initial_state(settings, actions, each, seeds), each) for each in own]
 
 
 def emigrants(tried: Tried, capacity: int) -> Tried:
-    """Those that an island sends to the next one: its best, one at least, with so many slots."""
+    """The best tenth of an island, at least one individual, with graphs of `capacity` slots."""
     return tried.best(max(1, len(tried.population) // MIGRANTS)).widened(capacity)
 
 
 def migrated(tried: Tried, arrivals: Tried) -> Tried:
-    """An island's individuals with `arrivals` in place of the worst of them."""
+    """The individuals of an island, with the worst of them replaced by `arrivals`."""
     stay = tried.order[: len(tried.order) - len(arrivals.population)].sort().values
     tried = tried.widened(arrivals.population.graphs.capacity)
     pairs = zip(tried.tensors(), arrivals.tensors(), strict=True)
@@ -111,7 +110,7 @@ def next_islands(
     settings: EvolutionSettings,
     actions: ActionSet,
 ) -> list[Island]:
-    """Each island's next generation, given how this one did; see `tell`."""
+    """The next generation of each island, given its evaluated individuals; see `tell`."""
     made = []
     for island, each in zip(islands, tried, strict=True):
         state = next_state(island.state, each, settings, actions, island.generator)

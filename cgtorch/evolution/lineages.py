@@ -1,13 +1,16 @@
-"""Lineages: the best structures of a population have their parameters tuned, in a race.
+"""Lineages: CMA-ES tunes the parameters of the best structures of a population.
 
-Operators on structure change a parameter of a node here and there, by one step size for all of a
-graph. That finds structures, and tunes them badly. So the search goes in turns. A population is
-bred and evaluated as in Algorithm 2. Its best structures found lineages, in each of which the graph
-stays and CMA-ES (`cgtorch.evolution.cma`) moves its parameters. All are sampled in every
-generation; after `RUNGS` generations the better half of them stay (successive halving: Jamieson and
-Talwalkar, AISTATS 2016), the best of each kind of graph before others, as some kinds get better
-later than others. The last one goes on until it stalls. What they have come to joins the
-structures that they came from as parents of the next population, tuned parameters included.
+The operators on structure change single parameters, with one step size per graph. They find
+structures, but tune them badly. So the search alternates between structure and parameters:
+
+1. A population is bred and evaluated as in Algorithm 2.
+2. Its best structures start lineages. Within a lineage the structure is fixed, and CMA-ES
+   (`cgtorch.evolution.cma`) adapts the parameters. All lineages are sampled in every generation.
+   After each of `RUNGS` generations only the better half continues (successive halving: Jamieson
+   and Talwalkar, AISTATS 2016). The best lineage of each kind of graph comes first, as some kinds
+   improve later than others. The last lineage continues until it stalls.
+3. The results of all lineages join the structures that they started from as parents of the next
+   population, with their tuned parameters.
 """
 
 from collections.abc import Sequence
@@ -30,18 +33,18 @@ from cgtorch.evolution.population import Population, join, slim
 from cgtorch.graphs import Graphs, compacted
 
 RUNGS = (5, 40)
-"""After how many generations the worse half of the lineages is given up."""
+"""Numbers of generations after which the worse half of the lineages ends."""
 SEVERAL = 8
-"""Individuals looked at for each lineage that is to be founded."""
+"""Number of individuals considered for each lineage to start."""
 STALL = 40
-"""Generations without progress after which a lineage is given up."""
+"""Number of generations without progress after which a lineage ends."""
 MOST_UPDATES = 120
-"""Generations of a lineage at most: one that gets better for ever still can be on a wrong way."""
+"""Maximum number of generations of a lineage, so that slow progress cannot go on for ever."""
 LEAST_STEP = 1e-4
 RECENT = 8
-"""Generations whose better quarters say how far a lineage has come."""
+"""Number of generations over which the progress of a lineage is averaged."""
 LEAST_PROGRESS = 0.01
-"""Of what a lineage has come to, which counts as progress."""
+"""The relative improvement of a lineage's average fitness that counts as progress."""
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
@@ -49,13 +52,14 @@ class Lineage:
     """A graph whose parameters are tuned.
 
     Attributes:
-        best: the best individual so far, a population of one.
-        fitness: what it had, -inf before the first sample.
-        scores: (B,) what that is the mean of.
-        distribution: of the parameters of its nodes.
-        recent: mean fitness of the better quarter of samples in each of the last generations.
-        level: the most that the mean of these has been.
-        since: generations since then.
+        best: The best individual so far, a population of one.
+        fitness: The fitness of `best`.
+        scores: (B,) the scores of `best`, whose mean is its fitness.
+        distribution: The distribution of the parameters of its nodes.
+        recent: The mean fitness of the better quarter of the samples, in each of the last
+            generations.
+        level: The highest mean of `recent` so far.
+        since: Generations since `level` was reached.
     """
 
     best: Population
@@ -67,27 +71,27 @@ class Lineage:
     since: int = 0
 
     @property
-    def standing(self) -> float:
-        """How good samples have been lately."""
+    def recent_fitness(self) -> float:
+        """The mean of `recent`, or the fitness before the first sample."""
         return sum(self.recent) / len(self.recent) if self.recent else self.fitness
 
     @property
     def kind(self) -> tuple[int, ...]:
-        """Which actions its nodes have, in any order."""
+        """The actions of its nodes, sorted."""
         return tuple(sorted(self.best.graphs.action[0].tolist()))
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing left to tune."""
+        """Whether the lineage has converged, stalled, or had its maximum number of generations."""
         tuned = self.distribution.step < LEAST_STEP or self.distribution.updates >= MOST_UPDATES
         return tuned or self.since >= STALL
 
 
-def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:
-    """Up to `count` lineages of the best of P individuals, one of each kind before a second one.
+def new_lineages(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:
+    """Up to `count` lineages of the best of P individuals; the best of each kind come first.
 
-    An individual without parameters founds none, and none does whose fitness says that it has not
-    finished.
+    Individuals without parameters start no lineage. Nor do those whose fitness shows that they did
+    not finish an episode.
     """
     population, fitness, scores = evaluated.population, evaluated.fitness, evaluated.scores
     found: list[Lineage] = []
@@ -96,7 +100,7 @@ def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Linea
             break
         one = population[row : row + 1]
         one = slim(Population(compacted(one.graphs), one.strategy))
-        where = tuned(one.graphs, actions)
+        where = tunable(one.graphs, actions)
         if not where.any():
             continue
         steps = torch.tensor([action.first_step for action in actions.actions])
@@ -107,23 +111,23 @@ def founded(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Linea
 
 
 def one_of_each_kind_first(lineages: Sequence[Lineage]) -> list[Lineage]:
-    """The lineages in the same order, but the first of each kind come before the others."""
+    """The lineages in the same order, except that the first of each kind come before all others."""
     first = {each.kind: each for each in reversed(lineages)}.values()
     return sorted(lineages, key=lambda each: all(each is not one for one in first))
 
 
-def tuned(graphs: Graphs, actions: ActionSet) -> Tensor:
-    """(N, K) bool, which parameters of a single graph its nodes have."""
+def tunable(graphs: Graphs, actions: ActionSet) -> Tensor:
+    """(N, K) bool, which entries of a single graph's parameters its nodes use."""
     action = graphs.action[0]
     count = actions.num_parameters[action.clamp_min(0)] * (action >= 0)
     return torch.arange(graphs.parameters.shape[2]) < count[:, None]
 
 
 def samples(lineages: Sequence[Lineage], actions: ActionSet, generator: Generator) -> Population:
-    """Samples of all lineages, one lineage after the other."""
+    """Samples of all lineages, lineage after lineage."""
     parts = []
     for lineage in lineages:
-        where = tuned(lineage.best.graphs, actions)
+        where = tunable(lineage.best.graphs, actions)
         count = usual_count(int(where.sum()))
         copies = lineage.best[torch.zeros(count, dtype=torch.long)]
         parameters = copies.graphs.parameters.clone()
@@ -136,10 +140,10 @@ def samples(lineages: Sequence[Lineage], actions: ActionSet, generator: Generato
 def after_samples(
     lineages: Sequence[Lineage], evaluated: Evaluated, actions: ActionSet
 ) -> tuple[Lineage, ...]:
-    """The lineages after their `samples` were evaluated, all of them in their order."""
+    """All lineages, in their order, updated with the evaluated `samples`."""
     after, begin = [], 0
     for lineage in lineages:
-        where = tuned(lineage.best.graphs, actions)
+        where = tunable(lineage.best.graphs, actions)
         end = begin + usual_count(int(where.sum()))
         after.append(_after_samples(lineage, evaluated.rows(slice(begin, end)), where))
         begin = end
@@ -153,8 +157,8 @@ def _after_samples(lineage: Lineage, evaluated: Evaluated, where: Tensor) -> Lin
     better = fitness.sort(descending=True).values[: max(1, len(fitness) // 4)]
     recent = (*lineage.recent, float(better.double().mean()))[-RECENT:]
     lineage = replace(lineage, distribution=distribution, recent=recent, since=lineage.since + 1)
-    if lineage.standing > lineage.level + LEAST_PROGRESS * min(abs(lineage.level), 1e9):
-        lineage = replace(lineage, level=lineage.standing, since=0)
+    if lineage.recent_fitness > lineage.level + LEAST_PROGRESS * min(abs(lineage.level), 1e9):
+        lineage = replace(lineage, level=lineage.recent_fitness, since=0)
     top = int(fitness.argmax())
     if float(fitness[top]) <= lineage.fitness:
         return lineage
@@ -163,7 +167,7 @@ def _after_samples(lineage: Lineage, evaluated: Evaluated, where: Tensor) -> Lin
 
 
 def with_lineages(evaluated: Evaluated, lineages: Sequence[Lineage]) -> Evaluated:
-    """Individuals, and what lineages have come to after them."""
+    """The individuals, followed by the best individual of each lineage."""
     if not lineages:
         return evaluated
     best = join(*(each.best for each in lineages))
@@ -172,11 +176,13 @@ def with_lineages(evaluated: Evaluated, lineages: Sequence[Lineage]) -> Evaluate
     return evaluated.with_others(Evaluated(best, fitness, scores))
 
 
-def raced(lineages: Sequence[Lineage]) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:
-    """Which lineages go on, and which are given up."""
+def successive_halving(
+    lineages: Sequence[Lineage],
+) -> tuple[tuple[Lineage, ...], tuple[Lineage, ...]]:
+    """The lineages that continue, and those that end."""
     going = [each for each in lineages if not each.over]
     if going and max(each.distribution.updates for each in going) in RUNGS:
-        best = sorted(going, key=lambda each: -each.standing)
+        best = sorted(going, key=lambda each: -each.recent_fitness)
         stay = one_of_each_kind_first(best)[: -(-len(going) // 2)]
         going = [each for each in going if any(each is x for x in stay)]
     return tuple(going), tuple(each for each in lineages if not any(each is x for x in going))

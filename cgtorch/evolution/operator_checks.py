@@ -1,4 +1,4 @@
-"""Trying the parts of an evolution that others can bring, before anything is evaluated."""
+"""A dry run of user-supplied parts of an evolution, before anything is evaluated."""
 
 import torch
 from torch import Generator
@@ -25,9 +25,9 @@ def check_parts(
     environment: Environment,
     device: torch.device | str = "cpu",
 ) -> None:
-    """Try first graphs, selection, fitness, crossover and mutation on two of all.
+    """Try first graphs, selection, fitness, crossover and mutation on two individuals.
 
-    Their random numbers are not the evolution's. A SettingsError names the part and what is wrong.
+    The dry run has its own random numbers. A SettingsError names the part and what is wrong.
     """
     generator, capacity = Generator().manual_seed(0), settings.capacity
     pair = random_population(ROWS, actions, capacity, settings.initial_nodes, generator)

@@ -1,9 +1,12 @@
-"""Parameters of children: copied from parents or new, and Gaussian steps of some of them.
+"""Parameters of children: copied from parents or new, then perturbed by Gaussian steps.
 
-Operators on structure move nodes about and never look at parameters. They are given graphs whose
-nodes carry the origin of their parameters in place of these, so that parameters are copied once, at
-the end, and only those of nodes that remain. The origin is r + 1 for row r of the parameters of all
-parents, -r - 1 for row r of those drawn for new nodes, and 0 for a new node without a number.
+Operators on structure move nodes and ignore parameters. They work on graphs that carry, in place of
+parameters, the origin of each node's parameters. So parameters are copied only once, at the end,
+and only for the nodes that remain. An origin is
+
+- r + 1 for row r of all parents' parameters,
+- -r - 1 for row r of the parameters drawn for new nodes, and
+- 0 for a new node without a row.
 """
 
 from dataclasses import replace
@@ -30,22 +33,22 @@ RATE, SIGMA = STRATEGY.index("mutate_parameter"), STRATEGY.index("sigma")
 
 
 def with_origins(graphs: Graphs) -> Graphs:
-    """The graphs with origins (P, N, 1) in place of parameters: 1 + the slot among all of them."""
+    """The graphs with origins (P, N, 1) in place of parameters: 1 + the index among all slots."""
     origins = torch.arange(1, graphs.action.numel() + 1).view_as(graphs.action) * graphs.used
     return replace(graphs, parameters=origins[..., None])
 
 
 def copied(graphs: Graphs, old: Tensor) -> Graphs:
-    """Graphs with the parameters that their origins point to in those of parents (P, N, K)."""
+    """Graphs with the parameters that their origins name among those of the parents (P, N, K)."""
     none = old.new_zeros(0, old.shape[2])
     return replace(graphs, parameters=_at_origins(graphs.parameters, old, none))
 
 
 def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int]]:
-    """The graphs with origins -1, -2, … of new nodes: first all of action 0, and so on.
+    """The graphs with origins -1, -2, … at new nodes, ordered by action, and CSR offsets (A + 1,).
 
-    And the CSR offsets by action: where those of each action begin, and how many there are. Those
-    of actions whose parameters are `standard` (A,) normal keep 0.
+    The offsets say where the new nodes of each action begin; the last one is their number. New
+    nodes whose action has `standard` (A,) normal parameters keep origin 0.
     """
     if bool(standard.all()):
         return graphs, [0] * (len(standard) + 1)
@@ -60,7 +63,7 @@ def with_new_origins(graphs: Graphs, standard: Tensor) -> tuple[Graphs, list[int
     return made, [0, *numbers.cumsum(0).tolist()]
 
 
-def changed(
+def perturb_parameters(
     graphs: Graphs,
     first: list[int],
     old: Tensor,
@@ -70,26 +73,34 @@ def changed(
     generator: Generator,
     tau: float,
 ) -> Population:
-    """P graphs with parameters, each of which may have changed by a Gaussian step, and eq. 2.
+    """P graphs with their parameters, some perturbed by Gaussian steps, and strategies after eq. 2.
 
-    Graphs have origins: new nodes with a number, of which `first` tells (`with_new_origins`), get
-    what their action wants, those without one standard normal parameters, and others those of
-    parents (P', N, K). Strategies (P at least, S) drift after the steps, with variance `tau`. The
-    `same` individuals that come first stay as they are.
+    Args:
+        graphs: P graphs with origins in place of parameters.
+        first: CSR offsets (A + 1,) of new nodes by action (`with_new_origins`).
+        old: (P', N, K) parameters of the parents.
+        actions: What nodes can do. They draw the parameters of new nodes; those with origin 0 get
+            standard normal ones.
+        strategy: (P or more, S).
+        same: The number of individuals at the beginning that stay as they are.
+        generator: The generator of all random choices.
+        tau: The variance of the drift in eq. 2.
     """
     fresh = old.new_zeros(first[-1], old.shape[2])
     for module, begin, end in zip(actions.actions, first, first[1:], strict=False):
         if (k := module.num_parameters) and begin < end:
             fresh[begin:end, :k] = module.initial_parameters(end - begin, generator)
     key = random_key(generator)
-    way = compiled.changed if compiled.takes(graphs, old) else changed_in_torch
+    perturb = (
+        compiled.perturb_parameters if compiled.takes(graphs, old) else perturb_parameters_in_torch
+    )
     if launcher := launcher_of(old.device):
-        way = partial(gpu.changed, launcher)
-    made, after = way(graphs, old, fresh, actions, strategy, tau, same, key)
+        perturb = partial(gpu.perturb_parameters, launcher)
+    made, after = perturb(graphs, old, fresh, actions, strategy, tau, same, key)
     return Population(replace(graphs, parameters=made), after)
 
 
-def changed_in_torch(
+def perturb_parameters_in_torch(
     graphs: Graphs,
     old: Tensor,
     fresh: Tensor,
@@ -101,8 +112,8 @@ def changed_in_torch(
 ) -> tuple[Tensor, Tensor]:
     """Parameters (P, N, K) and strategies (P, S) of graphs; see `native/engine/parameters.c`.
 
-    New nodes with a number have the parameters `fresh` (F, K). One word for each parameter says
-    whether it changes and by how much.
+    New nodes with a row get their parameters from `fresh` (F, K). One random word per parameter
+    decides whether it changes, and by how much.
     """
     strategy, own = strategy[: len(graphs)], keys(key, len(graphs))
     out = _at_origins(graphs.parameters, old, fresh)
@@ -121,7 +132,7 @@ def changed_in_torch(
 
 
 def _draw_standard(out: Tensor, graphs: Graphs, actions: ActionSet, keys: Tensor) -> None:
-    """Standard normal numbers for nodes without origin whose actions want them, in place."""
+    """Draw standard normal parameters for new nodes with origin 0, in place."""
     new = graphs.used & (graphs.parameters[..., 0] == 0)
     new &= actions.standard[graphs.action.clamp_min(0)] != 0
     row, slot = new.nonzero(as_tuple=True)
@@ -132,6 +143,6 @@ def _draw_standard(out: Tensor, graphs: Graphs, actions: ActionSet, keys: Tensor
 
 
 def _at_origins(origins: Tensor, old: Tensor, fresh: Tensor) -> Tensor:
-    """(P, N, K) rows that origins (P, N, 1) point to, zero where there is none."""
+    """(P, N, K) the rows that origins (P, N, 1) name, zero for origin 0."""
     table = torch.cat([fresh.flip(0), old.new_zeros(1, old.shape[2]), old.flatten(0, 1)])
     return table[origins[..., 0] + len(fresh)]

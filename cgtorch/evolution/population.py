@@ -1,4 +1,4 @@
-"""Graphs with the strategy that each individual evolves by itself, and checks of operators."""
+"""Populations: graphs with self-adapted strategies, random graphs, and checks of operators."""
 
 import math
 from collections.abc import Callable
@@ -37,7 +37,7 @@ STRATEGY = (
     "mutate_parameter",
     "sigma",
 )
-"""Strategy parameters: seven probabilities, and the step of a parameter mutation."""
+"""Strategy parameters: seven probabilities, and the step size of parameter mutations."""
 
 INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 TAU = 0.05  # variance of the drift in eq. 2
@@ -49,8 +49,8 @@ class Population:
     """P individuals.
 
     Attributes:
-        graphs: their computational graphs.
-        strategy: (P, S) float, in the order of `STRATEGY`.
+        graphs: Their computational graphs.
+        strategy: (P, S) float strategy parameters, in the order of `STRATEGY`.
     """
 
     graphs: Graphs
@@ -70,52 +70,51 @@ class Population:
 
 
 Crossover: TypeAlias = Callable[[Population, Population, Generator], Population]
-"""From Q first parents, Q second ones and the generator of all random choices to 2 Q children."""
+"""Maps Q first parents, Q second ones, and the generator of all random choices to 2 Q children."""
 
 Mutation: TypeAlias = Callable[[Population, ActionSet, Generator, float], Population]
-"""From P individuals, what their nodes can do, the generator of all random choices and the variance
-of the drift of strategy parameters to as many individuals.
+"""Maps P individuals, their actions, the generator of all random choices, and the variance τ of the
+drift in eq. 2 to P individuals.
 
-Graphs come compacted, with one slot that is free in every graph; they may come back with more
-slots, up to the capacity. What the start does not lead to must be pruned (`cgtorch.graphs.pruned`).
-To add to what the library does, call `cgtorch.evolution.mutate` first."""
+The graphs come compacted, with one free slot in each. They may come back with more slots, up to the
+capacity. Nodes that the start does not reach must be pruned (`cgtorch.graphs.pruned`). To add to
+the library's mutations, call `cgtorch.evolution.mutate` first."""
 
 FirstGraphs: TypeAlias = Callable[[int, ActionSet, int, tuple[int, int], Generator], Graphs]
-"""From a number of graphs, what their nodes can do, the most nodes there may ever be, the fewest
-and the most nodes of a graph before pruning, and the generator of all random choices to so many
-valid graphs, pruned."""
+"""Maps a number of graphs, their actions, the capacity, the fewest and most nodes before pruning,
+and the generator of all random choices to that many valid, pruned graphs."""
 
 
 def slim(population: Population) -> Population:
-    """The same individuals with no more slots than their largest graph has nodes."""
+    """The same individuals, with only as many slots as the largest graph has nodes."""
     return Population(trimmed(population.graphs), population.strategy)
 
 
 def initial_strategy(size: int) -> Tensor:
-    """(size, S) the strategy parameters that evolution starts with."""
+    """(size, S) the initial strategy parameters."""
     return torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
 
 
 def factors(keys: Tensor, tau: float) -> Tensor:
-    """(P, S) exp(N(0, τ)) of eq. 2, with variance τ, for individuals with keys (P,)."""
+    """(P, S) the factors exp(N(0, τ)) of eq. 2, with variance τ, for individuals with keys (P,)."""
     random = words(keys[:, None], DRIFT + torch.arange(len(STRATEGY)))
     return exp2(normal_from(random) * torch.tensor(spread(tau)))
 
 
 def spread(tau: float) -> float:
-    """The deviation of binary logarithms of what strategies are multiplied by."""
+    """The standard deviation of the binary logarithm of the factors of eq. 2."""
     return tau**0.5 / math.log(2)
 
 
 def drifted(strategy: Tensor, factors: Tensor) -> Tensor:
-    """Eq. 2, (P, S) s ← s exp(N(0, τ)), within bounds that keep every rate alive."""
+    """Eq. 2: (P, S) s ← s exp(N(0, τ)), clamped so that no rate becomes 0."""
     least, most = bounds()
     return torch.minimum(torch.maximum(strategy * factors, least), most)
 
 
 @cache
 def bounds() -> Tensor:
-    """(2, S) the least and the most that each strategy parameter may be."""
+    """(2, S) the lower and the upper bound of each strategy parameter."""
     least, most = torch.full((2, len(STRATEGY)), STRATEGY_MIN).unbind()
     most.fill_(PROBABILITY_MAX)[STRATEGY.index("sigma")] = SIGMA_MAX
     return torch.stack([least, most])
@@ -135,7 +134,7 @@ def random_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Valid graphs of a uniform number of random nodes within `initial_nodes`, then pruned."""
+    """Valid random graphs; the number of nodes before pruning is uniform within `initial_nodes`."""
     graphs = random_graphs(size, actions, capacity, initial_nodes, generator)
     return Population(widened(graphs, capacity), initial_strategy(size))
 
@@ -147,7 +146,7 @@ def random_graphs(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Graphs:
-    """The graphs of `random_population`, with no more slots than there can be nodes at first."""
+    """The graphs of `random_population`, with as many slots as `initial_nodes` allows."""
     low, high = initial_nodes
     count = torch.randint(low, high + 1, (size,), generator=generator)
     action = torch.randint(len(actions), (size, capacity), generator=generator)
@@ -174,7 +173,10 @@ def seeded_population(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Population:
-    """Half copies of seeds in turn, half random (section IV-B); GraphError if one is too large."""
+    """Half copies of the seeds in turn, half random (section IV-B).
+
+    GraphError if a seed has more nodes than `capacity`.
+    """
     half = size // 2
     fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
@@ -185,7 +187,7 @@ def seeded_population(
 def _expected_tensors(
     count: int, nodes: int, actions: ActionSet
 ) -> dict[str, tuple[tuple[int, ...], torch.dtype]]:
-    """Shapes and types of the tensors of so many individuals of so many slots, by name."""
+    """Shapes and types of the tensors of `count` individuals with `nodes` slots, by name."""
     return {
         "action": ((count, nodes), torch.long),
         "edges": ((count, nodes, actions.outcome_capacity), torch.long),
@@ -196,10 +198,10 @@ def _expected_tensors(
 
 
 def population_from(tensors: dict[str, Tensor], actions: ActionSet) -> Population:
-    """A population from tensors that may be anything, as they come from a file, by field name.
+    """A population from untrusted tensors, such as those of a file, by field name.
 
-    They are action (P, N), edges (P, N, O), parameters (P, N, K), start (P,) and strategy (P, S);
-    GraphError if they are not those of at least one valid graph.
+    They are action (P, N), edges (P, N, O), parameters (P, N, K), start (P,) and strategy (P, S).
+    GraphError if they do not make at least one valid graph.
     """
     p, n = (*tensors["action"].shape, 0, 0)[:2]
     expected = _expected_tensors(p, n, actions)
@@ -222,9 +224,9 @@ def check_offspring(
     actions: ActionSet,
     who: str = "crossover, mutation",
 ) -> None:
-    """A SettingsError, which says `who`, unless these are so many valid individuals.
+    """A SettingsError that names `who`, unless these are `count` valid individuals.
 
-    The capacity is the most slots of a graph.
+    The capacity is the largest number of slots of a graph.
     """
     if not isinstance(offspring, Population):
         raise SettingsError(f"{who} returned {kind(offspring)}; return a Population")

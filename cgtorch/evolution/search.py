@@ -1,4 +1,4 @@
-"""Algorithm 2 as a stream of generations."""
+"""Algorithm 2 as an endless stream of generations."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -36,18 +36,20 @@ class Generation:
     """One evaluated generation of all islands.
 
     Attributes:
-        number: counted from 0.
-        islands: those that this rank holds, with the individuals that were evaluated.
-        fitness: (P,) of the first of these.
-        champion: the best individual of all islands, as a population of one; of equal ones the
-            smallest, of these that of the first island.
-        best: its fitness.
-        succeeded: (B,) bool, what it solves in the models.
-        transitions: actions of all until the ends of their runs, also those of endless loops.
-        executed: how many of them were executed, and not only counted.
-        not_finite: individuals that count for nothing, as something about them was not finite.
-        distinct_parents: how many individuals the first of the islands descends from directly; 0 of
-            a first population, and of samples of lineages.
+        number: Counted from 0.
+        islands: The islands that this rank holds, with the individuals that were evaluated.
+        fitness: (P,) of the first of these islands.
+        champion: The best individual of all islands, a population of one. Of equally fit ones, the
+            smallest; of these, the one of the first island.
+        best: The fitness of the champion.
+        succeeded: (B,) bool, the scenarios that the champion solves in the environment.
+        transitions: Number of actions until the ends of all rollouts, those of endless loops
+            included.
+        executed: How many of these were actually executed; the rest of a loop is only counted.
+        not_finite: Number of individuals that do not count, because some of their numbers are not
+            finite.
+        distinct_parents: Number of different parents of the first island; 0 for a first population
+            and for samples of lineages.
     """
 
     number: int
@@ -68,7 +70,7 @@ class Generation:
 
 
 Environments: TypeAlias = Callable[[int], Environment]
-"""Makes the environment of each generation, counted from 0; all have as many scenarios."""
+"""Makes the environment of each generation, counted from 0. All have equally many scenarios."""
 
 
 def evolve(
@@ -82,23 +84,29 @@ def evolve(
     islands: Sequence[Island] | None = None,
     max_transitions: int = MAX_TRANSITIONS,
 ) -> Iterator[Generation]:
-    """Evolve without end; whoever iterates decides when it is enough.
+    """Evolve without end: the caller decides when to stop iterating.
 
-    All ranks (`cgtorch.ground.distributed`) share the islands. Each is told the same, but for the
-    islands that it holds itself.
+    Args:
+        environment: The scenarios, or a function that makes those of each generation
+            (`Environments`), for example random starts of episodes.
+        actions: What nodes can do.
+        settings: How populations evolve.
+        generator: The generator of all random choices. It advances only on the rank that holds the
+            first island.
+        keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device. By default none,
+            on the CPU.
+        seeds: Earlier individuals, which become half of each first population.
+        islands: Islands of this rank to continue, in place of first populations.
+        max_transitions: Transitions after which a rollout fails.
 
-    Where scenarios are many, such as random starts of episodes, each generation can have others: a
-    function that makes `Environments` is given in place of one environment.
-
-    Of the environment's scenarios `keep` (B,) bool, on its device, are those of W (eq. 1a); none,
-    on the CPU, if not given. Half of each first population are `seeds`, earlier individuals, if
-    given. If `islands` are given, those that this rank holds, they go on in place of first
-    populations. The generator, of all random choices, goes on only where the first island is held.
+    The ranks (`cgtorch.ground.distributed`) share the islands. All ranks must pass the same
+    arguments, except for `islands`.
 
     Raises:
-        WorldError: the environment, tried on two scenarios, breaks its interface.
-        ActionError: an action does.
-        SettingsError: a selection, crossover, mutation or fitness of the settings does.
+        WorldError: In a dry run on two scenarios, the environment breaks its interface.
+        ActionError: An action breaks its interface.
+        SettingsError: A selection, crossover, mutation or fitness of the settings breaks its
+            interface.
     """
     begin = islands[0].state.generation if islands else 0
     first = environment(begin) if callable(environment) else environment
@@ -137,9 +145,9 @@ def evolve(
 
 
 def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.device) -> torch.device:
-    """Where populations are bred: on a GPU if the library's own operators run there, else a CPU.
+    """The device where populations are bred: the GPU if all operators run there, else the CPU.
 
-    Of several ranks each has its own on the CPU, from where they are shared.
+    With several ranks, each breeds on the CPU.
     """
     own = settings.crossover is not crossover or settings.mutation is not mutate
     if own or settings.lineages or ranks.count() > 1 or launcher_of(device) is None:
@@ -149,7 +157,7 @@ def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.devic
 
 
 def placed(island: Island, device: torch.device) -> Island:
-    """An island whose population is on a device."""
+    """The island with its population on a device."""
     if island.state.population.strategy.device == device:
         return island
     state = replace(island.state, population=island.state.population.to(device))
@@ -192,7 +200,7 @@ def _generation(
 def _shared(
     share: Callable[[Tensor, int], Tensor], mine: Sequence[Tried], count: int
 ) -> list[Tried]:
-    """Individuals of other islands, given equally many of each that this rank holds."""
+    """Individuals of other islands, given equally many of each island that this rank holds."""
     columns = zip(*(each.tensors() for each in mine), strict=True)
     found = [share(torch.stack(column), count) for column in columns]
     return [Tried.of(values) for values in zip(*found, strict=True)]

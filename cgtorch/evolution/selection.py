@@ -1,4 +1,4 @@
-"""Selection and elitism (Algorithm 2, lines 7 and 12): ways to choose parents."""
+"""Selection of parents, and ranking for the elite (Algorithm 2, lines 7 and 12)."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -13,27 +13,27 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.native.gpu import Launcher, launcher_of
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
-"""From (P,) individuals from best to worst, their scores (P, B), how many parents to choose, and
-the generator of the choices, to the parents (count,)."""
+"""Maps P individuals (P,) from best to worst, their scores (P, B), the number of parents, and the
+generator of all random choices to parents (count,)."""
 
 MOST_CANDIDATES = 1024  # individuals that a parent is chosen from at most
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
-    """(P,) long, from best to worst by fitness (P,), no NaN; of equal ones the smaller first."""
+    """(P,) long, from best to worst by fitness (P,) without NaN; of equals, the smaller first."""
     if compiled.takes_scores(fitness) and compiled.is_whole(graphs.action):
         return compiled.ranking(fitness, graphs)
     return ranked(fitness, graphs)
 
 
 def ranked(fitness: Tensor, graphs: Graphs) -> Tensor:
-    """The same in torch; `native/engine/ranking.c` sorts faster."""
+    """`ranking` in torch; `native/engine/ranking.c` sorts faster."""
     by_size = torch.argsort(graphs.num_nodes, stable=True)
     return by_size[torch.argsort(fitness[by_size], descending=True, stable=True)]
 
 
 def tournament(rounds: int = 5) -> Selection:
-    """Winners of `rounds` individuals each, drawn with replacement; SettingsError below 1."""
+    """Selects the best of `rounds` individuals, drawn with replacement; SettingsError below 1."""
     if rounds < 1:
         raise SettingsError(f"tournament is {rounds}; give at least 1")
 
@@ -45,17 +45,21 @@ def tournament(rounds: int = 5) -> Selection:
 
 
 def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
-    """Parents that are among the best on one scenario after the other (La Cava et al. 2016).
+    """Epsilon-lexicase selection: parents that are among the best on random scenarios in turn.
 
-    For each parent those individuals stay whose score on a random scenario is the best, or less by
-    no more than the scenario's median absolute deviation; of these those good on the next scenario
-    stay, and so on through all in random order. A random one of what stays is the parent. So who
-    alone solves a hard scenario has children, however little else it solves.
+    For each parent, the scenarios are visited in random order. On each, only those candidates
+    remain whose score is at most one median absolute deviation below the best. A random candidate
+    of those that remain at the end is the parent. So an individual that alone solves a hard
+    scenario has children, even if it solves little else (La Cava et al. 2016).
 
-    A population of more than `MOST_CANDIDATES` is split at random into equal groups, each of which
-    gives as many parents, so that time and memory grow with the population and no faster.
+    A population of more than `MOST_CANDIDATES` is split at random into equal groups. Each group
+    gives equally many parents, so time and memory grow linearly with the population.
 
-    Given are scores (P, B) and how many parents (count,) to choose; the order does not matter here.
+    Args:
+        order: (P,) individuals from best to worst; only their number is used.
+        scores: (P, B), where more is better.
+        count: Number of parents.
+        generator: The generator of all random choices.
     """
     groups = -(-len(order) // MOST_CANDIDATES)
     if launcher := launcher_of(scores.device):
@@ -73,7 +77,7 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
 def _on_gpu(
     launcher: Launcher, scores: Tensor, groups: int, count: int, generator: Generator
 ) -> Tensor:
-    """`lexicase` of scores (P, B) on a GPU, with the same numbers."""
+    """`lexicase` by scores (P, B) on a GPU, with the same random numbers."""
     if groups == 1:
         members = torch.arange(len(scores), device=scores.device)
         return gpu.lexicase(launcher, scores, members, [random_key(generator)], count)
@@ -97,22 +101,22 @@ def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
 
 
 def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
-    """(count,) parents, in torch; `native/engine/lexicase.c` chooses one after the other.
+    """(count,) parents, in torch; `native/engine/lexicase.c` selects one at a time.
 
-    Individuals of equal scores (P, B) stand or fall together, so they are one row here; `epsilon`
-    (B,) says how much worse than the best is good enough.
+    Individuals with equal scores (P, B) remain or go together, so each set of them is one row.
+    `epsilon` (B,) is how far below the best a score may be.
     """
     rows, row_of, size = _distinct(scores)
     cases, own = rows.T.contiguous(), keys(key, count)
-    stands = torch.ones(count, len(rows), dtype=torch.bool)
-    for case in _turns(own, scores.shape[1]):
-        score = cases[case].masked_fill_(~stands, float("-inf"))
-        stands &= score >= (score.amax(1) - epsilon[case])[:, None]
-        if stands.sum() == count:  # one for each parent
+    survives = torch.ones(count, len(rows), dtype=torch.bool)
+    for case in _case_order(own, scores.shape[1]):
+        score = cases[case].masked_fill_(~survives, float("-inf"))
+        survives &= score >= (score.amax(1) - epsilon[case])[:, None]
+        if survives.sum() == count:  # one for each parent
             break
     # A random individual: of a parent's rows each counts as often as there are of its kind.
     last = (words(own, torch.tensor(scores.shape[1])) >> 11 & 2**53 - 1).double() * 2.0**-53
-    ends = (stands * size).cumsum(1)
+    ends = (survives * size).cumsum(1)
     place = (last * ends[:, -1]).long()
     row = (ends <= place[:, None]).sum(1)
     within = place - ends.gather(1, row[:, None])[:, 0] + size[row]
@@ -120,19 +124,19 @@ def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
     return row_of.argsort(stable=True)[first[row] + within]
 
 
-def _turns(own: Tensor, scenarios: int) -> Tensor:
-    """(B, count) in what order the scenarios come for keys (count,): Fisher and Yates' shuffle."""
-    turns = torch.arange(scenarios)[:, None].repeat(1, len(own))
-    for turn in range(scenarios):
-        at = turn + pick(uniform_from(words(own, torch.tensor(turn))), scenarios - turn)
-        found = turns.gather(0, at[None])
-        turns.scatter_(0, at[None], turns[turn : turn + 1].clone())
-        turns[turn] = found[0]
-    return turns
+def _case_order(own: Tensor, scenarios: int) -> Tensor:
+    """(B, count) the order of scenarios for each key (count,), by Fisher and Yates' shuffle."""
+    order = torch.arange(scenarios)[:, None].repeat(1, len(own))
+    for place in range(scenarios):
+        at = place + pick(uniform_from(words(own, torch.tensor(place))), scenarios - place)
+        found = order.gather(0, at[None])
+        order.scatter_(0, at[None], order[place : place + 1].clone())
+        order[place] = found[0]
+    return order
 
 
 def _distinct(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Different rows (R, B) in the order in which they appear, each one's (P,), and how often."""
+    """The distinct rows (R, B) in order of appearance, each individual's row (P,), and counts."""
     rows, row_of, size = torch.unique(scores, dim=0, return_inverse=True, return_counts=True)
     where = torch.full_like(size, len(scores))
     where.scatter_reduce_(0, row_of, torch.arange(len(scores)), "amin")

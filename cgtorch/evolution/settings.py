@@ -1,4 +1,4 @@
-"""How a population evolves."""
+"""Settings of an evolution."""
 
 from dataclasses import dataclass
 
@@ -12,27 +12,28 @@ from cgtorch.ground.errors import SettingsError
 
 @dataclass(frozen=True)
 class EvolutionSettings:
-    """How a population evolves.
+    """Settings of an evolution; SettingsError for a value that cannot work.
 
-    One can give one's own functions for `selection`, `fitness`, `crossover`, `mutation` and
-    `first_graphs`. A value that cannot work is a SettingsError.
+    You can pass your own functions for `selection`, `fitness`, `crossover`, `mutation` and
+    `first_graphs`.
 
     Attributes:
-        population: number of individuals, of each island.
-        selection: how parents are chosen, `lexicase` or `tournament(rounds)`.
-        fitness: what a run is worth.
-        crossover: how two parents become two children.
-        mutation: how children change.
-        elite: best individuals that go on unchanged.
-        capacity: the most nodes a graph can have.
-        initial_nodes: fewest and most nodes of a first graph, before pruning.
-        first_graphs: draws populations of random graphs, `random_graphs` or `varied_graphs`. Beside
-            seeds, the random half of a first population is always of `random_graphs`.
-        tau: variance of the drift of strategy parameters (eq. 2).
-        islands: populations that evolve apart; see `cgtorch.evolution.islands`.
-        migration: generations between two migrations.
-        lineages: structures whose parameters are tuned at once; see `cgtorch.evolution.lineages`.
-            None are if it is 0, and parameters change by mutation alone, as in the paper.
+        population: Number of individuals, of each island.
+        selection: How parents are selected, `lexicase` or `tournament(rounds)`.
+        fitness: The value of a rollout.
+        crossover: How two parents become two children.
+        mutation: How children change.
+        elite: Number of best individuals that are copied unchanged.
+        capacity: The largest number of nodes of a graph.
+        initial_nodes: The fewest and most nodes of a first graph, before pruning.
+        first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the
+            random half of a first population is always drawn by `random_graphs`.
+        tau: The variance of the drift of strategy parameters (eq. 2).
+        islands: Number of populations that evolve separately; see `cgtorch.evolution.islands`.
+        migration: Number of generations between two migrations.
+        lineages: Number of structures whose parameters are tuned at once; see
+            `cgtorch.evolution.lineages`. With 0, parameters change by mutation only, as in the
+            paper.
     """
 
     population: int = 400
@@ -79,4 +80,4 @@ REWARDS = EvolutionSettings(
     first_graphs=varied_graphs,
     lineages=4,
 )
-"""Settings for worlds with rewards, where every episode is one of the world itself."""
+"""Settings for worlds with rewards, where each rollout is an episode in the world itself."""

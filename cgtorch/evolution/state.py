@@ -1,4 +1,4 @@
-"""Where an evolution stands."""
+"""The state of an evolution."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,19 @@ from cgtorch.evolution.population import Population
 
 @dataclass(frozen=True)
 class EvolutionState:
-    """Where an evolution stands.
+    """The state of an evolution.
 
     Attributes:
-        population: the individuals to be evaluated next.
-        generation: how many generations have been told.
-        best: the best individual told so far in the last generation (a population of one).
-        best_fitness: its fitness, -inf before the first generation.
-        distinct_parents: of the population, 0 of one that was not bred.
-        lineages: those that the population was sampled from; none if it was bred.
-        parents: those of the next population, while there are lineages; before, who is to be among
-            them.
-        fresh: whether the next population that is not sampled is random, and not bred.
+        population: The individuals to evaluate next.
+        generation: Number of generations that `tell` has received.
+        best: The best individual of the last generation, a population of one.
+        best_fitness: Its fitness, -inf before the first generation.
+        distinct_parents: Number of different parents of the population; 0 if it has none.
+        lineages: The lineages that the population was sampled from; empty if it was bred.
+        parents: While lineages run, the parents of the next population. Otherwise, further
+            individuals that will be among these.
+        fresh: Whether the next new structures are random graphs rather than children. It is used
+            with lineages only.
     """
 
     population: Population

@@ -1,7 +1,7 @@
-"""Mutations of nodes and edges (section IV-B) of all graphs at once, in torch.
+"""Mutations of nodes and edges (section IV-B), of all graphs at once, in torch.
 
-Each is a function of the graphs and of uniform draws. Given u < rate, u / rate is uniform on [0, 1)
-and says which. `native/engine/mutation.h` does the same to one graph at a time.
+Each mutation is a function of graphs and uniform numbers. Given u < rate, u / rate is uniform on
+[0, 1) and selects the target. `native/engine/mutation.h` does the same to one graph at a time.
 """
 
 from dataclasses import replace
@@ -16,11 +16,15 @@ from cgtorch.ground.counter_rng import individual_words, nth_true, pick, uniform
 
 
 def restructured(graphs: Graphs, rates: Tensor, key: int, actions: ActionSet, slots: int) -> Graphs:
-    """Every mutation of nodes and edges in turn, and nodes that nothing leads to pruned.
+    """The graphs after all mutations of nodes and edges in turn, with unreachable nodes pruned.
 
-    Graphs have their nodes in the first of their slots, before and after it, and origins in place
-    of parameters (`cgtorch.evolution.parameters`), 0 for new nodes. Rates are the strategies (P, S)
-    in float32; all numbers follow from the key.
+    Args:
+        graphs: P graphs with origins in place of parameters (`cgtorch.evolution.parameters`); new
+            nodes get origin 0. Nodes are in the first slots, before and after.
+        rates: (P, S) float32 strategies.
+        key: Determines all random numbers.
+        actions: What nodes can do.
+        slots: Number of slots of the result.
     """
     o, rate = graphs.edges.shape[2], dict(zip(STRATEGY, rates.unbind(1), strict=True))
     # To add, to delete, to move the start; to replace, to change, and heads of all edges.
@@ -36,10 +40,11 @@ def restructured(graphs: Graphs, rates: Tensor, key: int, actions: ActionSet, sl
 
 
 def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) -> Graphs:
-    """A random node takes over one incoming edge of a node that has at least two.
+    """A random new node takes over one incoming edge of a node that has at least two.
 
-    Its own edges go to random nodes; it has no parameters, or origin, yet. Graphs that are full, or
-    without such an edge, stay. Draws (P, 3 + O) say whether, which edge, which action, and heads.
+    The edges of the new node lead to random nodes. Its origin is 0. A full graph, or one without
+    such an edge, stays as it is. `draws` (P, 3 + O) decide whether, on which edge, with which
+    action, and with which heads.
     """
     p, n, o = graphs.edges.shape
     flat = graphs.edges.flatten(1)
@@ -62,9 +67,10 @@ def add_node(graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor) ->
 
 
 def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:
-    """A random node goes and edges into it turn to random others; two nodes always remain.
+    """A random node is deleted, and edges into it lead to random others; two nodes always remain.
 
-    Draws (P, 3) say whether, which node, and a new start, those of heads (P, N, O) where edges go.
+    `draws` (P, 3) decide whether, which node, and on a new start; `heads` (P, N, O) where edges
+    lead.
     """
     gone = nth_true(graphs.used, draws[:, 1])
     deletes = (draws[:, 0] < rate) & (graphs.num_nodes > 2)
@@ -80,9 +86,9 @@ def delete_node(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> G
 def replace_nodes(
     graphs: Graphs, actions: ActionSet, rate: Tensor, draws: Tensor, heads: Tensor
 ) -> Graphs:
-    """Each node may turn into a new one: action and edges; its parameters are zero.
+    """Each node may become a new one, with a random action, random edges, and origin 0.
 
-    Draws (P, N) say whether, and which action, those of heads (P, N, O) where edges go.
+    `draws` (P, N) decide whether, and on the action; `heads` (P, N, O) decide where edges lead.
     """
     at = (draws < rate[:, None]) & graphs.used
     action = pick(draws / rate[:, None], len(actions))
@@ -98,7 +104,7 @@ def replace_nodes(
 def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> Graphs:
     """Each node may get a random new head on one of its edges.
 
-    Draws (P, N) say whether, and which edge, those of heads (P, N, O) where it goes.
+    `draws` (P, N) decide whether, and on which edge; `heads` (P, N, O) decide where it leads.
     """
     o = graphs.edges.shape[2]
     leads = graphs.edges != NO_NODE
@@ -108,7 +114,7 @@ def change_edges(graphs: Graphs, rate: Tensor, draws: Tensor, heads: Tensor) -> 
 
 
 def new_start(graphs: Graphs, rate: Tensor, draws: Tensor) -> Graphs:
-    """The start moves to a random node with an edge to another: draws (P, 2), whether and which."""
+    """The start may move to a random node that has an edge to another; `draws` (P, 2) decide."""
     slot = torch.arange(graphs.capacity)[:, None]
     leads = ((graphs.edges != NO_NODE) & (graphs.edges != slot)).any(2) & graphs.used
     moves = (draws[:, 0] < rate) & leads.any(1)

@@ -1,9 +1,10 @@
-"""Random graphs of as many kinds as there are, for populations that are as small as can be.
+"""Random graphs of as many kinds as possible, for small populations.
 
-Where every evaluation is an episode of the world, few graphs can be tried. Most random ones are not
-worth it: a policy that acts for a whole episode is a loop, and a node that the loop does not come
-back to is idle. So many graphs are drawn, of which those are kept whose nodes all lead to each
-other, one of each kind before a second one of any. The kind is which actions a graph's nodes have.
+If every evaluation is an episode of the world, few graphs can be tried, and most random ones are
+not worth it. A policy that acts for a whole episode is a loop, and a node outside the loop is idle.
+So many graphs are drawn, and those are preferred whose nodes can all reach each other. The first
+graph of each kind comes before the second of any. The kind of a graph is the sorted list of its
+nodes' actions.
 """
 
 from dataclasses import replace
@@ -16,7 +17,7 @@ from cgtorch.evolution.population import random_graphs
 from cgtorch.graphs import Graphs, reachable
 
 DRAWN = 32
-"""Graphs drawn for each one that is kept."""
+"""Number of graphs drawn for each one that is kept."""
 
 
 def varied_graphs(
@@ -26,7 +27,7 @@ def varied_graphs(
     initial_nodes: tuple[int, int],
     generator: Generator,
 ) -> Graphs:
-    """As many graphs as `size`, with a number of nodes within `initial_nodes` before pruning."""
+    """`size` graphs; the number of nodes before pruning is within `initial_nodes`."""
     drawn = random_graphs(DRAWN * size, actions, capacity, initial_nodes, generator)
     _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)
     group = torch.where(looping(drawn), kind, kind + len(kind))
@@ -35,7 +36,7 @@ def varied_graphs(
 
 
 def looping(graphs: Graphs) -> Tensor:
-    """(P,) bool, whether all nodes of a graph lead to each other."""
+    """(P,) bool, whether all nodes of a graph can reach each other."""
     every = torch.ones(len(graphs), dtype=torch.bool)
     for node in range(graphs.capacity):
         start = torch.full_like(graphs.start, node)
@@ -46,7 +47,7 @@ def looping(graphs: Graphs) -> Tensor:
 
 
 def occurrence(group: Tensor) -> Tensor:
-    """(P,) how often the same number has come before in groups (P,)."""
+    """(P,) how often the same number occurred earlier in groups (P,)."""
     order = group.argsort(stable=True)
     ordered, place = group[order], torch.arange(len(group))
     begins = torch.ones_like(ordered, dtype=torch.bool)

@@ -1,1 +1,1 @@
-"""Algorithm 1: improving a skill without forgetting."""
+"""Algorithm 1: improving a skill without forgetting what it solves."""

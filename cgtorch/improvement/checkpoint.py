@@ -1,9 +1,9 @@
-"""Journals: how a stage that was interrupted goes on as if nothing had happened.
+"""Journals: an interrupted stage resumes and ends as if it had not been interrupted.
 
-Everything here depends on seeds alone, so a stage that is made again does the same again. A journal
-holds what its long steps came to, in their order, each with the state of the random numbers after
-it. Made again, the stage reads them instead of computing them, and goes on computing where the
-journal ends. Of an evolution there is, too, a checkpoint: where it stood a while ago, as tensors.
+All results depend on seeds alone, so a repeated stage gives the same results. A journal stores the
+result of each long step, in order, with the state of the random numbers after it. A repeated stage
+reads these results instead of computing them, and computes from where the journal ends. For an
+evolution in progress, the journal also stores a checkpoint.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,11 +26,11 @@ from cgtorch.improvement.stopping import Found
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a long step has come to so far, and what it goes on from.
+    """The intermediate result of a long step, and the state from which it continues.
 
-    Each of the parts gives, when it is called, a part of that, which may be large. All ranks call
-    those that they call in the same order; what is kept is what the first one gets. Where they are
-    held `apart`, no rank has all without the others.
+    Each of `parts` is a function that returns a part of the state, which may be large. All ranks
+    call the parts that they call in the same order; the first rank's return values are stored. With
+    `apart`, the parts are distributed over the ranks.
     """
 
     about: dict[str, Tensor]
@@ -39,9 +39,9 @@ class Checkpoint:
 
 
 class Journal:
-    """What a stage has done so far, told in the order in which it was done; this one keeps nothing.
+    """The results of a stage so far, in order. This base class stores nothing.
 
-    `cgtorch.runs.journal.FileJournal` keeps it in files.
+    `cgtorch.runs.journal.FileJournal` stores them in files.
     """
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
@@ -49,18 +49,18 @@ class Journal:
         return None
 
     def record(self, step: str, result: dict[str, Tensor]) -> None:
-        """Keep what a step that was not recalled has come to."""
+        """Store the result of a step that was not recalled."""
 
     def recall_checkpoint(self, step: str) -> Checkpoint | None:
-        """Where the next step stood when it was interrupted; None if that was not kept."""
+        """The last checkpoint of the next step, or None if there is none."""
         return None
 
     def record_checkpoint(self, step: str, checkpoint: Checkpoint) -> None:
-        """Keep where a step stands, unless that was kept a moment ago; all ranks call it."""
+        """Store a checkpoint of a step, unless the last one is recent; all ranks call it."""
 
 
 def found_tensors(found: Found) -> dict[str, Tensor]:
-    """What `found_from` reads again."""
+    """The tensors that `found_from` reads."""
     return {
         **_tensors("champion", found.champion),
         "solved": found.solved,
@@ -71,7 +71,7 @@ def found_tensors(found: Found) -> dict[str, Tensor]:
 
 
 def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -> Found:
-    """What an evolution of B scenarios had come to; RunError if the tensors do not say."""
+    """The intermediate result of an evolution on B scenarios; RunError for damaged tensors."""
     with _damage():
         champion = _population("champion", tensors, actions)[:1]
         (since, transitions), (best, seconds) = (tensors[n].tolist() for n in ("counts", "numbers"))
@@ -99,7 +99,7 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
 
 
 def island_tensors(island: Island) -> dict[str, Tensor]:
-    """What `island_from` reads again."""
+    """The tensors that `island_from` reads."""
     state = {"generator": island.generator.get_state()}
     return {
         **_tensors("population", island.state.population),
@@ -111,13 +111,13 @@ def island_tensors(island: Island) -> dict[str, Tensor]:
 def islands_from(
     checkpoint: Checkpoint, actions: ActionSet, generator: Generator, count: int
 ) -> list[Island]:
-    """Of `count` islands those that this rank holds, from where they stood; RunError if damaged.
+    """The islands that this rank holds, of `count` in a checkpoint; RunError if it is damaged.
 
-    The generator is set to what the first island's was, and is that island's, if it is held.
+    If this rank holds the first island, the generator becomes that island's and gets its state.
     """
     if len(checkpoint.parts) != count:
         raise RunError(
-            f"the state of an evolution is one of {len(checkpoint.parts)} islands, not {count}; "
+            f"the checkpoint of an evolution has {len(checkpoint.parts)} islands, not {count}; "
             "remove it"
         )
     done = int(checkpoint.about["generations"])
@@ -130,7 +130,7 @@ def islands_from(
 def island_from(
     tensors: dict[str, Tensor], actions: ActionSet, generator: Generator, generation: int
 ) -> Island:
-    """An island that evaluates this generation next, from what may be `island_tensors`."""
+    """An island that evaluates this generation next, from untrusted `island_tensors`."""
     with _damage():
         population = _population("population", tensors, actions)
         state = EvolutionState(population, generation, population[:1], float("-inf"))
@@ -140,19 +140,19 @@ def island_from(
 
 
 def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
-    """Set a generator to what `tensors` say it was; RunError if they do not."""
+    """Set a generator to the state in `tensors`; RunError if there is no valid one."""
     with _damage():
         generator.set_state(tensors["generator"])
 
 
 @contextmanager
 def _damage() -> Iterator[None]:
-    """A RunError for all that reading tensors that are something else can raise."""
+    """Turn any exception from reading damaged tensors into a RunError."""
     try:
         yield
     except (KeyError, ValueError, TypeError, RuntimeError) as e:
         reason = " ".join(str(e).split())[:200]
-        raise RunError(f"the state of an evolution is damaged ({reason}); remove it") from e
+        raise RunError(f"the checkpoint of an evolution is damaged ({reason}); remove it") from e
 
 
 def _population(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:

@@ -19,11 +19,11 @@ def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
 def compose(
     name: str, members: list[Skill], branches: Tensor, actions: ActionSet, max_transitions: int
 ) -> Skill:
-    """A skill that branches to one of its members, each a frozen sub-skill.
+    """A skill that branches to one of its members, which are frozen sub-skills.
 
-    The branches, with parameters (M - 1, K), are asked in turn; a member that fails hands over to
-    the next one, the last to the first, so that a wrong branch is not the end. Members that behave
-    the same are one node; those that differ need different names.
+    The branching nodes, with parameters (M - 1, K), are visited in turn. A member that fails is
+    followed by the next one, and the last by the first, so a wrong branch can be corrected. Members
+    that behave the same share one node; members that differ need different names.
     """
     kind, branch = branching_action(actions)
     m = len(members)
@@ -49,7 +49,7 @@ def compose(
 
 
 def specialists_of(skill: Skill) -> tuple[Skill, ...]:
-    """The skills of a composed one that hold no others, at whatever level; () if there are none."""
+    """The skills at any level of a composed skill that contain no other skills; () if none do."""
     found: dict[str, Skill] = {}
     for name, sub in skill.sub_skills.items():
         found.update({s.name: s for s in specialists_of(sub)} or {name: sub})

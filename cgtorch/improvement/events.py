@@ -1,4 +1,4 @@
-"""What happens during improvement, for whoever watches: display, TensorBoard, ledger."""
+"""Events of improvement, for observers: the display, TensorBoard, the ledger."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,14 +14,15 @@ from cgtorch.svm import LearningCurve
 
 
 class Event:
-    """Something that happens during improvement."""
+    """An event of improvement."""
 
 
 @dataclass(frozen=True)
 class StageStarted(Event):
-    """A stage begins: so many scenarios in W, so many to be solved anew.
+    """A stage begins, with `size_w` scenarios in W and `size_m` to solve.
 
-    `stages` are all stages of this run, in order; `attempts` bounds the evolutions in each.
+    `stages` are all stages of the run, in order; `attempts` is the maximum number of evolutions per
+    stage.
     """
 
     stage: str
@@ -33,14 +34,15 @@ class StageStarted(Event):
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """What watchers are told of Γ and C.
+    """A summary of Γ and C for observers.
 
     Attributes:
-        text: one line for a display.
-        scalars: numbers by their tag in TensorBoard.
-        curves: learning curves by the name of the model.
-        reliability: mean probability, frequency of success and rows of bins of C's probability.
-        first: whether these are the first models of a run.
+        text: One line for a display.
+        scalars: Numbers by their TensorBoard tag.
+        curves: Learning curves by the name of the model.
+        reliability: For each bin of C's probability: its mean, the frequency of success, and the
+            number of rows.
+        first: Whether these are the first models of a run.
     """
 
     text: str
@@ -73,9 +75,10 @@ class CandidateTested(Event):
 
 @dataclass(frozen=True)
 class GenerationDone(CandidateTested):
-    """A generation was evaluated in the models, on the scenarios that `candidate` is evolved on.
+    """A generation was evaluated in the models, on the scenarios on which `candidate` evolves.
 
-    The counts are its best individual's. It took `seconds`; there are `limit` generations at most.
+    The counts are those of its best individual. It took `seconds`; there are at most `limit`
+    generations.
     """
 
     generation: Generation
@@ -85,7 +88,7 @@ class GenerationDone(CandidateTested):
 
 @dataclass(frozen=True)
 class EvolutionRecalled(Event):
-    """What an evolution has `found` is known from before an interruption."""
+    """The result `found` of an evolution was read from the journal of an interrupted run."""
 
     stage: str
     candidate: str
@@ -94,12 +97,12 @@ class EvolutionRecalled(Event):
 
 @dataclass(frozen=True)
 class AboutToKeep(Event):
-    """What has been told so far is about to be kept, so that it will not be told again."""
+    """The events so far are about to be stored, and will not be repeated after an interruption."""
 
 
 @dataclass(frozen=True)
 class JournalDamaged(Event):
-    """Files of a stage's journal cannot be read; what they held is done again."""
+    """Files of a stage's journal cannot be read; their work is repeated."""
 
     stage: str
     files: tuple[str, ...]
@@ -107,18 +110,18 @@ class JournalDamaged(Event):
 
 @dataclass(frozen=True)
 class WorldTested(CandidateTested):
-    """A candidate solves `kept` of its group in the world, and `promised` of it in the models."""
+    """A candidate solves `kept` of its group in the world, and `predicted` of it in the models."""
 
     kept: int | None = None
-    promised: int | None = None
+    predicted: int | None = None
 
 
 @dataclass(frozen=True)
 class SkillAccepted(Event, Generic[S]):
-    """Eq. 1 holds in the world for a new skill.
+    """A new skill meets eq. 1 in the world.
 
-    `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those that are W,
-    `targets` (B,) bool the test placements of the stage.
+    `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those of W,
+    `targets` (B,) bool the stage's test scenarios.
     """
 
     stage: str
@@ -132,10 +135,10 @@ class SkillAccepted(Event, Generic[S]):
 
 @dataclass(frozen=True)
 class FreshTested(Event):
-    """A round's skill was tried on fresh placements: it solved `succeeded` of `tried`.
+    """A round's skill was tried on fresh scenarios: it solved `succeeded` of `tried`.
 
-    `target` is the share that is aimed at, `decisive` whether this is the test that says if it
-    holds. Where the domain gives rewards, the target is one of the mean return.
+    `target` is the share to reach, or the mean return if the domain gives rewards. `decisive` is
+    whether this is the final test, which decides whether the target is met.
     """
 
     stage: str
@@ -150,6 +153,6 @@ Watch: TypeAlias = Callable[[Event], None]
 
 
 def solved_of(succeeded: Tensor, keep: Tensor) -> tuple[int, int, int, int]:
-    """What `succeeded` (B,) of W, the scenarios to `keep` (B,), and how many these are; of M."""
+    """The number of W solved and its size, and the same of M, from `succeeded` and `keep` (B,)."""
     w, m = succeeded[keep], succeeded[~keep]
     return int(w.sum()), len(w), int(m.sum()), len(m)

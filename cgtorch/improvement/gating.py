@@ -1,4 +1,4 @@
-"""Branching by gradient: from the first percept to a sub-skill that solves the scenario."""
+"""Gating: branching nodes, trained by gradient, send each scenario to a member that solves it."""
 
 import math
 
@@ -14,17 +14,21 @@ RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0
 
 
-def train_branches(
+def train_gating(
     branch: BranchingNN, percepts: Tensor, solves: Tensor, weight: Tensor, generator: Generator
 ) -> tuple[Tensor, Tensor]:
-    """(M - 1, K) parameters of branches, and (B,) long, the member that each scenario is sent to.
+    """(M - 1, K) parameters of the branching nodes, and (B,) long, the member of each scenario.
 
-    The branches are asked in turn: the first that says "out1" hands over to its member, the last
-    member takes what is left. During training each says so with a probability, and the loss is the
+    The nodes are visited in turn. The first one with the outcome "out1" selects its member; the
+    last member takes the rest. In training, each outcome has a probability, and the loss is the
     negative log-probability that a scenario reaches a member that solves it.
 
-    Of first `percepts` (B, D), `solves` (B, M) says how surely, in [0, 1], each member solves them,
-    and `weight` (B,) how much they count. The generator draws first weights and noise on percepts.
+    Args:
+        branch: The action of the branching nodes.
+        percepts: (B, D) first percepts.
+        solves: (B, M) how reliably each member solves each scenario, in [0, 1].
+        weight: (B,) the weight of each scenario.
+        generator: Draws initial parameters and noise on percepts.
     """
     if solves.shape[1] == 1:
         empty = percepts.new_zeros(0, branch.num_parameters)
@@ -48,9 +52,9 @@ def _descend(
     blur: Tensor,
     generator: Generator,
 ) -> Tensor:
-    """(RESTARTS, M - 1, K) parameters, by Adam from as many random starts side by side.
+    """(RESTARTS, M - 1, K) parameters, by Adam from several random starts at once.
 
-    Steps grow smaller as half a cosine (Loshchilov & Hutter, "SGDR", ICLR 2017).
+    The learning rate follows half a cosine (Loshchilov & Hutter, "SGDR", ICLR 2017).
     """
     shape = (RESTARTS, solves.shape[1] - 1, branch.num_parameters)
     parameters = torch.randn(shape, generator=generator).requires_grad_()
@@ -82,7 +86,7 @@ def _outputs(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
 
 
 def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(..., B, M) log-probability that each member is chosen."""
+    """(..., B, M) log-probability that each member is selected."""
     out = (SHARPNESS * _outputs(branch, parameters, x)).log_softmax(-1)
     first, second = out.movedim(-3, -1).unbind(-2)
     passed = torch.nn.functional.pad(second.cumsum(-1), (1, 0))
@@ -90,7 +94,7 @@ def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
 
 
 def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
-    """(B,) long, the member that each percept is sent to."""
+    """(B,) long, the member to which each percept is sent."""
     x = branch.sees(percepts)
     # As in the running skill, where the sigmoid rounds large outputs to the same number.
     out = torch.stack([sigmoid(one_hidden_layer(x, p, branch.hidden, 2)) for p in parameters])
@@ -99,7 +103,7 @@ def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor
 
 
 def _unscaled(branch: BranchingNN, parameters: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
-    """The same networks, on percepts in metres."""
+    """The same networks for percepts in their own units."""
     size, hidden = branch.hidden * branch.inputs, branch.hidden
     w1, b1, rest = parameters.tensor_split([size, size + hidden], 1)
     w1 = w1.unflatten(1, (hidden, branch.inputs)) / scale

@@ -1,8 +1,8 @@
-"""Choosing scenarios by what the robot sees at first: groups of missed ones, and a coreset of W.
+"""Choosing scenarios by their first percepts: groups of missed scenarios, and a coreset of W.
 
-Specialists are evolved on groups. Members of a team are tried on, and branches trained by, a
-coreset, so that W can grow without bound: a new skill is tried on all of W before it is accepted,
-and what it loses joins the coreset (`cgtorch.improvement.improve`).
+Specialists are evolved on groups. Members of a team are tried on a coreset of W, and branching
+nodes are trained on it, so W can grow without bound. A new skill is tried on all of W before it is
+accepted, and what it loses joins the coreset (`cgtorch.improvement.improve`).
 """
 
 import torch
@@ -10,15 +10,15 @@ from torch import Generator, Tensor
 
 
 def broad_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
-    """Indices of missed scenarios, drawn at random; the arguments are those of `local_group`."""
+    """Indices of missed scenarios, drawn at random; for the arguments see `local_group`."""
     rows = missed.nonzero()[:, 0]
     return rows[torch.randperm(len(rows), generator=generator)[:size]]
 
 
 def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
-    """Indices (n,), at most `size`, of a random `missed` (B,) scenario and those nearest to it.
+    """Indices (n,), at most `size`, of a random `missed` (B,) scenario and its nearest missed ones.
 
-    Near is what the robot sees at first, `percepts` (B, D).
+    Distances are those of first percepts (B, D).
     """
     rows = missed.nonzero()[:, 0]
     seed = rows[torch.randint(len(rows), (1,), generator=generator)]
@@ -27,11 +27,11 @@ def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generato
 
 
 def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
-    """(n,) long, ascending, scenarios spread over first percepts (B, D) in m (Gonzalez 1985).
+    """(n,) long, ascending, scenarios that cover first percepts (B, D) (Gonzalez 1985).
 
-    The first is kept, then again and again the one that is farthest from all that are kept, up to
-    `size` of them: it is at most twice as far from them as with the best choice of as many. Of the
-    same percept, only one is kept. Every other row is within the distance (m) that is returned too.
+    The first scenario is chosen, then repeatedly the one farthest from those chosen, up to `size`.
+    The largest distance to a chosen one is at most twice that of the best choice of as many. Of
+    equal percepts, only one is chosen. The largest distance is returned, too.
     """
     if len(percepts) <= size:
         return torch.arange(len(percepts)), 0.0

@@ -1,4 +1,4 @@
-"""The paper's own way: grow one graph under a hard W (Algorithms 1 and 2, eq. 3)."""
+"""The paper's method: grow one graph with W as a hard constraint (Algorithms 1 and 2, eq. 3)."""
 
 import time
 from dataclasses import replace
@@ -19,11 +19,11 @@ from cgtorch.improvement.trial import attempt
 def grow(
     stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, draw: Draw[S]
 ) -> Progress[S]:
-    """Evolve the last skill's own graph until it keeps W and solves all of M.
+    """Evolve the graph of the last skill until it keeps W and solves all of M.
 
-    Half of each first population is the last graph; fitness is 0 where a scenario of W fails.
-    What meets eq. 1 in the world becomes the graph that the next attempt starts from. Arguments
-    and result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are not drawn.
+    Half of each first population are copies of the last graph. The fitness is 0 if a scenario of W
+    fails. A graph that meets eq. 1 in the world is where the next attempt starts. Arguments and
+    result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are not drawn.
     """
     began, setup = time.perf_counter(), stage.setup
     state = initial_state(stage, progress, scenarios, targets)

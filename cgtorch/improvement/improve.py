@@ -1,8 +1,8 @@
 """Algorithm 1: a new skill that forgets nothing and solves something new.
 
-Growing one graph under a hard W stalls, so the default is to divide, evolve and compose: local
-groups of missed scenarios get specialists of their own, and branching nodes, trained by gradient,
-send each scenario to a member that solves it. `cgtorch.improvement.grow` is the paper's own way.
+Growing one graph with W as a hard constraint stalls. So by default specialists are evolved on
+groups of missed scenarios, and branching nodes, trained by gradient, send each scenario to a member
+that solves it. `cgtorch.improvement.grow` is the paper's method.
 """
 
 import time
@@ -32,11 +32,17 @@ CHECKS = 8  # on all of W, before a team is given up
 def improve(
     stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, draw: Draw[S]
 ) -> Progress[S]:
-    """Divide, evolve and compose, and again with what fails on fresh scenarios.
+    """Evolve specialists, compose them, and repeat with what fails on fresh scenarios.
 
-    A new skill goes on from where earlier stages ended, and shall solve the scenarios, of which
-    `targets` (B,) bool are the stage's own tests. It comes with what it solves and misses; where
-    eq. 1 could not be met, the old one does.
+    Args:
+        stage: What the stage works with.
+        progress: The result of earlier stages.
+        scenarios: B scenarios to solve.
+        targets: (B,) bool, the stage's own test scenarios.
+        draw: Draws fresh scenarios.
+
+    Returns:
+        The new skill with what it solves and misses; the old one if eq. 1 could not be met.
     """
     began, setup = time.perf_counter(), stage.setup
     state, accepted = _begun(stage, progress, scenarios, targets), None
@@ -82,7 +88,7 @@ def improve(
 
 
 def _begun(stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor) -> StageState[S]:
-    """The first state, with a coreset of W and the rest of it, and the earlier skill."""
+    """The first state, with a coreset of W, the rest of W, and the earlier skill."""
     setup, solved = stage.setup, progress.solved
     rows, _ = cover(first_percepts(setup.world_of(solved)), setup.core)
     kept = torch.zeros(len(solved), dtype=torch.bool)
@@ -102,9 +108,9 @@ def _begun(stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor
 def _compose(
     stage: Stage[S], state: StageState[S], progress: Progress[S]
 ) -> tuple[StageState[S], tuple[Skill, Tensor] | None]:
-    """What `compose_team` gives, once it loses nothing of the rest of W either; None if it does.
+    """The result of `compose_team` if it loses nothing of the rest of W; otherwise None for it.
 
-    What was lost of the rest joins the scenarios, and another team is composed.
+    Lost scenarios of the rest join the scenarios of the state, and another team is composed.
     """
     for _ in range(CHECKS):
         composed = compose_team(stage, state, progress)
@@ -120,7 +126,7 @@ def _compose(
 
 
 def _recruit_all(stage: Stage[S], state: StageState[S]) -> StageState[S]:
-    """Recruit until each scenario has a member that always solves it, or it gets no better."""
+    """Recruit until each scenario has a member that always solves it, or no progress is made."""
     idle = 0
     while state.tried < stage.setup.attempts and idle < stage.setup.idle:
         missed = (state.rates < 1).all(1)

@@ -1,4 +1,4 @@
-"""What improvement asks of a `Domain`: scenarios, where to search, and how models learn."""
+"""The functions of a `Domain` that improvement needs: scenarios, where to search, and learning."""
 
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
@@ -12,21 +12,21 @@ S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a world."""
 
 Models: TypeAlias = Any
-"""Γ and C with whatever they have been learned from: improvement hands them on and looks at nothing
-in them. Those of a `Domain` are `cgtorch.domains.Knowledge`, or None where there are none."""
+"""Γ and C with their data. Improvement passes them on without looking at them. For a `Domain` they
+are `cgtorch.domains.Knowledge`, or None without models."""
 
 Imagine: TypeAlias = Callable[[Models, S, Tensor, int, Generator, torch.device | str], Environment]
-"""Makes the environment that skills are evolved in, of Γ and C, or the world itself: from models,
-scenarios, their first percepts (B, D), the number of replicas of each, a generator and a device.
-Scenario i has the indices i · replicas … i · replicas + replicas - 1; they may differ by what Γ can
-have got wrong, drawn from the generator, or by noise."""
+"""Makes the environment of an evolution, from Γ and C or from the world itself. The arguments are
+models, scenarios, their first percepts (B, D), the number of replicas of each, a generator and a
+device. Scenario i gets the indices i · replicas … i · replicas + replicas - 1. Replicas may differ
+by possible errors of Γ, drawn from the generator, or by noise."""
 
 Learn: TypeAlias = Callable[[Models, Dataset, Generator], Models]
-"""From models, what was experienced in the world, and a generator to models that know it, too."""
+"""Maps models, new experience in the world, and a generator to models that have learned from it."""
 
 Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
-"""First percepts (B, D), (B,) bool what is missed, a size, and a generator to the indices (n,) of
-a group of missed scenarios that a specialist is evolved on."""
+"""Maps first percepts (B, D), (B,) bool which scenarios are missed, a size, and a generator to the
+indices (n,) of missed scenarios on which a specialist is evolved."""
 
 Draw: TypeAlias = Callable[[Generator], S]
-"""Draws fresh scenarios of the kind a stage is about."""
+"""Draws fresh scenarios of the stage's kind."""

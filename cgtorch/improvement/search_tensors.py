@@ -1,4 +1,4 @@
-"""Lineages, and parents that wait for them, as tensors (`cgtorch.evolution.lineages`)."""
+"""The part of a checkpoint about lineages (`cgtorch.evolution.lineages`), as tensors."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,20 +12,20 @@ from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.lineages import RECENT, Lineage
 
 VECTORS = ("mean", "covariance", "path", "step_path")
-"""Tensors of a `Distribution`."""
+"""The tensors of a `Distribution`."""
 
 Read = Callable[[str, dict[str, Tensor]], Population]
-"""Reads the population that `population_tensors` has named."""
+"""Reads a population from tensors named by `population_tensors`."""
 
 
 def population_tensors(part: str, population: Population) -> dict[str, Tensor]:
-    """A population by the names of its fields."""
+    """The tensors of a population, by name."""
     values = {**vars(population.graphs), "strategy": population.strategy}
     return {f"{part}.{name}": value for name, value in values.items()}
 
 
 def search_tensors(state: EvolutionState) -> dict[str, Tensor]:
-    """What `with_search` reads again; nothing where there are neither lineages nor parents."""
+    """The tensors that `with_search` reads; none without lineages and parents."""
     found: dict[str, Tensor] = {}
     if state.lineages or state.parents is not None or not state.fresh:
         found["turns"] = torch.tensor([len(state.lineages), int(state.fresh)])
@@ -45,7 +45,7 @@ def search_tensors(state: EvolutionState) -> dict[str, Tensor]:
 
 
 def with_search(state: EvolutionState, tensors: dict[str, Tensor], read: Read) -> EvolutionState:
-    """The state with lineages and parents, if the tensors hold any.
+    """The state with lineages and parents, if the tensors contain any.
 
     KeyError, ValueError, TypeError or RuntimeError if they do not fit together.
     """

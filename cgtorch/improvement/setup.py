@@ -1,4 +1,4 @@
-"""What improvement works with, and what it hands on."""
+"""The inputs of improvement, and the result that one stage hands to the next."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,28 +20,30 @@ from cgtorch.improvement.stopping import Budget
 
 @dataclass(frozen=True)
 class Setup(Generic[S]):
-    """What improvement works with and never changes.
+    """The constant inputs of improvement.
 
     Attributes:
-        world_of: makes the world of given scenarios.
-        imagine: makes the environment that skills are evolved in.
-        learn: teaches the models what was experienced in the world; None if there are none.
-        describe: tells of models that have learned on.
-        evolution: settings of each evolution, which ends with its `budget`.
-        attempts: the most evolutions in one stage.
-        idle: evolutions without a new member after which no more are tried.
-        rounds: how often at most a stage's skill is tried on fresh scenarios and improved again.
-        group_of: chooses the scenarios that a specialist is evolved on.
-        group: how many these are.
-        widest: how many they become, by doubling, for one with a fitness of `Budget.satisfied`.
-        replicas: of each scenario of a whole group, of fewer ones more: 2 so that it is met under
-            different errors of Γ, or other noise.
-        trials: runs in the world, with different noise, that a member must all pass to count as
-            solving a scenario.
-        core: scenarios of W at most that members are tried on; a new skill is tried on all.
-        max_transitions: of every skill.
-        device: where populations are evaluated.
-        journal: what is known of the stage from before an interruption, and keeps what is new.
+        world_of: Makes the world of given scenarios.
+        imagine: Makes the environment in which skills are evolved.
+        learn: Trains the models on new experience; None without models.
+        describe: Summarises models after learning.
+        evolution: The settings of each evolution, which ends by its `budget`.
+        attempts: Maximum number of evolutions in one stage.
+        idle: Number of evolutions without a new member after which a stage stops.
+        rounds: How often at most a stage's skill is tried on fresh scenarios and improved again.
+        group_of: Chooses the scenarios on which a specialist is evolved.
+        group: Number of these scenarios.
+        widest: Number to which they grow, by doubling, for a specialist with a fitness of
+            `Budget.satisfied`.
+        replicas: Copies of each scenario of a whole group, and more of a smaller one. With 2, it is
+            met under different errors of Γ, or other noise.
+        trials: Runs in the world with different noise, all of which must succeed for a member to
+            count as solving a scenario.
+        core: Maximum number of scenarios of W on which members are tried. A new skill is tried on
+            all.
+        max_transitions: Of every skill.
+        device: Where populations are evaluated.
+        journal: Stores results, and returns those from before an interruption.
     """
 
     actions: ActionSet
@@ -67,7 +69,7 @@ class Setup(Generic[S]):
 
 @dataclass(frozen=True)
 class Stage(Generic[S]):
-    """What one stage works with; its name is that of the skill that it makes, too."""
+    """The inputs of one stage; its skill has the same name."""
 
     setup: Setup[S]
     name: str
@@ -77,15 +79,15 @@ class Stage(Generic[S]):
 
 @dataclass(frozen=True)
 class Progress(Generic[S]):
-    """What one stage hands on to the next.
+    """The result that one stage hands to the next.
 
     Attributes:
-        skill: the last accepted skill, None before the first.
-        solved: W, what it succeeds on in the world.
-        missed: M, what it was tried on and failed.
-        knowledge: experience and models.
-        specialists: graphs evolved so far, seeds of later populations; None before the first.
-        members: skills within the last one that the next may use beside it or in its place.
+        skill: The last accepted skill, None before the first.
+        solved: W, the scenarios on which it succeeds in the world.
+        missed: M, the scenarios on which it fails.
+        knowledge: Data and models.
+        specialists: Graphs evolved so far, seeds of later populations; None before the first.
+        members: Skills within the last one, which the next may use beside it or instead of it.
     """
 
     skill: Skill | None

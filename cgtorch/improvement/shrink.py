@@ -1,4 +1,4 @@
-"""Making a large graph smaller, so that one can read it."""
+"""Removing nodes from a large graph to make it readable."""
 
 from dataclasses import replace
 
@@ -22,12 +22,12 @@ def shrunk(
     fitness: Fitness = chance_of_success,
     device: torch.device | str = "cpu",
 ) -> Population:
-    """The individual with nodes taken away until it is readable, as long as it does as well.
+    """The individual with nodes removed until it is readable, as long as it does not get worse.
 
-    Every way to lead all edges into one node to another instead is tried in the models at once; of
-    those that solve all that was solved, the one that leaves the fewest nodes is taken. The
-    champion is a population of one. The environment, on `device`, is the models on its scenarios;
-    see `cgtorch.evolution.evaluator` for the rest.
+    For every pair of nodes, all edges into one are led to the other in the models, all pairs at
+    once. Among those that still solve all scenarios, the one with the fewest nodes is taken, and so
+    on. The champion is a population of one. The environment, on `device`, contains its scenarios.
+    For the rest see `cgtorch.evolution.evaluator`.
     """
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
     evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)
@@ -51,7 +51,7 @@ def shrunk(
 
 
 def _without_each(graphs: Graphs) -> Graphs:
-    """One graph with n nodes as n (n - 1): without node i, what led to it leading to node j."""
+    """One graph with n nodes as n (n - 1) graphs: edges into node i lead to node j instead."""
     used = graphs.used[0].nonzero()[:, 0]
     gone, to = (x.flatten() for x in torch.meshgrid(used, used, indexing="ij"))
     gone, to = gone[gone != to], to[gone != to]

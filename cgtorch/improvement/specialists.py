@@ -1,4 +1,4 @@
-"""Specialists: small graphs evolved on a group of missed scenarios, without W to carry."""
+"""Specialists: small graphs evolved on a group of missed scenarios, without W as a constraint."""
 
 import time
 from math import inf
@@ -30,10 +30,10 @@ def evolve_candidate(
     keep: Tensor | None = None,
     seeds: Population | None = None,
 ) -> Found:
-    """Evolve until all scenarios are solved in the models and the fitness has settled.
+    """Evolve until all scenarios are solved in the environment and the fitness has settled.
 
-    The environment of B scenarios runs on the setup's device; `keep` (B,) bool and `seeds` are
-    those of `cgtorch.evolution.evolve`. What the journal knows is not evolved again.
+    The environment of B scenarios runs on the setup's device. For `keep` (B,) bool and `seeds` see
+    `cgtorch.evolution.evolve`. Results in the journal are not computed again.
     """
     setup, generator, step = stage.setup, stage.generator, f"evolution {name}"
     settings, journal = setup.evolution, setup.journal

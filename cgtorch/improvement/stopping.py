@@ -1,4 +1,4 @@
-"""What an evolution has come to, and when it ends."""
+"""When an evolution stops, and its result so far."""
 
 from dataclasses import dataclass, replace
 
@@ -10,16 +10,16 @@ from cgtorch.evolution.population import slim
 
 @dataclass(frozen=True)
 class Budget:
-    """When to stop searching.
+    """When to stop an evolution.
 
     Attributes:
-        generations: the most for one evolution.
-        patience: generations without a better fitness, once all is solved in the models.
-        stall: generations without a better fitness after which the search gives up.
-        enough: fitness with which a candidate that solves all is good enough.
-        satisfied: fitness from which on the scenarios that it does not solve are left to others,
-            after `patience` generations without a better one.
-        transitions: actions executed in the models after which no generation is begun.
+        generations: Maximum number of generations.
+        patience: Generations without a better fitness after which it stops, once all is solved.
+        stall: Generations without a better fitness after which it gives up.
+        enough: The fitness at which it stops at once if all is solved.
+        satisfied: The fitness from which it stops after `patience` generations without a better
+            one, even if not all is solved; other members solve the rest.
+        transitions: Number of executed actions after which no generation begins.
     """
 
     generations: int = 150
@@ -32,16 +32,16 @@ class Budget:
 
 @dataclass(frozen=True)
 class Found:
-    """What an evolution has come to so far.
+    """The result of an evolution so far.
 
     Attributes:
-        champion: the best individual, as a population of one without unused slots.
-        solved: (B,) bool what it solves in the models.
-        best: its fitness, -inf before the first generation.
-        since: generations without a better one.
-        generations: how many there were.
-        transitions: actions executed in the models.
-        seconds: what they took.
+        champion: The best individual, a population of one without unused slots.
+        solved: (B,) bool, what it solves in the environment.
+        best: Its fitness, -inf before the first generation.
+        since: Generations since the fitness last improved.
+        generations: Number of generations so far.
+        transitions: Number of actions executed so far.
+        seconds: Time so far.
     """
 
     champion: Population
@@ -53,7 +53,7 @@ class Found:
     seconds: float = 0.0
 
     def after(self, generation: Generation, seconds: float) -> "Found":
-        """With one more generation, which took so many seconds."""
+        """The result after one more generation, which took `seconds`."""
         counted = replace(
             self,
             since=self.since + 1,
@@ -68,7 +68,7 @@ class Found:
         return replace(counted, champion=champion, solved=solved, best=fitness, since=0)
 
     def ends(self, budget: Budget) -> bool:
-        """Whether the evolution is over."""
+        """Whether the evolution is finished."""
         good = self.best >= budget.enough or self.since >= budget.patience
         settled = self.best >= budget.satisfied and self.since >= budget.patience
         return (

@@ -1,4 +1,4 @@
-"""A team of skills that a composed skill branches to: recruiting members, composing them."""
+"""The team of skills that a composed skill branches to: recruiting and composing members."""
 
 import time
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, WorldTested, solved_of
-from cgtorch.improvement.gating import train_branches
+from cgtorch.improvement.gating import train_gating
 from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.shrink import shrunk
@@ -26,20 +26,20 @@ TRIES = 3  # of training the branches of one team
 
 @dataclass(frozen=True)
 class StageState(Generic[S]):
-    """Where a stage stands: its scenarios, and the team of skills that shall solve them.
+    """The state of a stage: its scenarios, and the team of skills that should solve them.
 
     Attributes:
-        scenarios: B of them.
-        keep: (B,) bool, W: what must not be lost.
-        targets: (B,) bool, the stage's own test placements.
-        percepts: (B, D) what the robot first sees in each.
-        rest: more of W, on which composed skills are tried, but no members.
-        knowledge: experience and models, with what the members' runs have taught.
-        members: M skills that may be branched to, the earlier skill first if there is one.
+        scenarios: B scenarios.
+        keep: (B,) bool, W: the scenarios that must not be lost.
+        targets: (B,) bool, the stage's own test scenarios.
+        percepts: (B, D) first percepts.
+        rest: More of W, on which composed skills are tried, but not members.
+        knowledge: Data and models, with what was learned from the members' runs.
+        members: M skills to branch to; the earlier skill comes first if there is one.
         rates: (B, M) share of their runs in the world that succeed.
-        population: the specialists' graphs; None while there is none.
-        hints: a candidate that held in the models only, to go on from; None if there is none.
-        tried: evolutions so far.
+        population: The specialists' graphs; None before the first.
+        hints: A candidate that succeeded only in the models, as a seed; None if there is none.
+        tried: Number of evolutions so far.
     """
 
     scenarios: S
@@ -77,7 +77,7 @@ def initial_state(
 
 
 def with_fresh(setup: Setup[S], state: StageState[S], solved: Tensor, fresh: S) -> StageState[S]:
-    """The state after more scenarios; what is `solved` (B + fresh,) becomes W."""
+    """The state with more scenarios; those that are `solved` (B + fresh,) become W."""
     rates = [try_all(setup, member, fresh)[0] for member in state.members]
     return replace(
         state,
@@ -90,9 +90,9 @@ def with_fresh(setup: Setup[S], state: StageState[S], solved: Tensor, fresh: S) 
 
 
 def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Dataset]:
-    """(B,) share of runs that succeed, 0 where the first one fails, and what was experienced.
+    """(B,) share of successful runs, 0 if the first one fails, and the experience of the runs.
 
-    Where a skill succeeds it is tried again under other noise, `setup.trials` times in all.
+    A skill that succeeds is tried again under other noise, `setup.trials` times in all.
     """
     trial = attempt(setup, skill, scenarios)
     rate, experience = trial.succeeded.float(), trial.experience
@@ -106,19 +106,19 @@ def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Datase
 
 
 def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState[S]:
-    """Evolve one specialist on a local group of what is `missed` (B,), and try it in the world.
+    """Evolve one specialist on a group of `missed` (B,) scenarios, and try it in the world.
 
-    It joins the team if it solves anything that nobody does. Where the world does not keep what
-    the models promised, Γ and C learn from it, and the next search goes on from there.
+    It joins the team if it solves a scenario that no member solves. If it solves less in the world
+    than in the models, Γ and C learn from the runs, and the next search starts from it.
     """
     setup, tried = stage.setup, state.tried + 1
     name = f"{stage.name}.{tried}"
     group, champion, solved = _evolved(stage, state, name, missed)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     rate, experience = try_all(setup, member, state.scenarios)
-    kept, promised = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
+    kept, predicted = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
     counts = solved_of(rate == 1, state.keep)
-    stage.watch(WorldTested(stage.name, name, *counts, kept, promised))
+    stage.watch(WorldTested(stage.name, name, *counts, kept, predicted))
     state = replace(state, hints=None, tried=tried)
     if (rate[missed] == 1).any():
         state = replace(
@@ -137,10 +137,10 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
 def _evolved(
     stage: Stage[S], state: StageState[S], name: str, missed: Tensor
 ) -> tuple[Tensor, Population, Tensor]:
-    """A specialist's scenarios, the best individual on them, and what it solves in the models.
+    """The scenarios of a specialist, the best individual on them, and what it solves in the models.
 
-    Where it is as good as it has to be, it goes on with twice as many, up to `Setup.widest`: what
-    is good by chance on a few is found out, and most of the search is on a few.
+    A specialist that is good enough continues on twice as many scenarios, up to `Setup.widest`.
+    This detects chance successes on a few, while most of the search runs on a few.
     """
     setup = stage.setup
     rows = setup.group_of(state.percepts, missed, max(setup.group, setup.widest), stage.generator)
@@ -160,7 +160,7 @@ def _evolved(
 
 
 def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
-    """The models with what was experienced; as they are where nothing learns."""
+    """The models after learning from experience; unchanged if nothing learns."""
     setup = stage.setup
     if setup.learn is None:
         return models
@@ -198,12 +198,12 @@ def compose_team(
 def _composed(
     stage: Stage[S], state: StageState[S], chosen: list[int]
 ) -> tuple[Skill, Tensor] | None:
-    """The `chosen` members in this order under trained branches; result as `compose_team`."""
+    """The `chosen` members in this order under trained branching nodes; see `compose_team`."""
     setup, members = stage.setup, [state.members[i] for i in chosen]
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.keep | state.targets, 3.0, 1.0)
     for _ in range(TRIES):
-        parameters, _ = train_branches(
+        parameters, _ = train_gating(
             branch, state.percepts, state.rates[:, chosen], weight, stage.generator
         )
         skill = compose(stage.name, members, parameters, setup.actions, setup.max_transitions)

@@ -1,11 +1,11 @@
-"""Trying a skill in the world (Algorithm 1, line 2), and what it means that it succeeds.
+"""Trying a skill in the world (Algorithm 1, line 2), and what success means.
 
-A scenario is a placement and the noise that is met there, drawn from the scenario's seed. A skill
-succeeds on it if one run reaches a terminal outcome with success; run again it does the same, so W
-and eq. 1a are statements without a confidence. What is said of placements, whatever the noise, is
-a share with Wilson's 95 % interval: of fresh scenarios (`cgtorch-evaluate`, the tests of a round),
-and of W when it is met by other noise (`w_other_noise` in the ledger). A specialist counts as
-solving a scenario only if it does so under `Setup.trials` draws of noise.
+A scenario is an initial state together with its noise, drawn from the scenario's seed. A skill
+succeeds on it if one run reaches a successful terminal outcome. A repeated run gives the same
+result, so W and eq. 1a are exact statements. A statement about initial states under any noise is a
+share with Wilson's 95 % interval: of fresh scenarios (`cgtorch-evaluate`, the tests of a round),
+and of W under other noise (`w_other_noise` in the ledger). A specialist counts as solving a
+scenario only if it succeeds under all of `Setup.trials` draws of noise.
 """
 
 from dataclasses import dataclass, fields
@@ -23,10 +23,10 @@ from cgtorch.simulation import Recording, rollout
 
 @dataclass(frozen=True)
 class Trial:
-    """What a skill did on B scenarios of a world: (B,) bool what succeeded, (B,) actions executed.
+    """The result of a skill on B scenarios of a world.
 
-    The experience is what it went through, nothing if nobody learns from it. There are `returns`
-    (B,) of its episodes where the world gives rewards.
+    `succeeded` and the number of executed actions are (B,). The experience is empty if it was not
+    recorded. `returns` (B,) are those of its episodes, if the world gives rewards.
     """
 
     succeeded: Tensor
@@ -45,7 +45,7 @@ def try_skill(skill: Skill, world: Environment, record: bool = True) -> Trial:
 
 
 def first_percepts(world: Environment) -> Tensor:
-    """(B, D) what the robot sees at the start of each scenario."""
+    """(B, D) the first percept of each scenario."""
     return world.start(torch.arange(world.num_scenarios))[1]
 
 
@@ -61,13 +61,13 @@ def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
 
 
 def trial_tensors(trial: Trial) -> dict[str, Tensor]:
-    """What a journal keeps of a trial; its experience says `succeeded` of tests, not scenarios."""
+    """The tensors of a trial in a journal."""
     own = {"solved": trial.succeeded, "transitions": trial.transitions}
     return {**own, **vars(trial.experience)}
 
 
 def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
-    """A trial of B scenarios from `trial_tensors`; RunError if they are of something else."""
+    """A trial of B scenarios from `trial_tensors`; RunError if they do not belong to one."""
     try:
         experience = Dataset(*(tensors[f.name] for f in fields(Dataset)))
         trial = Trial(tensors["solved"], tensors["transitions"], experience)

@@ -78,7 +78,9 @@ def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
 def agree(found: Mapping[str, int], wanted: Mapping[str, int]) -> None:
     """ImportError unless constants have the values that Python gives them."""
     if wrong := {name: value for name, value in wanted.items() if found.get(name) != value}:
-        raise ImportError(f"Python has {wrong} and the compiled library {dict(found)}; mend either")
+        raise ImportError(
+            f"Python has {wrong} and the compiled library {dict(found)}; make them equal"
+        )
 
 
 def _structure(name: str, bodies: Mapping[str, str], types: dict[str, Any]) -> Any:

@@ -16,10 +16,11 @@ def message_of(event: events.Event) -> str:
                 f"{event.size_w} scenarios to keep (W), {event.size_m} to solve"
             )
         case events.EvolutionRecalled():
-            return f"{event.candidate}: {event.found.generations} generations are known from before"
+            known = event.found.generations
+            return f"{event.candidate}: {known} generations are already in the journal"
         case events.JournalDamaged():
             files = ", ".join(event.files)
-            return f"{event.stage}: damaged, so what it held is done again: {files}"
+            return f"{event.stage}: damaged files, whose work is repeated: {files}"
         case events.ModelsFitted():
             return f"{event.stage}: {event.summary.text}, {event.seconds:.1f} s"
         case events.WorldTested():
@@ -28,7 +29,7 @@ def message_of(event: events.Event) -> str:
             return _skill_accepted(event)
         case events.FreshTested():
             share = event.succeeded / max(1, event.tried)
-            kind = "to decide, " if event.decisive else ""
+            kind = "final test, " if event.decisive else ""
             mean = "" if event.mean_return is None else f", mean return {event.mean_return:.5g}"
             return (
                 f"{event.stage}: {kind}{event.succeeded} of {event.tried} fresh scenarios = "
@@ -50,8 +51,8 @@ def _world_tested(event: events.WorldTested) -> str:
         f"{event.candidate}: in the world W {event.solved_w}/{event.size_w}, "
         f"M {event.solved_m}/{event.size_m}"
     )
-    if event.kept is not None and event.promised is not None:
-        text += f"; of its group {event.promised} solved in the search, {event.kept} in the world"
+    if event.kept is not None and event.predicted is not None:
+        text += f"; its group: {event.predicted} solved in the search, {event.kept} in the world"
     return text
 
 

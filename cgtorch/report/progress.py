@@ -78,7 +78,7 @@ class ProgressDisplay:
                 self._estimate.evolution_over()
                 self._world = message
                 self._plain(message)
-                self._compare(event.promised or 0, event.kept or 0)
+                self._compare(event.predicted or 0, event.kept or 0)
             case events.SkillAccepted():
                 self._estimate.stage_over()
                 self.say(message, style="green")

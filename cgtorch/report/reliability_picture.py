@@ -45,7 +45,7 @@ def _draw_dots(axes: "Axes", curve: Reliability) -> None:
     sure = (frequency * count + 1) / (count + 2)
     bar = SPREAD * np.sqrt(sure * (1 - sure) / count)
     ends = [np.minimum(bar, frequency), np.minimum(bar, 1 - frequency)]
-    axes.plot([0, 1], [0, 1], "--", color=FAINT, lw=1.4, zorder=1, label="as likely as it says")
+    axes.plot([0, 1], [0, 1], "--", color=FAINT, lw=1.4, zorder=1, label="perfectly calibrated")
     axes.plot(mean, frequency, color=LINE, lw=1.0, zorder=2)
     axes.errorbar(
         mean, frequency, yerr=ends, fmt="o", color=GOOD, ms=6, lw=1.2, capsize=3, zorder=3,

@@ -89,13 +89,13 @@ class TensorBoardWatch:
             case events.ModelsFitted():
                 self._models(event)
             case events.WorldTested():
-                told = {
+                values = {
                     "world/solved_W": event.solved_w,
                     "world/solved_M": event.solved_m,
                     "world/kept": event.kept,
-                    "world/promised": event.promised,
+                    "world/promised": event.predicted,
                 }
-                self._scalars({tag: value for tag, value in told.items() if value is not None})
+                self._scalars({tag: value for tag, value in values.items() if value is not None})
             case events.SkillAccepted():
                 self._accepted(event)
             case events.FreshTested():
@@ -160,7 +160,7 @@ class TensorBoardWatch:
         summary = event.summary
         self._scalars(summary.scalars)
         if summary.reliability:
-            picture = draw_reliability(summary.reliability, of="labels not learnt from")
+            picture = draw_reliability(summary.reliability, of="held-out labels")
             self._picture("classifier/reliability", picture)
         if summary.curves:
             self._curves(summary.curves)

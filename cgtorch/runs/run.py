@@ -118,7 +118,7 @@ def planned_run(
     domain = make_domain(settings.domain, domain_settings)
     run = _checked(folder, settings, domain)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise RunError(f"{str(folder)!r} holds something that is no run; choose another folder")
+        raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
     if folder.resolve() == Path.cwd():
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     return run

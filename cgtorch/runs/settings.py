@@ -33,8 +33,8 @@ class RunSettings:
     )
     method: str = option(
         "compose",
-        "How a skill is improved: compose evolves specialists and a gate, paper grows one graph as "
-        "published.",
+        "How a skill is improved: compose evolves specialists and a gating network, paper "
+        "grows one graph as published.",
         "neither method can continue the other's skills",
         choices=METHODS,
         when="Use paper to reproduce the publication.",
@@ -115,13 +115,13 @@ class RunSettings:
         "The kind of scenarios, or auto for the domain's usual kind. The tabletop has perimeter "
         "(the paper's table), general (any table, from any side) and general-clutter (with boxes "
         "in the way).",
-        "W and M are such scenarios",
+        "W and M contain such scenarios",
         when="Change it to train on another kind of scenarios.",
     )
     actions: tuple[str, ...] = option(
         (),
         "Additional actions: names or package.module:Class.",
-        "the graphs of the run are made of them",
+        "the graphs of the run contain them",
         when="Add actions that you wrote.",
     )
 

@@ -75,7 +75,7 @@ def last_skill(
     if (path / "run.json").is_file():
         run = open_run(path, trusted, domain)
         if not run.stages:
-            raise RunError(f"run {str(path)!r} has no finished stage; go on with --resume")
+            raise RunError(f"run {str(path)!r} has no finished stage; continue with --resume")
         return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
     if (path / "skill.json").is_file():
         run = open_run(path.absolute().parent, trusted, domain)  # also of "."

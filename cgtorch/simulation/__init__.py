@@ -1,4 +1,4 @@
-"""Algorithm 3: running skills in an environment, the learned models or a world."""
+"""Algorithm 3: running skills in an environment, which is a learned model or a world."""
 
 from cgtorch.simulation.model import CompiledModels as CompiledModels
 from cgtorch.simulation.model import ModelEnvironment as ModelEnvironment

@@ -1,4 +1,4 @@
-"""What actions and sub-skills there are behind an action set, however deep."""
+"""All actions and sub-skills of an action set, at every level of nesting."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,24 +11,24 @@ from cgtorch.actions.action import memory_parts
 from cgtorch.graphs import Skill, SubSkill
 
 SUCCESS, FAILURE, TIMEOUT = -1, -2, -3
-"""How graphs end, in place of a node."""
+"""Negative heads: how a graph ends, in place of the next node."""
 
 
 @dataclass(frozen=True)
 class ActionTable:
-    """What a program needs to know of an action set and of all sub-skills in it.
+    """The actions and sub-skills of an action set, with the sizes that a program needs.
 
     Attributes:
-        skills: the sub-skills, also those within others, each once.
-        primitives: the actions that run as one step, without duplicates.
-        numbers: by an action's identity, its place among `primitives` and then `skills`.
-        outcomes: of the action with most.
-        width: parameters of the action with most.
-        limits: the most transitions of each sub-skill.
-        depth: levels of skills within skills, 1 if there are none.
-        message_size: length of the longest message.
-        memory: where each primitive's part of the common memory lies.
-        memory_size: length of all of it.
+        skills: The sub-skills at all levels, each once.
+        primitives: The actions that run as one step, each once.
+        numbers: For an action's identity, its index among `primitives` followed by `skills`.
+        outcomes: The largest number of outcomes of an action.
+        width: The largest number of parameters of an action.
+        limits: The maximum number of transitions of each sub-skill.
+        depth: Levels of skills within skills, 1 without sub-skills.
+        message_size: The length of the longest message.
+        memory: The slice of the common memory that belongs to each primitive.
+        memory_size: The length of the common memory.
     """
 
     skills: tuple[Skill, ...]
@@ -43,12 +43,12 @@ class ActionTable:
     memory_size: int
 
     def kinds(self, actions: ActionSet) -> Tensor:
-        """(A,) long, the numbers of an action set's actions."""
+        """(A,) long, the table's numbers of an action set's actions."""
         return torch.tensor([self.numbers[id(a)] for a in actions.actions])
 
 
 def ends(actions: ActionSet) -> Tensor:
-    """(A, O) long, `SUCCESS` or `FAILURE`, how outcomes without a head end a graph."""
+    """(A, O) long, `SUCCESS` or `FAILURE`: how a graph ends by an outcome that has no edge."""
     return torch.where(actions.succeeds, SUCCESS, FAILURE)
 
 
@@ -78,7 +78,7 @@ def action_table(actions: ActionSet) -> ActionTable:
 
 
 def _skills(actions: ActionSet, found: dict[int, Skill]) -> dict[int, Skill]:
-    """All sub-skills of an action set, also those within others, each once."""
+    """All sub-skills of an action set, at every level, each once."""
     for action in actions.actions:
         if isinstance(action, SubSkill) and id(action.skill) not in found:
             found[id(action.skill)] = action.skill

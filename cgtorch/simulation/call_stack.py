@@ -1,4 +1,4 @@
-"""Where lanes stand in their graphs: which node, and what each sub-skill returns to."""
+"""The position of lanes in their graphs: the node, and where each sub-skill returns to."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -12,15 +12,15 @@ from cgtorch.simulation.program import Program
 
 @dataclass(frozen=True)
 class Frames:
-    """Where each of n lanes stands.
+    """The positions of n lanes.
 
     Attributes:
         node: (n,) long, row of the program's table.
         level: (n,) long, the innermost open level of sub-skills.
         caller: (n, depth) long, the sub-skill node that opened each level.
-        left: (n, depth) long, the transitions each level has left.
-        anchor: (n,) long, a node the lane was at `since` or fewer transitions ago with nothing
-            having changed since then, -1 if there is none.
+        left: (n, depth) long, the transitions left on each level.
+        anchor: (n,) long, a node that the lane visited at most `since` transitions ago, and since
+            when nothing has changed; -1 if there is none.
         since: (n,) long.
     """
 
@@ -37,7 +37,7 @@ class Frames:
 
 
 def first_frames(program: Program, b: int, max_transitions: int) -> Frames:
-    """Each of P graphs at its start on B scenarios, (P·B,)."""
+    """All P graphs at their start nodes on B scenarios, (P·B,)."""
     node = program.start.repeat_interleave(b)
     nothing = torch.zeros_like(node)
     deep = node.new_zeros(len(node), program.actions.depth)
@@ -46,7 +46,7 @@ def first_frames(program: Program, b: int, max_transitions: int) -> Frames:
 
 
 def enter(program: Program, frames: Frames) -> Frames:
-    """Lanes at sub-skill nodes go to the start of the sub-skill, as deep as it takes."""
+    """Lanes at sub-skill nodes move to the start of the sub-skill, through all levels."""
     depth, first = program.actions.depth, len(program.actions.primitives)
     if depth == 1:
         return frames
@@ -70,12 +70,17 @@ def enter(program: Program, frames: Frames) -> Frames:
 def advance(
     program: Program, frames: Frames, outcome: Tensor, changed: Tensor
 ) -> tuple[Frames, Tensor, Tensor]:
-    """Follow each lane's edge, out of the sub-skills that end with it and into those it leads to.
+    """Follow each lane's edge, out of sub-skills that end with it and into those it leads to.
 
-    Given are the outcomes (n,) of the actions just executed, and (n,) whether these `changed`
-    anything on which a later action could depend. Returned are the frames, which are overwritten;
-    (n,) how each lane ended (`SUCCESS`, `FAILURE`, `TIMEOUT`, 0 if it goes on); and (n,) the
-    transitions of an endless loop that need not be executed.
+    Args:
+        program: The table of nodes.
+        frames: Positions (n,), which are overwritten.
+        outcome: (n,) long, the outcomes of the actions just executed.
+        changed: (n,) bool, whether the action changed anything on which a later action could
+            depend.
+
+    Returned are the frames; how each lane ended (n,), as `SUCCESS`, `FAILURE`, `TIMEOUT`, or 0 if
+    it continues; and (n,) the transitions of an endless loop that need not be executed.
     """
     depth, outcomes = program.actions.depth, program.heads.shape[1]
     level, left = frames.level, frames.left.view(-1)

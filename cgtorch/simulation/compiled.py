@@ -1,7 +1,8 @@
-"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, graph after graph.
+"""Algorithm 3 compiled: Γ, C and the actions of section VI on the CPU, one graph at a time.
 
-It says what the batched engine in torch says. Graphs with other actions, or with a memory, and
-other environments, are for `cgtorch.simulation.resumable`; `rollout` asks here first.
+It gives the same results as the batched engine in torch. Graphs with other actions or with a
+memory, and other environments, run in `cgtorch.simulation.resumable`; `rollout` tries this module
+first.
 """
 
 from dataclasses import dataclass
@@ -23,18 +24,18 @@ RESULTS = (
     "again", "percept", "state", "status", "transitions", "fitness", "score", "succeeded", "chunks",
 )  # fmt: skip
 NUMBERS = ("keep", "counted", "executed", "not_finite", "wrong", "num_chunks")
-"""Fields of a `Task` of task.h that are not always given: pointers, and numbers."""
+"""Optional fields of a `Task` of task.h: pointers, and numbers."""
 
 
 @dataclass(frozen=True)
 class CompiledEngine:
-    """Actions and models as compiled code knows them, for any graphs as long as they do not change.
+    """Actions and models in the form of compiled code, for any graphs while they do not change.
 
     Attributes:
-        actions: what a node can be.
-        known: the same for compiled code.
-        models: what functions of these models' name get.
-        environment: a `ModelEnvironment` of models.h.
+        actions: The action set of the graphs.
+        known: The same in the form of compiled code.
+        models: The argument of the models' compiled functions.
+        environment: A `ModelEnvironment` of models.h.
         percept_size: D.
     """
 
@@ -47,10 +48,10 @@ class CompiledEngine:
     def rollouts(
         self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int
     ) -> Rollouts | None:
-        """The rollouts of P graphs on scenarios (B,), or None where not all of it is compiled.
+        """The rollouts of P graphs on scenarios (B,), or None if not all of it is compiled.
 
-        GraphError if a graph has an action, a head or a start that is none of its own. MemoryError
-        if there is none for the first percepts of so many scenarios.
+        GraphError if a graph has an action, a head or a start that does not exist. MemoryError if
+        there is not enough memory for the first percepts of all scenarios.
         """
         sizes, like = (len(graphs), len(scenarios)), graphs.parameters
         percept, state = like.new_empty(*sizes, self.percept_size), like.new_empty(*sizes, 3)
@@ -72,12 +73,12 @@ class CompiledEngine:
         max_steps: int,
         again: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
-        """What P graphs achieve by eq. 3 on all scenarios (B,), of which the first `kept` are of W.
+        """The evaluation of P graphs by eq. 3 on scenarios (B,), of which the first `kept` are W.
 
-        Returned are the fields of an `Evaluation`, or None where not all of it is compiled. Scores
-        are C(p_t), half of it without success, and 0 where W is lost. Γ, C, networks and the check
-        of motions are done `again` (4,) times more, to measure how long each takes, which changes
-        no result. Errors are those of `rollouts`.
+        Returned are the fields of an `Evaluation`, or None if not all of it is compiled. Scores are
+        C(p_t), half of it without success, and 0 if W is lost. Errors are those of `rollouts`. To
+        measure their time, Γ, C, networks and the check of motions can be repeated `again` (4,)
+        times; this does not change results.
         """
         sizes = len(graphs), len(scenarios)
         fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)
@@ -99,7 +100,7 @@ class CompiledEngine:
         max_steps: int,
         **rest: Any,
     ) -> Any:
-        """A `Task` of task.h that is done, or None where compiled code does not know all of it."""
+        """A finished `Task` of task.h, or None if compiled code does not support all of it."""
         program = program_of(graphs, self.known, (max_transitions, max_steps))
         if program is None or not is_whole(scenarios) or self.known.resumable_alone(graphs):
             return None
@@ -120,12 +121,12 @@ class CompiledEngine:
 
 
 def is_whole(numbers: Tensor) -> bool:
-    """Whether numbers are of the type that compiled code takes for indices."""
+    """Whether a tensor has the type of indices in compiled code: long, on the CPU."""
     return numbers.is_cpu and numbers.dtype == torch.long
 
 
 def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) -> Any:
-    """A `Program` of program.h, or None where graphs or limits are none that it can be made of."""
+    """A `Program` of program.h, or None if the graphs or limits are not supported."""
     whole = graphs.action, graphs.edges, graphs.start
     nodes = graphs.action.numel() + known.program["rows"]
     if (
@@ -144,7 +145,7 @@ def program_of(graphs: Graphs, known: CompiledActions, limits: tuple[int, int]) 
 
 
 def compiled_models(e: ModelEnvironment) -> tuple[CompiledModels, Any] | None:
-    """An environment's models as compiled code knows them, and a `ModelEnvironment` of models.h."""
+    """The compiled models of an environment and a `ModelEnvironment` of models.h, or None."""
     errors, limits = e.errors, constants("engine_limits", e.percepts.dtype)
     given = [e.percepts, e.first_state, *([] if errors is None else [errors])]
     if not limits or not alike(*given) or e.num_scenarios > LARGEST:
@@ -156,6 +157,6 @@ def compiled_models(e: ModelEnvironment) -> tuple[CompiledModels, Any] | None:
         return None
     return models, structure("ModelEnvironment", models.dtype)(
         models=models.structure, percepts=e.percepts, state=e.first_state, errors=errors,
-        size=e.percept_size, turns=1 if errors is None else errors.shape[1],
+        size=e.percept_size, error_draws=1 if errors is None else errors.shape[1],
         controls=e.control_size, most_novel=e.most_novel,
     )  # fmt: skip

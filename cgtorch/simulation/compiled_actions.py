@@ -1,4 +1,4 @@
-"""What compiled rollouts know of an action set: a `Program` of program.h without graphs."""
+"""An action set in the form of compiled rollouts: a `Program` of program.h without graphs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,31 +23,31 @@ from cgtorch.simulation.action_table import (
 from cgtorch.simulation.program import skill_tables
 
 LARGEST = 2**30
-"""Nodes, transitions and scenarios that compiled code can count."""
+"""The largest number of nodes, transitions or scenarios in compiled code."""
 SIZES = ("inputs", "hidden", "delays", "outputs")
-"""What an `Action` of program.h says of a network, 0 where it has no such thing."""
+"""The sizes of a network in an `Action` of program.h; 0 if it does not have them."""
 ROUTINES = ("MOVE_BASE", "GRASP", "DETECT")
-"""Kinds of actions that do what an environment does."""
+"""Kinds of actions that call the environment."""
 NETWORKS = ("CONTINUOUS", "BRANCHING")
 WITH_MEMORY = ("RECURRENT", "DELAY")
-"""Networks that use a lane's memory, which only resumable rollouts have (`resumable.py`)."""
+"""Networks that use a lane's memory; only resumable rollouts have one (`resumable.py`)."""
 
 
 @dataclass(frozen=True)
 class CompiledActions:
-    """An action set as compiled code knows it, for numbers of one type.
+    """An action set in the form of compiled code, for numbers of one type.
 
     Attributes:
-        table: all actions and sub-skills.
-        dtype: of all numbers.
-        in_python: (K,) bool, which of the table's primitives Python has to run.
-        only_resumable: (A + 1,) long, 1 for those of the set's actions that are or use primitives
-            which only resumable rollouts can run, as they are Python's or have a memory; the last,
-            for slots that hold none, is 0.
-        some_only_resumable: whether there are any of these.
-        longest: the most transitions of any sub-skill.
-        program: fields of a `Program` without those of graphs.
-        memory: (K, 2) long, where the part of each primitive in the memory begins, and its size.
+        table: All actions and sub-skills.
+        dtype: The type of all numbers.
+        in_python: (K,) bool, the table's primitives that Python has to run.
+        only_resumable: (A + 1,) long, 1 for the actions that are or contain a primitive which only
+            resumable rollouts can run, because it is in Python or has a memory. The last entry is
+            0, for slots without an action.
+        some_only_resumable: Whether there is any such action.
+        longest: The largest number of transitions of a sub-skill.
+        program: The fields of a `Program`, except those of graphs.
+        memory: (K, 2) long, offset and size of each primitive's part of the memory.
         deterministic: (K,) long.
     """
 
@@ -62,7 +62,7 @@ class CompiledActions:
     deterministic: Tensor
 
     def networks(self) -> list[Any]:
-        """The `Action` of each primitive that is a network without a memory."""
+        """The `Action` of each primitive that is a network without memory."""
         kinds = constants("action_kinds", self.dtype)
         others = [kinds[name] for name in (*ROUTINES, *WITH_MEMORY, "IN_PYTHON")]
         return [each for each in self.program["primitives"] if each.kind not in others]
@@ -71,15 +71,15 @@ class CompiledActions:
         """Whether any of the graphs uses an action that only resumable rollouts can run."""
         if not self.some_only_resumable:
             return False
-        marks, action = self.only_resumable, graphs.action.contiguous()
+        flags, action = self.only_resumable, graphs.action.contiguous()
         if not action.is_cpu:
-            outside = (action < 0) | (action >= len(marks) - 1)
-            return bool(marks[torch.where(outside, len(marks) - 1, action)].any())
-        call = function("any_marked", self.dtype)
-        return bool(call(action, action.numel(), marks, len(marks) - 1))
+            outside = (action < 0) | (action >= len(flags) - 1)
+            return bool(flags[torch.where(outside, len(flags) - 1, action)].any())
+        call = function("any_flagged", self.dtype)
+        return bool(call(action, action.numel(), flags, len(flags) - 1))
 
     def to(self, device: torch.device) -> "CompiledActions":
-        """The same with all tables of `program`, and `only_resumable`, on a device."""
+        """The same set with all tables of `program`, and `only_resumable`, on a device."""
         moved = {
             name: value.to(device) if isinstance(value, Tensor) else value
             for name, value in self.program.items()
@@ -93,9 +93,10 @@ class CompiledActions:
 def compiled_actions(
     actions: ActionSet, percept_size: int, dtype: torch.dtype, kinds: tuple[str, ...]
 ) -> CompiledActions | None:
-    """The set where actions of these kinds are compiled; None where nothing is.
+    """The action set if actions of these kinds are compiled, else None.
 
-    That is without a compiler, with sub-skills of other numbers, or with too many levels of them.
+    None is returned without a compiler, for sub-skills with another type of numbers, and for too
+    many levels of nesting.
     """
     action, table = structure("Action", dtype), action_table(actions)
     if action is None or any(s.graph.parameters.dtype != dtype for s in table.skills):
@@ -127,13 +128,13 @@ def compiled_actions(
     numbers = constants("action_kinds", dtype)
     apart = [numbers[name] for name in (*WITH_MEMORY, "IN_PYTHON")]
     only = [each["kind"] in apart for each in fields]
-    marks = [int(_uses_any(each, table, only)) for each in actions.actions]
+    flags = [int(_uses_any(each, table, only)) for each in actions.actions]
     return CompiledActions(
         table=table,
         dtype=dtype,
         in_python=tuple(each["kind"] == numbers["IN_PYTHON"] for each in fields),
-        only_resumable=torch.tensor([*marks, 0]),
-        some_only_resumable=any(marks),
+        only_resumable=torch.tensor([*flags, 0]),
+        some_only_resumable=any(flags),
         longest=max([0, *table.limits]),
         program=program,
         memory=torch.tensor([[part.start, part.stop - part.start] for part in table.memory]),
@@ -164,7 +165,7 @@ def _fields(
 
 
 def _uses_any(action: Action, table: ActionTable, marked: Sequence[bool]) -> bool:
-    """Whether an action is, or a sub-skill's graph uses, any of the marked primitives (K,)."""
+    """Whether an action is, or contains, one of the marked primitives (K,)."""
     if not isinstance(action, SubSkill):
         return marked[table.numbers[id(action)]]
     skill = action.skill

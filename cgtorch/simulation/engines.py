@@ -1,4 +1,4 @@
-"""Which engine runs graphs in models: on the device where these are."""
+"""The choice of an engine: compiled on the CPU or a GPU, depending on the device of the models."""
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
@@ -12,9 +12,9 @@ from cgtorch.simulation.model import ModelEnvironment
 def engine_of(
     actions: ActionSet, environment: Environment, gpu: Launcher | None = None
 ) -> CompiledEngine | GpuEngine | None:
-    """The engine of actions in models, or None where nothing compiled knows the environment.
+    """The engine of actions in models, or None if the environment is not compiled.
 
-    On a GPU that is the one where the models are, or what is given in its place.
+    For models on a GPU it is an engine on that GPU, or on `gpu` if given.
     """
     if type(environment) is not ModelEnvironment or environment.compiled is None:
         return None

@@ -1,7 +1,7 @@
 """Algorithm 3 on a GPU: the C sources of the compiled engine as kernels (native/cuda/rollouts.h).
 
-What it says is what `cgtorch.simulation.compiled` says on the CPU, bit for bit. Sizes that are the
-same in all launches are constants of the kernels, which are compiled once for each set of them.
+It gives the same bits as `cgtorch.simulation.compiled` on the CPU. Sizes that are the same in all
+launches are constants of the kernels, which are compiled once for each set of sizes.
 """
 
 import ctypes
@@ -24,27 +24,27 @@ from cgtorch.simulation.rollouts import Rollouts
 
 KERNELS = ("rollouts", "evaluations", "check", "fitness")
 THREADS, BLOCKS = 128, 4
-"""Threads of a block, and blocks that a multiprocessor has registers for."""
+"""Threads per block, and blocks for which a multiprocessor has registers."""
 WARP = 32
 FEWEST = 4
-"""Lanes of a warp, where there are few: warps that are busy hide each other's waiting."""
+"""The fewest lanes of a warp. With few lanes, more warps hide each other's latency."""
 SHARED = 48 * 1024
-"""Bytes that a block may share with nothing asked for."""
+"""Bytes of shared memory of a block without a special request."""
 
 
 @dataclass(frozen=True)
 class GpuEngine:
-    """Actions and models as kernels know them, for any graphs as long as they do not change.
+    """Actions and models in the form of kernels, for any graphs, as long as they do not change.
 
     Attributes:
-        actions: what a node can be.
-        known: the same, with tables on the GPU.
-        models: what functions of these models' name get.
-        environment: a `ModelEnvironment` of models.h.
+        actions: The action set of the graphs.
+        known: The same, with tables on the GPU.
+        models: The argument of the models' functions.
+        environment: A `ModelEnvironment` of models.h.
         percept_size: D.
-        gpu: where kernels run.
-        module: the kernels.
-        shared: bytes that the machines of Γ and C need, 0 if that is too much to be shared.
+        gpu: Runs the kernels.
+        module: The kernels.
+        shared: Bytes of shared memory for the machines of Γ and C, 0 if they do not fit.
     """
 
     actions: ActionSet
@@ -77,7 +77,7 @@ class GpuEngine:
     def evaluation(
         self, graphs: Graphs, scenarios: Tensor, kept: int, max_transitions: int, max_steps: int
     ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
-        """See `CompiledEngine.evaluation`; results are where the graphs are."""
+        """See `CompiledEngine.evaluation`; results are on the device of the graphs."""
         home, device = graphs.start.device, self.gpu.device
         graphs, sizes = graphs.to(device), (len(graphs), len(scenarios))
         fitness = torch.empty(len(graphs), device=device)
@@ -101,7 +101,7 @@ class GpuEngine:
         max_steps: int,
         **rest: Any,
     ) -> dict[str, int] | None:
-        """What is counted when all is done; None where kernels do not know all of it."""
+        """The counts of a finished task, or None if kernels do not support all of it."""
         program = program_of(graphs, self.known, (max_transitions, max_steps))
         if program is None or self.known.resumable_alone(graphs):
             return None
@@ -138,7 +138,7 @@ class GpuEngine:
         return found
 
     def _spread(self, lanes: int) -> tuple[int, int]:
-        """How many lanes a warp runs at most, and how many threads there are."""
+        """The largest number of lanes per warp, and the number of threads."""
         room = self.gpu.multiprocessors * BLOCKS * THREADS
         most = min(WARP, max(FEWEST, -(-lanes * WARP // room)))
         return most, min(room, -(-lanes // most) * WARP)

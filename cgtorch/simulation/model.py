@@ -1,4 +1,4 @@
-"""Γ and C as an environment: the place where skills are evolved (section V)."""
+"""Γ and C as an environment, in which skills are evolved (section V)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,24 +12,24 @@ from cgtorch.environment.dry_run import ROWS, expect, expect_pair, kind, returne
 from cgtorch.ground.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Percepts (n, D) and controls (n, U) to the next percepts (n, D) and how novel (n,) each is."""
+"""Maps percepts (n, D) and controls (n, U) to the next percepts (n, D) and novelties (n,)."""
 
 Classifier: TypeAlias = Callable[[Tensor], Tensor]
-"""Percepts (n, D) to the probability of success (n,)."""
+"""Maps percepts (n, D) to probabilities of success (n,)."""
 
 Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
+"""Maps percepts (n, D) and controls (n, U) to (n,) bool, whether the control can be carried out."""
 
 
 @dataclass(frozen=True)
 class CompiledModels:
-    """Models as compiled rollouts know them.
+    """Models in the form of compiled rollouts.
 
     Attributes:
-        name: what the names of their functions begin with, as in `tabletop_rollouts`.
-        dtype: of their numbers.
-        structure: what these functions get as `models` (native/engine/models.h).
-        networks: kinds of networks of their own, which read percepts of one length only.
+        name: The prefix of their functions, such as in `tabletop_rollouts`.
+        dtype: The type of their numbers.
+        structure: The argument `models` of these functions (native/engine/models.h).
+        networks: Kinds of networks of their own, which read percepts of one length only.
     """
 
     name: str
@@ -39,26 +39,26 @@ class CompiledModels:
 
 
 Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
-"""From models to what compiled rollouts know, or None where these have no such models."""
+"""Maps models to their compiled form, or to None if there is none."""
 
 UNKNOWN = -1.0
 MOST_NOVEL = 0.75
-"""What is more novel is far from all data, whatever the domain: Γ's novelty is 0 at the data and
-tends to 1 away from them (`cgtorch.domains.transition`)."""
+"""The default limit of novelty, for any domain. Γ's novelty is 0 at the data and tends to 1 away
+from them (`cgtorch.domains.transition`)."""
 
 
 def anything(percept: Tensor, control: Tensor) -> Tensor:
-    """`Possible` where nothing is ever in the way."""
+    """A `Possible` for environments where every control can be carried out."""
     return torch.ones(len(percept), dtype=torch.bool, device=percept.device)
 
 
 class ModelEnvironment:
-    """An `Environment` that consists of percepts only; nothing in it touches the world.
+    """An `Environment` made of Γ and C, which contains percepts only and never touches the world.
 
-    Perceiving again changes nothing, since Γ predicts what would be perceived. A lane's state
-    (n, 3) counts its motions, says whether it is lost, and holds C(p) once that has been asked for,
-    `UNKNOWN` before. Lost is a lane once a motion was too novel to Γ: nobody knows where it is, so
-    it neither moves nor succeeds any more.
+    Observing again changes nothing, since Γ predicts what would be perceived. A lane's state (n, 3)
+    holds the number of its motions, whether it is lost, and C(p), which is `UNKNOWN` until it is
+    computed. A lane is lost after a motion that was too novel to Γ. Its position is then unknown,
+    so it neither moves nor succeeds any more.
     """
 
     def __init__(
@@ -74,22 +74,22 @@ class ModelEnvironment:
         compiled: Compile | None = None,
         chance: Tensor | None = None,
     ):
-        """Set up the models; ModelError if one, tried on two percepts, breaks its interface.
+        """Set up the models; ModelError if one breaks its interface in a dry run on two percepts.
 
         Args:
-            percepts: (B, D), the first of B scenarios.
-            gamma: the transition model Γ, which says how novel a motion is to it, in [0, 1].
-            classifier: the success classifier C.
-            possible: whether a control can be carried out; where it cannot, the percept stays.
+            percepts: (B, D), the first percepts of B scenarios.
+            gamma: The transition model Γ, which also returns the novelty of a motion, in [0, 1].
+            classifier: The success classifier C.
+            possible: Whether a control can be carried out; if not, the percept stays.
             control_size: U.
-            errors: (B, T, D) what to add to Γ's prediction at each motion of each scenario, so
-                that a skill is judged under what Γ may have got wrong; used in turn.
-            most_novel: where a motion is more novel, the lane is lost; with 1 Γ may promise
-                anything, however far from its data.
-            seeds: (B,) long, of what actions draw in each scenario; 0 … B - 1 if not given.
-            compiled: gives these models to compiled rollouts, if there is code for them.
-            chance: (B,) what C says of the first percepts, which is asked for if not given. From
-                the CPU it has the same last digits wherever the models are.
+            errors: (B, T, D) errors that are added to Γ's predictions, by scenario and motion, so
+                that a skill is evaluated under possible errors of Γ. After T motions they repeat.
+            most_novel: A lane is lost after a motion that is more novel. With 1, no lane is ever
+                lost, however far from the data.
+            seeds: (B,) long, seeds of the random numbers that actions draw; 0 … B - 1 by default.
+            compiled: Gives these models to compiled rollouts, if there is code for them.
+            chance: (B,) C of the first percepts, computed by default. If it is computed on the CPU,
+                it has the same last digits on every device.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
@@ -138,7 +138,7 @@ class ModelEnvironment:
 
     @staticmethod
     def lost(lanes: Lanes) -> Tensor:
-        """(n,) bool, the lanes about which the models know nothing any more."""
+        """(n,) bool, the lanes whose position is unknown to the models."""
         return lanes.state[:, 1] > 0
 
     def observe(self, lanes: Lanes) -> Lanes:
@@ -163,7 +163,7 @@ def _with_rows(values: Tensor, rows: Tensor, which: Tensor, new: Tensor) -> Tens
 
 
 def _check(models: ModelEnvironment, seeds: Tensor | None) -> None:
-    """Try the models on two percepts; ModelError says what is wrong with what they return."""
+    """Try the models on two percepts; ModelError says what is wrong with the results."""
     percepts, errors = models.percepts, models.errors
     if percepts.dim() != 2 or not percepts.is_floating_point() or not percepts.numel():
         raise ModelError(f"percepts are {kind(percepts)}; give floating numbers (B, D)")

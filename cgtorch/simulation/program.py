@@ -1,4 +1,4 @@
-"""What the engine runs: every node of every graph and sub-skill in one table."""
+"""The engine's program: all nodes of all graphs and sub-skills in one table."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -18,16 +18,17 @@ Table: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 @dataclass(frozen=True)
 class Program:
-    """P graphs and the sub-skills they use, each of which is stored once, as one table of T nodes.
+    """P graphs and the sub-skills that they use, each stored once, in one table of T nodes.
 
     Attributes:
-        actions: of the graphs and of all sub-skills.
-        kind: (T,) long, index into `actions.primitives`, or their number + sub-skill index.
-        heads: (T, O) long, rows, or `SUCCESS` or `FAILURE` where an outcome ends its graph.
+        actions: The actions of the graphs and of all sub-skills.
+        kind: (T,) long, an index into `actions.primitives`, or their number + a sub-skill's index.
+        heads: (T, O) long, rows of the table, or `SUCCESS` or `FAILURE` if an outcome ends the
+            graph.
         parameters: (T, K) float.
-        start: (P,) long, first node of each graph.
-        entry: (number of sub-skills,) long, first node of each sub-skill.
-        limit: (number of sub-skills,) long, the most transitions of each.
+        start: (P,) long, the first node of each graph.
+        entry: (number of sub-skills,) long, the first node of each sub-skill.
+        limit: (number of sub-skills,) long, the maximum number of transitions of each.
     """
 
     actions: ActionTable
@@ -92,7 +93,7 @@ def _table(
 
 
 def check_numbers(graphs: Graphs, actions: int) -> None:
-    """GraphError where a number stands for no action or no node of its graph."""
+    """GraphError if an action index or a head does not exist."""
     nodes = graphs.capacity
     for name, given, least, count in (
         ("action", graphs.action, NO_NODE, actions),

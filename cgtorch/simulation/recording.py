@@ -1,4 +1,4 @@
-"""An environment that keeps what happened in it, to learn from."""
+"""An environment that records transitions and tests, to learn from."""
 
 from collections.abc import Iterator, Sequence
 
@@ -9,11 +9,11 @@ from cgtorch.environment import Environment, Lanes, Rewarded, seeds_of
 
 
 class Recording:
-    """Passes everything on to an environment, also rewards, and keeps its transitions and tests.
+    """Wraps an environment, with rewards or without, and records its transitions and tests.
 
-    `transitions` are (when, p, u, p′) of the controls that were carried out, `tests` are (when, p,
-    success). They come in the order of a lane's actions, and then of scenarios, in whatever order
-    lanes are served: what is learnt from first depends on it.
+    Transitions are (key, p, u, p′) of the controls that were carried out; tests are (key, p,
+    success). `experience` sorts them by the lanes' step, then by scenario, because learning depends
+    on the order of the data, and lanes run in any order.
     """
 
     def __init__(self, environment: Environment):
@@ -52,12 +52,12 @@ class Recording:
         return p, control, after, tested, success
 
     def _when(self, lanes: Lanes) -> Tensor:
-        """(n,) numbers by which rows are sorted."""
+        """(n,) keys by which rows are sorted."""
         return lanes.step * self.num_scenarios + lanes.scenario
 
 
 def _in_order(parts: Sequence[tuple[Tensor, ...]]) -> Iterator[Tensor]:
-    """All columns but the first, by which rows are sorted."""
+    """All columns except the first, sorted by the first."""
     when, *columns = map(torch.cat, zip(*parts, strict=True))
     order = when.argsort(stable=True)
     return (column[order] for column in columns)

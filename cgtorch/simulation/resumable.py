@@ -1,9 +1,9 @@
-"""Algorithm 3 where Python has a part in it: actions, worlds or models of others.
+"""Algorithm 3 with parts in Python: user-defined actions, worlds or models.
 
-Lanes run compiled until they come to something that is Python's, and wait. What most lanes wait for
-is then done for all of these at once, and they go on. It says what the engine in torch says, which
-runs everything where there is no compiler, and on other devices. Lanes have a memory here, so that
-networks with one run here compiled, too.
+Lanes run compiled until they need something from Python, and wait. The kind of action that most
+lanes wait for is then run for all of these at once, and they continue. Results equal those of the
+engine in torch, which runs everything without a compiler and on other devices. Lanes have a memory
+here, so networks with a memory run compiled, too.
 """
 
 from collections.abc import Callable
@@ -34,10 +34,10 @@ from cgtorch.simulation.rollouts import Rollouts
 from cgtorch.simulation.waiting import FIELDS, WaitingRollouts, first_lanes, laid_out
 
 Asked: TypeAlias = Callable[[int], tuple[Lanes, Tensor]]
-"""Gives the lanes (n, ...) that wait for an action, and its parameters (n, K), if n of them do."""
+"""Gives the n lanes (n, ...) that wait for an action, and its parameters (n, K)."""
 
 Answer: TypeAlias = tuple[Lanes, Tensor, str]
-"""Lanes (n, ...) afterwards, outcomes (n,), and which of `OUTCOMES` of waiting.py these are."""
+"""Lanes (n, ...) afterwards, outcomes (n,), and their kind among `OUTCOMES` of waiting.py."""
 
 
 def resumable_rollout(
@@ -48,19 +48,22 @@ def resumable_rollout(
     limits: tuple[int, int, int],
     engine: CompiledEngine | None,
 ) -> Rollouts | None:
-    """What `cgtorch.simulation.rollout` says, or None where it has to be said in torch.
+    """The result of `cgtorch.simulation.rollout`, or None if it has to run in torch.
 
-    That is without a compiler, on another device, or for numbers of other types. ActionError if an
-    action returns an outcome that no action has.
+    It has to without a compiler, on another device, or for other types of numbers.
 
     Args:
-        graphs: P valid ones; GraphError if an action, a head or a start does not exist.
-        actions: what their action indices mean.
-        environment: where they run.
+        graphs: P valid graphs.
+        actions: The action set of the graphs.
+        environment: Where they run.
         scenarios: (B,) long.
-        limits: the most transitions of each graph, the most actions of a lane, and in environments
-            with rewards the most in a row that leave the state as it is.
-        engine: the compiled engine of these actions and this environment, where there is one.
+        limits: The maximum number of transitions of each graph, of actions of a lane, and, with
+            rewards, of actions in a row that leave the state as it is.
+        engine: The compiled engine of these actions and this environment, if there is one.
+
+    Raises:
+        GraphError: An action, a head or a start does not exist.
+        ActionError: An action returns an outcome that it does not have.
     """
     dtype, (p, b) = graphs.parameters.dtype, (len(graphs), len(scenarios))
     if dtype not in REALS or not 0 < p * b <= LARGEST or not is_whole(scenarios):
@@ -86,7 +89,7 @@ def resumable_rollout(
 def _known(
     actions: ActionSet, environment: Environment, dtype: torch.dtype
 ) -> CompiledActions | None:
-    """The actions where Python has the environment."""
+    """The compiled actions, where the environment is in Python."""
     # Γ predicts what would be perceived.
     more = ("DETECT",) if type(environment) is ModelEnvironment else ()
     kinds = (*NETWORKS, *WITH_MEMORY, *more)
@@ -103,7 +106,7 @@ def _run(
     """Run all lanes to their ends."""
     table, waiting, count = known.table, rollouts.waiting, threads()
     asked = [_asked(rollouts, part, i) for i, part in enumerate(table.memory)]
-    told: AbstractSet[str] = set()
+    sent: AbstractSet[str] = set()
     resume(waiting, count)
     while (kind := waiting.kind) >= 0:
         given, parameters = asked[kind](waiting.asked)
@@ -113,11 +116,11 @@ def _run(
         news[what] = (outcome.long() if what == "outcome" else outcome).contiguous()
         if rewards is not None and after.state is not given.state:
             news["over"] = _over(environment, rewards, after)
-        for name in told - news.keys():
+        for name in sent - news.keys():
             setattr(waiting, name, None)
         for name, value in news.items():
             setattr(waiting, name, value.data_ptr())
-        told = news.keys()
+        sent = news.keys()
         resume(waiting, count)
         if waiting.num_wrong:
             raise ActionError(
@@ -127,7 +130,7 @@ def _run(
 
 
 def _asked(rollouts: WaitingRollouts, part: slice, kind: int) -> Asked:
-    """What gives the lanes that wait for a primitive that has this part of the memory."""
+    """A function that gives the lanes waiting for a primitive with this part of the memory."""
     everyone, size = rollouts.lanes.with_memory(part), part.stop - part.start
     room, parameters = rollouts.asked, rollouts.parameters[kind]
     numbers = everyone.percept.new_empty(len(everyone), 0) if parameters is None else parameters
@@ -149,7 +152,7 @@ def _asked(rollouts: WaitingRollouts, part: slice, kind: int) -> Asked:
 def _done(
     action: Action, lanes: Lanes, parameters: Tensor, environment: Environment, waiting: Any
 ) -> Answer:
-    """Do what n lanes wait for; routines ask the environment themselves, which costs less."""
+    """Run an action for n lanes; routines call the environment directly, which is faster."""
     kind = None if action._forward_hooks or action._forward_pre_hooks else type(action)
     if kind is MoveBase and not waiting.silent:
         control = lanes.message[:, : environment.control_size]
@@ -160,7 +163,7 @@ def _done(
 
 
 def _news(before: Lanes, after: Lanes) -> dict[str, Tensor]:
-    """What an action has changed of lanes, by fields of a `Waiting`."""
+    """The fields of a `Waiting` that an action has changed in lanes."""
     return {
         name: _like(value, old)
         for field, name in FIELDS
@@ -176,7 +179,7 @@ def _like(value: Tensor, before: Tensor) -> Tensor:
 
 
 def _over(environment: Environment, rewards: Rewarded, lanes: Lanes) -> Tensor:
-    """(n,) uint8, 1 where an episode is over with success, 2 without, else 0."""
+    """(n,) uint8, 1 if an episode ended with success, 2 if it ended without, else 0."""
     rows = rewards.over(lanes).nonzero()[:, 0]
     over = torch.zeros(len(lanes), dtype=torch.uint8)
     if not len(rows):
@@ -186,7 +189,7 @@ def _over(environment: Environment, rewards: Rewarded, lanes: Lanes) -> Tensor:
 
 
 def _ended(rollouts: WaitingRollouts, sizes: tuple[int, int], rewards: Rewarded | None) -> Rollouts:
-    """What the lanes have come to."""
+    """The results of all lanes."""
     lanes, returns = rollouts.lanes, None
     if rewards is not None:
         gained = rewards.returns(lanes).to(lanes.percept)

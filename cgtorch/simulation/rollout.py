@@ -22,13 +22,14 @@ from cgtorch.simulation.rollouts import Rollouts
 
 MAX_TRANSITIONS = 20
 MAX_STEPS = MAX_TRANSITIONS**2
-"""What a skill of skills can execute if each of its transitions is a sub-skill that runs out of its
-own; with longer limits more, see `most_steps`."""
+"""The number of actions that a skill can execute if each of its transitions is a sub-skill that
+uses all transitions of its own. For other limits see `most_steps`."""
 
 LARGEST_BATCH = 2**40  # lanes
 MOST_IDLE = 64
-"""Actions in a row that may leave the state of an environment with rewards as it is. Its episodes
-can be thousands of actions long, and a lane that only thinks would be run as long in vain."""
+"""The number of actions in a row that may leave the state of an environment with rewards as it is.
+Its episodes can be thousands of actions long, and a lane that only exchanges messages would waste
+that time."""
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
 
@@ -45,21 +46,25 @@ def rollout(
 ) -> Rollouts:
     """Run P graphs on B scenarios of the environment.
 
-    A sub-skill counts as one transition of the skill it is in and has a limit of its own
-    (`Skill.max_transitions`); `max_steps` bounds the actions a lane executes on all levels
-    together. A lane that has ended leaves the batch, and one that comes back to a node
-    with nothing changed can only run out of transitions, so these are counted but not executed.
+    A sub-skill counts as one transition of the skill that contains it, and has its own limit
+    (`Skill.max_transitions`). `max_steps` bounds the actions that a lane executes on all levels
+    together. A lane that has ended leaves the batch. A lane that returns to a node with nothing
+    changed can only run out of transitions, so the rest of its transitions is counted but not
+    executed.
 
     Args:
-        graphs: P valid ones; GraphError if an action, a head or a start does not exist.
-        actions: what their action indices mean.
-        environment: where they run.
-        scenarios: (B,) long, indices into the environment's scenarios; all if not given.
-        max_transitions: of each graph, not counting those within its sub-skills.
-        max_steps: actions per lane on all levels; `most_steps` if not given.
-        trace: called after every step with the lanes' indices (n,) into P·B, the rows (n,) of
-            the program's node table that ran, their outcomes (n,), and the lanes afterwards,
-            which the next step overwrites. Then every transition is executed.
+        graphs: P valid graphs.
+        actions: The action set of the graphs.
+        environment: Where they run.
+        scenarios: (B,) long, indices of scenarios; all by default.
+        max_transitions: Of each graph, not counting those within its sub-skills.
+        max_steps: Actions per lane on all levels; `most_steps` by default.
+        trace: Called after every step with the lanes' indices (n,) into P·B, the rows (n,) of the
+            program's table that ran, their outcomes (n,), and the lanes afterwards, which the next
+            step overwrites. With a trace, every transition is executed.
+
+    Raises:
+        GraphError: An action, a head or a start does not exist.
     """
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
@@ -90,11 +95,11 @@ def rollout_in_torch(
     max_steps: int,
     trace: Trace | None = None,
 ) -> Rollouts:
-    """The same for any actions, environment and device, all lanes in one batch.
+    """`rollout` for any actions, environment and device, with all lanes in one batch.
 
-    Before each step the lanes are sorted by what they are about to do, so that each action has its
-    own next to each other, and those that have ended leave. How many these are is all that the host
-    is told of a step, and all that it waits for on a GPU.
+    Before each step, lanes are sorted by their next action, so that those with the same action are
+    adjacent, and lanes that have ended leave. Their counts are all that the host reads per step, so
+    a GPU is synchronised once per step.
     """
     p, b = len(program.start), len(scenarios)
     sizes = program.actions.message_size, program.actions.memory_size
@@ -150,7 +155,7 @@ def rollout_in_torch(
 
 
 def _at_the_end(environment: Environment, rewards: Rewarded, lanes: Lanes, end: Tensor) -> Tensor:
-    """How lanes end (n,) where their episodes are over, else as they would anyway."""
+    """How lanes end (n,) if their episodes are over, else the ends given."""
     rows = rows_where(rewards.over(lanes))
     if not len(rows):
         return end
@@ -163,7 +168,7 @@ def _at_the_end(environment: Environment, rewards: Rewarded, lanes: Lanes, end: 
 def _grouped(
     program: Program, node: Tensor, active: Tensor, over: Tensor
 ) -> tuple[Tensor, list[slice]]:
-    """The k of n lanes that go on, by action and `active` (n,), and where each action's lie."""
+    """The k of n lanes that continue, sorted by action, and the slice of each action."""
     count = len(program.actions.primitives)
     kind = torch.where(over, count, program.kind.index_select(0, node))
     order = torch.argsort(active + kind * LARGEST_BATCH)
@@ -175,7 +180,7 @@ def _grouped(
 def _act(
     program: Program, lanes: Lanes, node: Tensor, groups: list[slice], environment: Environment
 ) -> tuple[Tensor, Tensor]:
-    """Change lanes by their actions, one batch per kind; outcomes (n,), and (n,) which changed."""
+    """Run the lanes' actions, one batch per kind; outcomes (n,), and (n,) which lanes changed."""
     outcome = torch.empty_like(node)
     changed = torch.ones_like(node, dtype=torch.bool)
     table = program.actions

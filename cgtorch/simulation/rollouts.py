@@ -1,4 +1,4 @@
-"""What rollouts come to."""
+"""The results of rollouts."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,18 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Rollouts:
-    """How P graphs did on B scenarios.
+    """The results of P graphs on B scenarios.
 
     Attributes:
-        succeeded: (P, B) bool, a terminal outcome with success was reached.
-        timed_out: (P, B) bool, no terminal outcome within the limit of transitions.
+        succeeded: (P, B) bool, whether the graph ended with a successful terminal outcome.
+        timed_out: (P, B) bool, whether it reached the limit of transitions first.
         percept: (P, B, D), the last percept p_t.
-        state: (P, B, S), what the environment kept of the lane at its end.
-        transitions: (P, B) long, actions until the end, also those of endless loops, which are
-            counted and not executed.
-        executed: how many actions were executed in all.
-        returns: (P, B) the sums of rewards, -inf where an episode was not finished; None where the
-            environment gives no rewards.
+        state: (P, B, S), the environment's last state of the lane.
+        transitions: (P, B) long, actions until the end. Those of endless loops are counted, not
+            executed.
+        executed: Total number of actions that were executed.
+        returns: (P, B) sums of rewards, -inf for an episode that did not finish; None without
+            rewards.
     """
 
     succeeded: Tensor

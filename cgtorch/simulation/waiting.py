@@ -1,4 +1,4 @@
-"""Room for rollouts that wait for Python, as compiled code has them."""
+"""Memory of rollouts that wait for Python, in the layout of compiled code."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -16,24 +16,24 @@ FIELDS = (
     ("percept", "new_percept"), ("state", "new_state"), ("message", "new_message"),
     ("has_message", "new_has"), ("memory", "new_memory"),
 )  # fmt: skip
-"""What an action may change of lanes, and where a `Waiting` of waiting.h has it."""
+"""The fields of lanes that an action may change, and their names in `Waiting` of waiting.h."""
 OUTCOMES = ("outcome", "done", "chance")
 PLACE = 8
-"""Numbers that a `Place` of waiting.h has room for."""
+"""The number of 32-bit integers that a `Place` of waiting.h has room for."""
 
 
 @dataclass(frozen=True)
 class WaitingRollouts:
-    """Rollouts of L lanes that are under way.
+    """Rollouts of L lanes in progress.
 
     Attributes:
-        lanes: all of them, in memory that compiled code writes to.
-        asked: the same room once more, for those that wait for an action.
-        parameters: by primitive, room (L, K) for what the action gets, None where it gets nothing.
-        waiting: a `Waiting` of waiting.h.
+        lanes: All lanes, in memory that compiled code writes to.
+        asked: Equal room for the lanes that wait for an action.
+        parameters: For each primitive, room (L, K) for its parameters, or None if it has none.
+        waiting: A `Waiting` of waiting.h.
         succeeded: (L,) bool.
         timed_out: (L,) bool.
-        executed: (S,) long, actions that were executed, which only sum up to something.
+        executed: (S,) long, whose sum is the number of executed actions.
     """
 
     lanes: Lanes
@@ -52,9 +52,9 @@ def first_lanes(
     known: CompiledActions,
     rewards: Rewarded | None,
 ) -> Lanes | None:
-    """Fresh lanes on scenarios (B,) so many times, or None where compiled code cannot run them.
+    """`count` copies of fresh lanes on scenarios (B,), or None if compiled code cannot run them.
 
-    Of learned models, which give every graph the same, once is enough.
+    Learned models give every graph the same lanes, so one copy is enough for them.
     """
     scenario = scenarios if type(environment) is ModelEnvironment else scenarios.repeat(count)
     lanes = start_lanes(environment, scenario, 0, 0)
@@ -64,7 +64,7 @@ def first_lanes(
 
 
 def _room(first: Lanes, total: int, table: ActionTable) -> Lanes:
-    """Room for so many lanes like those, without messages and with an empty memory."""
+    """Uninitialised lanes like the given ones, without messages and with an empty memory."""
     percept = first.percept.new_empty(total, first.percept.shape[1])
     return Lanes(
         percept=percept,
@@ -85,7 +85,7 @@ def laid_out(
     sizes: tuple[int, int],
     limits: tuple[int, int, int],
 ) -> WaitingRollouts:
-    """Rollouts that are to be begun; `limits` are those of `Waiting`."""
+    """Rollouts that are ready to start; `limits` are those of `Waiting`."""
     table, total, like = known.table, sizes[0] * sizes[1], first.percept
     lanes = _room(first, total, table)
     count, depth = len(table.primitives), table.depth
@@ -117,7 +117,7 @@ def laid_out(
         state_bytes=lanes.state.shape[1] * lanes.state.element_size(),
         state_is_real=int(lanes.state.dtype == known.dtype),
         kinds=torch.empty(nodes, dtype=torch.int32),
-        ways=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
+        successors=torch.empty(nodes * table.outcomes * 2, dtype=torch.int32),
         places=torch.empty(total * PLACE, dtype=torch.int32), caller=caller, outer=outer,
         outer_first=outer_first, queue=torch.empty(count * total, dtype=torch.int32),
         waiting=torch.zeros(shares * count, dtype=torch.long), executed=executed,

@@ -36,7 +36,7 @@ def machine_structure(centres: Tensor, weights: Tensor, bias: Tensor, gamma: Ten
 def machine_values(
     x: Tensor, centres: Tensor, weights: Tensor, bias: Tensor, gamma: Tensor
 ) -> tuple[Tensor, Tensor] | None:
-    """What `fused_rbf` of `cgtorch.svm.rbf_predict` says, or None as of `machine_structure`."""
+    """What `rbf_predict` of `cgtorch.svm.rbf_predict` says, or None as of `machine_structure`."""
     machine = machine_structure(centres, weights, bias, gamma)
     if machine is None:
         return None

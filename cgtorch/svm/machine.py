@@ -17,7 +17,7 @@ from cgtorch.svm import inputs
 from cgtorch.svm.compiled import LOG2E, machine_values
 from cgtorch.svm.gram import Gram, resolve_gamma
 from cgtorch.svm.problems import Problems, State, Targets, duality_gap
-from cgtorch.svm.rbf_predict import fused_rbf
+from cgtorch.svm.rbf_predict import predict_rbf
 from cgtorch.svm.solver import solve, start_at
 
 PerOutput: TypeAlias = float | Sequence[float]
@@ -166,7 +166,7 @@ class KernelMachine(FittedModule, ABC):
             raise DataError(f"a row has {given} features; the model was fitted on {features}")
         rows = x.reshape(-1, features).to(self.centres)
         compiled = machine_values(rows, *self._machine) if suits(rows, *self._machine) else None
-        values, nearest = compiled or fused_rbf(rows, *self._machine, with_nearest)
+        values, nearest = compiled or predict_rbf(rows, *self._machine, with_nearest)
         return values.reshape(*x.shape[:-1], values.shape[1]), nearest
 
     @property

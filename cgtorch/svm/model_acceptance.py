@@ -1,4 +1,4 @@
-"""Whether a model that has learned on may replace the one before it."""
+"""Whether a model that was trained on more data may replace the one before it."""
 
 from dataclasses import dataclass
 

@@ -30,7 +30,7 @@ _CHUNKS = 4  # in a block, which is what the small operations before and after w
 _WORTH_SHARING = 2**20  # kernel values, about 0.8 ms of one core
 
 
-def fused_rbf(
+def predict_rbf(
     x: Tensor,
     centres: Tensor,
     weights: Tensor,

@@ -39,7 +39,7 @@ def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
     return torch.tensor(chosen, dtype=torch.long, device=x.device)
 
 
-def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
+def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
     """A machine with at most `centres` centres fitted to the values of a fitted one on rows (n, d).
 
     These are at least 8 rows of the region where it will be asked. Three of four fit the weights,
@@ -51,7 +51,9 @@ def compact(machine: Machine, centres: int, x: Tensor) -> Machine:
     machine._check_fitted()
     rows = as_rows(x).to(machine.centres.device)
     if centres < 1 or len(rows) < 8:
-        raise SettingsError(f"compact needs 1 centre and 8 rows, not {centres} and {len(rows)}")
+        raise SettingsError(
+            f"a reduced set needs 1 centre and 8 rows, not {centres} and {len(rows)}"
+        )
     kind = machine.centres.dtype
     gamma, pool = float(machine.gamma_value), machine.centres.double()
     picked = pivots(pool, gamma, min(centres, len(pool)))

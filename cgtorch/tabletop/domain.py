@@ -47,7 +47,7 @@ from cgtorch.tabletop.world import (
     DRAWS,
     EDGES,
     PERCEPTS,
-    ClearWay,
+    ClearMotion,
     Noise,
     ObservedTabletop,
     Scenarios,
@@ -206,7 +206,7 @@ class Tabletop(Domain[Scenarios]):
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `Domain.possible`."""
-        return self._clear_way(percept.device)(percept, control)
+        return self._clear_motion(percept.device)(percept, control)
 
     def noisy(self, percept: Tensor) -> Tensor:
         """See `Domain.noisy`: the boxes of obstacles that are not there are never seen."""
@@ -251,14 +251,14 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.imagine`; compiled rollouts know these models."""
         return imagine(
             knowledge, percepts, replicas, generator, device,
-            possible=self._clear_way(device), noisy=self.noisy, compiled=compiled_models,
+            possible=self._clear_motion(device), noisy=self.noisy, compiled=compiled_models,
         )  # fmt: skip
 
-    def _clear_way(self, device: torch.device | str) -> ClearWay:
+    def _clear_motion(self, device: torch.device | str) -> ClearMotion:
         """MoveBase's own check, with more room, so that the world's noise blocks no way found."""
         footprint = torch.tensor(self.robot.description.footprint, device=device)
         more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
-        return ClearWay(footprint + more)
+        return ClearMotion(footprint + more)
 
     # Files and pictures
 

@@ -17,7 +17,7 @@ from cgtorch.tabletop.world.edge_frame import (
     scene_size,
     table_scene,
 )
-from cgtorch.tabletop.world.ways import first_motion
+from cgtorch.tabletop.world.routes import first_motion
 
 
 class EdgeNN(ContinuousNN):
@@ -46,11 +46,11 @@ class EdgeNN(ContinuousNN):
 
 
 class EdgeWayNN(EdgeNN):
-    """An `EdgeNN` that looks at obstacles: it sends the first motion of a way to its pose.
+    """An `EdgeNN` that looks at obstacles: it sends the first motion of a route to its pose.
 
     Where the straight way is blocked by what is seen, that leads past a corner; asked again from
-    there, it sends the next one (`cgtorch.tabletop.world.ways`). The footprint (m) is x min, x max,
-    y min, y max of the base with the room that it keeps.
+    there, it sends the next one (`cgtorch.tabletop.world.routes`). The footprint (m) is x min,
+    x max, y min, y max of the base with the room that it keeps.
     """
 
     native_kind = "EDGE_WAY"
@@ -67,7 +67,7 @@ class EdgeWayNN(EdgeNN):
         self.plain_arguments = {"footprint": footprint}
 
     def network(self, lanes: Lanes, parameters: Tensor) -> Tensor:
-        """The first motions (n, 3) of ways to the poses that the network says."""
+        """The first motions (n, 3) of routes to the poses that the network says."""
         motion = super().network(lanes, parameters)
         return first_motion(lanes.percept, motion, lanes.percept.new_tensor(self.footprint))
 

@@ -17,7 +17,7 @@ VIAS, LONGEST, ROOM, AWAY, WORTH_TURNING = (
     1.05,
     0.05,
     0.001,
-)  # see cgtorch.tabletop.world.ways
+)  # see cgtorch.tabletop.world.routes
 TURN_STEPS = 12
 
 
@@ -52,14 +52,14 @@ class EdgeNN(ContinuousNN):
 
 
 class EdgeWayNN(EdgeNN):
-    """An `EdgeNN` that sends the first motion of a way to its pose around what is seen."""
+    """An `EdgeNN` that sends the first motion of a route to its pose around what is seen."""
 
     def __init__(self, parameters: Sequence[float], footprint: Box, **sizes: int):
         super().__init__(parameters, **sizes)
         self.footprint = footprint
 
     def motion(self, percept: list[float]) -> list[float]:
-        """The first motion dx, dy (m), dθ (rad) of a way to the pose."""
+        """The first motion dx, dy (m), dθ (rad) of a route to the pose."""
         return first_motion(things(percept), super().motion(percept), self.footprint)
 
 
@@ -148,22 +148,22 @@ def things(percept: list[float]) -> list[Rectangle]:
 
 
 def first_motion(seen: list[Rectangle], motion: list[float], footprint: Box) -> list[float]:
-    """The first motion of the shortest way past corners, as `cgtorch.tabletop.world.ways` says."""
+    """The first motion of the shortest route past corners; see `cgtorch.tabletop.world.routes`."""
     best, total = motion, 0.0 if possible(motion, seen, footprint) else math.inf
     for turn in (0.0, motion[2]) if total else ():
         length, via = shortest(seen, motion, turn, footprint)
         if length < total - WORTH_TURNING:
             best, total = [*via, turn], length
-    way = math.hypot(*best[:2])
-    if math.isfinite(total) and way > LONGEST:
-        return [best[0] * LONGEST / way, best[1] * LONGEST / way, 0.0]
+    distance = math.hypot(*best[:2])
+    if math.isfinite(total) and distance > LONGEST:
+        return [best[0] * LONGEST / distance, best[1] * LONGEST / distance, 0.0]
     return best
 
 
 def shortest(
     seen: list[Rectangle], motion: list[float], turn: float, footprint: Box
 ) -> tuple[float, Point]:
-    """The length of the shortest way past corners, infinite if there is none, and the first one."""
+    """The length of the shortest route past corners, or infinity, and its first corner."""
     corner = [point for thing in seen for point in corners(thing, footprint)]
     away = [turned(point, -turn) for point in corner]
     after = [(*turned(thing[:2], -turn), thing[2] - turn, *thing[3:]) for thing in seen]

@@ -10,8 +10,10 @@ from cgtorch.tabletop.world import stage_scenarios
 
 _FILES = files("cgtorch.tabletop")
 EXPERIMENTS = {
-    stage: Published(**{**told, "details": tuple(told.get("details", {}).items())})
-    for stage, told in tomllib.loads(_FILES.joinpath("published.toml").read_text("utf-8")).items()
+    stage: Published(**{**figures, "details": tuple(figures.get("details", {}).items())})
+    for stage, figures in tomllib.loads(
+        _FILES.joinpath("published.toml").read_text("utf-8")
+    ).items()
 }
 """By stage; of all together under ""."""
 

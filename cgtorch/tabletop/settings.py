@@ -51,23 +51,23 @@ class TabletopSettings(DomainSettings):
         "auto",
         "The percept: box (the paper's seven numbers), yaw (the table's yaw as well), or auto "
         "(yaw for general scenarios, else box).",
-        "the data and models of the run have it",
+        "the data and models of the run depend on it",
         choices=("auto", "box", "yaw"),
         when="Use yaw if tables stand at any angle.",
     )
     world: str = option(
         "kinematic",
-        "What stands for the real robot: kinematic, where a grasp succeeds if an arm has a way to "
-        "it, or mujoco, where it is carried out in physics (pip install 'cgtorch[physics]').",
-        "data, models, W and M are of it",
+        "The simulation in place of the real robot: kinematic, where a grasp succeeds if an arm "
+        "has a way to the object, or mujoco, where it is carried out in physics (pip install "
+        "'cgtorch[physics]').",
+        "its data, models, W and M come from that world",
         choices=WORLDS,
         before="kinematic",
     )
     touch: str = option(
         "fails",
-        "In physics, whether a grasp has failed when the arm touched table or robot: fails, or "
-        "allowed.",
-        "the data and models that are there have it",
+        "In physics, what a touch of table or robot by the arm does to a grasp: fails, or allowed.",
+        "its data and models depend on it",
         choices=("fails", "allowed"),
         before="fails",
     )
@@ -83,7 +83,7 @@ class TabletopSettings(DomainSettings):
         "auto",
         "The input of networks: percept (as in the paper), edge (the scene relative to the table "
         "edge nearest to the object), or auto (percept for --method paper, else edge).",
-        "the graphs of the run are made of them",
+        "the graphs of the run contain them",
         choices=("auto", "percept", "edge"),
         when="Use percept to reproduce the publication.",
     )

@@ -21,7 +21,7 @@ from cgtorch.evolution import (
     lexicase,
     tournament,
 )
-from cgtorch.evolution.islands import generator_of
+from cgtorch.evolution.islands import derived_generator
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.checkpoint import Journal
@@ -129,7 +129,7 @@ def initial_progress(training: Training) -> Progress[Any]:
     generator = Generator().manual_seed(settings.seed)
     with working("collecting data: random transitions and labelled tests"):
         dataset = domain.explore(kind, settings.transitions, settings.labels, generator)
-    own = generator_of(generator, OWN)
+    own = derived_generator(generator, OWN)
 
     def fresh(gamma: TransitionModel) -> Any:
         return domain.try_transition(kind, gamma, settings.labels, generator)

@@ -38,14 +38,14 @@ def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
         raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*every, AUTO))}")
     if run.kind != usual:
         raise SettingsError(
-            f"stages {every[0]} to {every[-1]} are about {usual} scenarios, not {run.kind}; use "
+            f"stages {every[0]} to {every[-1]} use {usual} scenarios, not {run.kind}; use "
             f"--stage {AUTO}"
         )
     names = every[: every.index(stage) + 1]
     if run.rounds and not set(names) <= set(run.stages):
         raise RunError(
-            f"run {str(run.folder)!r} has gone on with --stage {AUTO} and can have no further "
-            f"stage; go on with --stage {AUTO} or choose another --run-dir"
+            f"run {str(run.folder)!r} has continued with --stage {AUTO} and cannot make a single "
+            f"stage any more; continue with --stage {AUTO} or choose another --run-dir"
         )
     return names
 

@@ -47,7 +47,7 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["--stage", "S1", "--rounds", "3"], "--rounds are for --stage auto; add that or leave"),
         (
             ["--scenarios", "general"],
-            "about perimeter scenarios, not general; use --stage auto",
+            "use perimeter scenarios, not general; use --stage auto",
         ),
         (["--stage", "S0", "--scenarios", "general-clutter"], "use --stage auto"),
         (["--scenarios", "near"], "scenarios is 'near'; use one of perimeter, general, general-"),
@@ -210,7 +210,7 @@ def test_a_run_with_an_unknown_setting(shell: Shell, run_folder: Path) -> None:
 
 def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     folder = copied(trained, tmp_path / "run", ())
-    assert "has no finished stage; go on with --resume" in shell.refuses(EVALUATE, folder)
+    assert "has no finished stage; continue with --resume" in shell.refuses(EVALUATE, folder)
 
 
 def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
@@ -244,12 +244,15 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
         ),
         (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
         (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
-        (["percept=yaw"], "--percept auto of run .* as the data and models of the run have it"),
+        (
+            ["percept=yaw"],
+            "--percept auto of run .* as the data and models of the run depend on it",
+        ),
         (["method=paper"], "neither method can continue the other's skills"),
         (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),
         (["colour=red"], "--override 'colour=red' names no setting"),
-        (["actions=x:Y"], "--actions .* as the graphs of the run are made of them"),
+        (["actions=x:Y"], "--actions .* as the graphs of the run contain them"),
         (["population=many"], "'many' is not a valid integer"),
         (["population=0"], "population is 0; give a whole number of at least 2"),
         (["tournament="], "'' is not a valid integer"),

@@ -75,7 +75,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
         in ended.out
     )
     counted = f"{again['succeeded']} / {again['tried']}"
-    assert f"met by other noise when it was accepted, {counted}" in ended.out
+    assert f"W under other noise, when it was accepted: {counted}" in ended.out
     assert listing(trained.folder) == before
 
 

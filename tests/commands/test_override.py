@@ -42,9 +42,9 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     ended = shell(TRAIN, *words)
     said = " ".join(ended.err.split())
     assert ended.code == 0, ended
-    assert "population is 30 in place of 60; S1 begins again" in said
-    assert "max_transitions is 15 in place of 20; S1 begins again" in said
-    assert f"what S1 had come to is in {folder / 'set-aside' / '1'}" in said
+    assert "population is 30 instead of 60; S1 begins again" in said
+    assert "max_transitions is 15 instead of 20; S1 begins again" in said
+    assert f"the unfinished work on S1 is in {folder / 'set-aside' / '1'}" in said
     assert {p.name: p.read_bytes() for p in (folder / "set-aside/1/S1").iterdir()} == half
 
     settings = replace(SMALL, population=30, max_transitions=15)
@@ -60,7 +60,7 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     # Said again, as under torchrun's restarts, it changes nothing more.
     ended = shell(TRAIN, *words)
     assert ended.code == 0, ended
-    assert "in place of" not in ended.err
+    assert "instead of" not in ended.err
     assert about(folder)["history"] == [entry]
     assert same(begin_last(open_run(folder)), found)
 

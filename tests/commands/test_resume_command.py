@@ -102,7 +102,9 @@ def test_a_run_with_rounds_remembers_no_stage(
     folder = copied(trained, tmp_path / "run")
     edited(folder, {"stage": "auto", "goal": GOAL})
     (folder / "S1").rename(folder / "auto-1")
-    assert "can have no further stage" in shell.refuses(TRAIN, "--resume", folder, "--stage", "S2")
+    assert "cannot make a single stage any more" in shell.refuses(
+        TRAIN, "--resume", folder, "--stage", "S2"
+    )
     assert about(folder)["goes_on_to"] == {"stage": "auto", "goal": GOAL}
 
 

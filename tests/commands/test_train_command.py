@@ -58,7 +58,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE, *own]
     ended = in_a_shell(TRAIN, *words, folder=tmp_path)
     assert ended.code == 1, ended
-    assert "S2 needs S0, S1 first; run lacks them, so they are made as well" in ended.err
+    assert "S2 builds on S0, S1, which run lacks; they are made first" in ended.err
     last = ended.err.splitlines()[-1]
     assert last.startswith("cgtorch-train: stage S0 found no skill that keeps W and solves more")
     assert "raise --attempts, --generations or --population" in last
@@ -111,7 +111,7 @@ def test_the_stages_that_a_run_lacks_are_made(
     folder = copied(trained, tmp_path / "run", ())
     ended = shell(TRAIN, "--resume", folder, "--stage", "S1")
     assert ended.code == 0, ended
-    assert f"S1 needs S0 first; {folder} lacks them, so they are made as well" in ended.err.replace(
+    assert f"S1 builds on S0, which {folder} lacks; they are made first" in ended.err.replace(
         "\n", " "
     )
     for stage in ("S0", "S1"):
@@ -159,12 +159,12 @@ def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: 
     assert ended.code == 0, ended
     assert "fresh scenarios = " in ended.err
     said = ended.err.replace("\n", " ")
-    assert f"run {folder} has not reached its goal of 0.999; go on with --resume" in said
+    assert f"run {folder} has not reached its goal of 0.999; continue with --resume" in said
     ended = shell(EVALUATE, folder, "--count", 5, "--json")
     kept = json.loads((folder / "auto-1" / "skill.json").read_text())["name"]
     assert kept in ("S1", "auto-1")  # so few attempts may improve nothing
     assert json.loads(ended.out)["skill"] == kept
     assert shell(EVALUATE, folder / "auto-1", "--count", 5, "--json").out == ended.out
-    assert "can have no further stage" in shell.refuses(
+    assert "cannot make a single stage any more" in shell.refuses(
         TRAIN, "--resume", folder, "--stage", "S2", "--quiet"
     )

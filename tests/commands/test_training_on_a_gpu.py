@@ -40,7 +40,7 @@ def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
     ("population", "kernels", "actions", "wanted", "says"),
     [
         (4000, True, "", "cuda", "device: cuda, which is faster for a population of 4000"),
-        (3999, True, "", "cpu", "device: cpu, which is as fast for a population of 3999"),
+        (3999, True, "", "cpu", "device: cpu, which is as fast as a GPU for a population of 3999"),
         (4000, False, "", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
         (4000, True, "own", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),
         (4000, True, "memory", "cpu", "device: cpu, which is faster, as a GPU has no kernels"),

@@ -38,7 +38,7 @@ def test_what_is_waited_for(
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--resume"], "stopped: interrupted; what was done is kept, go on with --resume\n"),
+        (["--resume"], "stopped: interrupted; finished work is kept; continue with --resume\n"),
         ([], "stopped: interrupted\n"),
     ],
 )

@@ -11,7 +11,7 @@ from reaching import BASE, TABLE, Reaching, fitted_to, world_of
 from support import seeded, world
 from torch import Tensor
 
-from cgtorch.domains.knowledge import ASIDE, MOST_NEW, Knowledge, learn, parted, sampled, taken
+from cgtorch.domains.knowledge import ASIDE, MOST_NEW, Knowledge, hold_out, learn, sampled, taken
 from cgtorch.environment import Dataset, start_lanes
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.setup import Setup
@@ -148,7 +148,7 @@ def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> No
 
 def test_a_tenth_is_never_fitted_on() -> None:
     data = collect(Scenes(world_of), 60, 90, seeded(0))
-    fitted, aside = parted(data)
+    fitted, aside = hold_out(data)
     assert len(aside.percept) == 6
     assert len(aside.succeeded) == len(data.succeeded) // ASIDE
     together = torch.cat([fitted.percept, aside.percept])

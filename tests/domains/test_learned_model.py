@@ -14,7 +14,7 @@ from cgtorch.domains.transition import Grid, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import DataError
-from cgtorch.svm import compact
+from cgtorch.svm import fit_reduced_set
 
 GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
 DATA = Cart().explore("any", 300, 300, seeded(0))
@@ -118,16 +118,16 @@ def test_a_coreset_is_small_and_knows_what_it_stands_for(limit: int, worse: floa
 
 def test_what_is_compact_says_nearly_the_same() -> None:
     gamma, classifier = gamma_of(300), classifier_of(300)
-    small = gamma.compacted(100, *MOVES[:2])
+    small = gamma.with_fewer_centres(100, *MOVES[:2])
     assert len(small.machine.centres) == 100 < len(gamma.machine.centres)
     assert error(small) < 1.3 * error(gamma)
-    tiny = gamma.compacted(12, *MOVES[:2])
+    tiny = gamma.with_fewer_centres(12, *MOVES[:2])
     known = float((tiny.novelty(*MOVES[:2]) <= 0.5).float().mean())
     assert known == pytest.approx(0.95, abs=0.03)  # whatever few centres there are
     lost = []
     for centres in (20, 100, 300):
         less = deepcopy(classifier)
-        less.machine = compact(classifier.machine, centres, classifier.features(TESTS[0]))
+        less.machine = fit_reduced_set(classifier.machine, centres, classifier.features(TESTS[0]))
         assert len(less.machine.centres) <= centres
         lost.append(float((less(FRESH.tested) - classifier(FRESH.tested)).abs().mean()))
     assert lost == sorted(lost, reverse=True)

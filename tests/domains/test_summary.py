@@ -76,7 +76,7 @@ def test_later_it_is_told_what_was_accepted(
     accepted = tuple(Acceptance(yes, 9, 0.25, 0.5, 0.125) for yes in (gamma, classifier))
     told = summary_of(replace(known, acceptances=accepted))
     said = {
-        True: "{} has learned on",
+        True: "{} was trained on more data",
         False: "{} stays as it was, since its error on earlier data would be 0.5000 instead of "
         "0.2500",
     }

@@ -152,11 +152,11 @@ tables = st.tuples(st.integers(1, 40), st.integers(1, 9), st.integers(0, 4))
 @given(seeds, tables, st.sampled_from([torch.float32, torch.float64]))
 def test_lexicase(seed: int, table: tuple[int, int, int], dtype: torch.dtype) -> None:
     """With scores that are all different, or few different ones, some of them zeros with a sign."""
-    people, scenarios, levels = table
-    scores = torch.rand(people, scenarios, generator=seeded(seed), dtype=dtype) - 0.5
+    individuals, scenarios, levels = table
+    scores = torch.rand(individuals, scenarios, generator=seeded(seed), dtype=dtype) - 0.5
     if levels:
         scores = (scores * levels).round() / levels
-    order = torch.arange(people)
+    order = torch.arange(individuals)
     chosen = lexicase(order, scores, 31, seeded(seed))
     assert torch.equal(chosen, in_torch(lambda: lexicase(order, scores, 31, seeded(seed))))
 

@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet, ContinuousNN, paper_actions
 from cgtorch.evolution import EvolutionSettings, compiled, evolve, gpu
 from cgtorch.evolution.compiled import lexicase as lexicase_in_c
-from cgtorch.evolution.offspring import bred
+from cgtorch.evolution.offspring import breed
 from cgtorch.evolution.parameters import with_new_origins
 from cgtorch.evolution.population import Population, random_population
 from cgtorch.evolution.selection import deviation, lexicase, tournament
@@ -63,10 +63,10 @@ def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Laun
     population.graphs.parameters.data = population.graphs.parameters.to(dtype)
     elite, parents = torch.tensor([7, 3]), torch.randint(60, (58,), generator=g)
     about = population, elite, parents, (11, -5), OWN if mutates else None, 12
-    wanted, strategy, begins = bred(*about)
+    wanted, strategy, begins = breed(*about)
     there = launcher.device
     moved = population.to(there), elite.to(there), parents.to(there), *about[3:]
-    made, same_strategy = gpu.bred(launcher, *moved)
+    made, same_strategy = gpu.breed(launcher, *moved)
     if mutates:
         made, found_begins = with_new_origins(made, OWN.standard)
         assert found_begins == begins
@@ -76,17 +76,19 @@ def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Laun
     if mutates:
         old, fresh = population.graphs.parameters, torch.rand(begins[-1], 50, dtype=dtype)
         fresh = fresh[:, : old.shape[2]].contiguous()
-        on_cpu = compiled.changed(wanted, old, fresh, OWN, strategy, 0.05, 2, 99)
+        on_cpu = compiled.perturb_parameters(wanted, old, fresh, OWN, strategy, 0.05, 2, 99)
         given = made, old.to(there), fresh.to(there), OWN, same_strategy
-        for one, other in zip(on_cpu, gpu.changed(launcher, *given, 0.05, 2, 99), strict=True):
+        for one, other in zip(
+            on_cpu, gpu.perturb_parameters(launcher, *given, 0.05, 2, 99), strict=True
+        ):
             assert torch.equal(one, other.cpu())
 
 
 def test_parents_outside_are_refused() -> None:
     population = population_of(1, PAPER)
     parents = torch.tensor([0, 60])
-    with pytest.raises(IndexError, match="none of the individuals"):
-        gpu.bred(EmulatedGpu(), population, parents[:0], parents, (1, 2), PAPER, 12)
+    with pytest.raises(IndexError, match="not in the population"):
+        gpu.breed(EmulatedGpu(), population, parents[:0], parents, (1, 2), PAPER, 12)
 
 
 def scores_of(kind: str, seed: int, size: int, scenarios: int) -> Tensor:

@@ -14,9 +14,9 @@ from cgtorch.evolution import EvolutionSettings, Population, evolve, initial_sta
 from cgtorch.evolution.fitness import evaluator
 from cgtorch.evolution.islands import (
     Tried,
+    derived_generator,
     emigrants,
     first_islands,
-    generator_of,
     migrated,
 )
 from cgtorch.evolution.population import join, random_population, slim
@@ -81,16 +81,18 @@ def test_the_best_tenth_leaves_and_the_worst_make_room(seed: int, fitness: list[
 
 def test_each_island_has_random_numbers_of_its_own_and_the_first_those_given() -> None:
     generator = seeded(5)
-    assert generator_of(generator, 0) is generator
-    draws = {n: torch.rand(4, generator=generator_of(generator, n)).tolist() for n in (1, 2, 3)}
+    assert derived_generator(generator, 0) is generator
+    draws = {
+        n: torch.rand(4, generator=derived_generator(generator, n)).tolist() for n in (1, 2, 3)
+    }
     assert len({tuple(x) for x in draws.values()}) == 3
     assert (
         torch.rand(4, generator=generator).tolist() == torch.rand(4, generator=seeded(5)).tolist()
     )  # nothing was drawn from it
-    assert torch.rand(4, generator=generator_of(seeded(5), 2)).tolist() == draws[2]
+    assert torch.rand(4, generator=derived_generator(seeded(5), 2)).tolist() == draws[2]
     later = seeded(5)
     torch.rand(1, generator=later)
-    assert torch.rand(4, generator=generator_of(later, 2)).tolist() != draws[2]
+    assert torch.rand(4, generator=derived_generator(later, 2)).tolist() != draws[2]
 
 
 def test_one_island_is_algorithm_2_as_it_reads() -> None:
@@ -113,7 +115,7 @@ def test_one_island_is_algorithm_2_as_it_reads() -> None:
 def plainly(count: int, migration: int, generations: int) -> list[list[Population]]:
     """Islands with every step written out, one after the other: a slow reference."""
     environment, keep, stage = model(0, 3), torch.zeros(3, dtype=torch.bool), seeded(7)
-    generators: list[Generator] = [generator_of(stage, i) for i in range(count)]
+    generators: list[Generator] = [derived_generator(stage, i) for i in range(count)]
     states = [initial_state(SETTINGS, ACTIONS, g) for g in generators]
     history = []
     for number in range(generations):

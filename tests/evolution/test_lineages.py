@@ -20,7 +20,15 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
-from cgtorch.evolution.lineages import RUNGS, STALL, after_samples, founded, raced, samples, tuned
+from cgtorch.evolution.lineages import (
+    RUNGS,
+    STALL,
+    after_samples,
+    new_lineages,
+    samples,
+    successive_halving,
+    tunable,
+)
 from cgtorch.evolution.population import random_population
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.checkpoint import checkpoint_of, islands_from
@@ -47,12 +55,12 @@ def fitness_of(state: EvolutionState) -> Tensor:
 def test_lineages_keep_their_structure_and_change_only_parameters_of_nodes() -> None:
     population = random_population(30, ACTIONS, 8, (2, 6), seeded(0))
     fitness = torch.rand(30, generator=seeded(1))
-    lineages = founded(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 4)
+    lineages = new_lineages(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 4)
     assert len(lineages) == 4
     drawn = samples(lineages, ACTIONS, seeded(2))
     begin = 0
     for lineage in lineages:
-        where = tuned(lineage.best.graphs, ACTIONS)
+        where = tunable(lineage.best.graphs, ACTIONS)
         n, (nodes, k) = int(where.sum()), where.shape
         rows = drawn[begin : begin + 4 + int(3 * torch.tensor(n).log())]
         begin += len(rows)
@@ -69,7 +77,7 @@ def test_one_of_each_kind_is_founded_first_and_none_unfinished() -> None:
     population = random_population(40, ACTIONS, 8, (2, 3), seeded(3))
     fitness = torch.rand(40, generator=seeded(4))
     fitness[:20] = WORST
-    lineages = founded(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 6)
+    lineages = new_lineages(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 6)
     kinds = [tuple(sorted(x.best.graphs.action[0].tolist())) for x in lineages]
     assert len(set(kinds[: len(set(kinds))])) == len(set(kinds))
     assert all(x.fitness >= 0 for x in lineages)
@@ -78,13 +86,15 @@ def test_one_of_each_kind_is_founded_first_and_none_unfinished() -> None:
 def test_the_better_half_stays_after_each_rung_and_a_stalled_one_goes() -> None:
     population = random_population(30, ACTIONS, 8, (2, 6), seeded(5))
     fitness = torch.rand(30, generator=seeded(6))
-    lineages = founded(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 4)
+    lineages = new_lineages(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 4)
     generator, sizes = seeded(7), []
     while lineages:
         sizes.append(len(lineages))
         drawn = samples(lineages, ACTIONS, generator)
         flat = torch.zeros(len(drawn))
-        lineages, _ = raced(after_samples(lineages, Evaluated(drawn, flat, flat[:, None]), ACTIONS))
+        lineages, _ = successive_halving(
+            after_samples(lineages, Evaluated(drawn, flat, flat[:, None]), ACTIONS)
+        )
     assert sizes == [4] * RUNGS[0] + [2] * (RUNGS[1] - RUNGS[0]) + [1] * (STALL + 1 - RUNGS[1])
 
 
@@ -117,7 +127,7 @@ def test_random_populations_and_children_take_turns_and_nothing_good_is_lost() -
             assert max(known) == pytest.approx(best)
     assert len(turns) >= 3
     assert {size for _, size in turns} == {SETTINGS.population}
-    assert [bred for bred, _ in turns][:3] == [False, False, True]
+    assert [is_bred for is_bred, _ in turns][:3] == [False, False, True]
 
 
 @pytest.mark.parametrize("cut", [0, 1, 4, 8, 30])

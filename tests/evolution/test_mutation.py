@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
 from cgtorch.evolution.offspring import mutate
-from cgtorch.evolution.parameters import changed, with_new_origins, with_origins
+from cgtorch.evolution.parameters import perturb_parameters, with_new_origins, with_origins
 from cgtorch.evolution.population import TAU
 from cgtorch.evolution.structure import (
     add_node,
@@ -102,7 +102,7 @@ def test_replace_nodes_keeps_only_the_places(seed: int) -> None:
     without = replace(new, parameters=torch.zeros(P, 12, 1, dtype=torch.long))
     numbered, first = with_new_origins(without, ACTIONS.standard)
     rates = initial_strategy(P)
-    made = changed(numbered, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
+    made = perturb_parameters(numbered, first, old.parameters, ACTIONS, rates, P, seeded(seed), 0.1)
     assert torch.equal(made.strategy, rates)
     made = made.graphs
     real = new.used & (ACTIONS.num_parameters[new.action.clamp_min(0)] > 0)
@@ -150,7 +150,7 @@ def test_parameters_move_by_a_gaussian_of_the_individuals_own_size_and_rate() ->
     strategy[:, STRATEGY.index("sigma")] = sigma
     none = [0] * (len(ACTIONS) + 1)
     whole, old = with_origins(many), many.parameters
-    new = changed(whole, none, old, ACTIONS, strategy, 0, seeded(0), TAU).graphs
+    new = perturb_parameters(whole, none, old, ACTIONS, strategy, 0, seeded(0), TAU).graphs
     change = new.parameters - many.parameters
     count = ACTIONS.num_parameters[one.action[0].clamp_min(0)] * one.used[0]
     real = torch.arange(change.shape[2]) < count[:, None]

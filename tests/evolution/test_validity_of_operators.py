@@ -19,7 +19,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution import structure as m
 from cgtorch.evolution.offspring import crossover, mutate
-from cgtorch.evolution.parameters import changed, with_origins
+from cgtorch.evolution.parameters import perturb_parameters, with_origins
 from cgtorch.evolution.population import TAU, random_population, seeded_population
 from cgtorch.graphs import pruned, valid
 
@@ -104,7 +104,9 @@ def test_each_mutation(
 
     none, strategy = [0] * (len(actions) + 1), rate_of[:, None].repeat(1, len(STRATEGY))
     old = graphs.parameters
-    steps = changed(with_origins(graphs), none, old, actions, strategy, 0, generator, TAU)
+    steps = perturb_parameters(
+        with_origins(graphs), none, old, actions, strategy, 0, generator, TAU
+    )
     for mutated in (
         m.add_node(graphs, actions, rate_of, draws(3 + graphs.edges.shape[2])),
         m.delete_node(graphs, rate_of, draws(3), heads),

@@ -16,7 +16,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from kill_and_resume import told  # the tool that compares runs
+from kill_and_resume import results_of  # the tool that compares runs
 
 from cgtorch.environment import start_lanes
 from examples.cart import Cart
@@ -93,7 +93,7 @@ def test_it_is_the_same_after_a_kill(trained: tuple[str, Path], tmp_path: Path) 
     running.send_signal(signal.SIGKILL)
     running.communicate()
     ended("cgtorch-train", "--resume", str(run), "--domain", domain, "--checkpoint-seconds", "0")
-    assert told(run) == told(wanted)
+    assert results_of(run) == results_of(wanted)
 
 
 @pytest.mark.parametrize("trained", ["examples.cart:Cart"], indirect=True)
@@ -101,7 +101,7 @@ def test_three_ranks_make_the_same_bits(trained: tuple[str, Path], tmp_path: Pat
     domain, wanted = trained
     about = ["--domain", domain, *EXAMPLES[domain], *SMALL]
     ended("cgtorch-train", *about, "--run-dir", str(tmp_path / "run"), ranks=3)
-    assert told(tmp_path / "run") == told(wanted)
+    assert results_of(tmp_path / "run") == results_of(wanted)
 
 
 def test_it_is_reported_and_exported(trained: tuple[str, Path], tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.kinematics import load_robot
 from cgtorch.tabletop.world import draw_of
 from cgtorch.tabletop.world.edge_frame import edge_frame, motion_to, scene
-from cgtorch.tabletop.world.ways import first_motion
+from cgtorch.tabletop.world.routes import first_motion
 
 
 def test_a_hundred_runs_in_the_world(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -85,7 +85,7 @@ def test_what_is_kept_when_a_step_is_interrupted_is_where_it_stood(
 
 
 def test_another_count_of_islands_is_refused() -> None:
-    with pytest.raises(RunError, match="is one of 3 islands, not 2; remove it"):
+    with pytest.raises(RunError, match="has 3 islands, not 2; remove it"):
         islands_from(stands(second_generation(3)), ACTIONS, seeded(0), 2)
 
 
@@ -106,7 +106,7 @@ def test_an_island_that_makes_no_sense_is_one_error(bad: dict[str, Any]) -> None
     odd = {name: value for name, value in {**tensors, **bad}.items() if value is not None}
     checkpoint = stands(generation)
     parts = (checkpoint.parts[0], partial(dict, odd))
-    with pytest.raises(RunError, match="the state of an evolution is damaged") as caught:
+    with pytest.raises(RunError, match="the checkpoint of an evolution is damaged") as caught:
         islands_from(replace(checkpoint, parts=parts), ACTIONS, seeded(0), 2)
     assert "\n" not in str(caught.value)
 
@@ -116,5 +116,5 @@ def test_what_it_has_come_to_and_makes_no_sense_is_one_error(name: str) -> None:
     about = found_tensors(Found(second_generation(1).champion, torch.ones(3) > 0, 0.5))
     without = {k: v for k, v in about.items() if k != name}
     for bad in (without, {**about, name: torch.full((2, 2), 1j)}):
-        with pytest.raises(RunError, match="the state of an evolution is damaged"):
+        with pytest.raises(RunError, match="the checkpoint of an evolution is damaged"):
             found_from(bad, ACTIONS, 3)

@@ -18,7 +18,7 @@ from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, sav
 from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
-from cgtorch.improvement.gating import sent_to, train_branches
+from cgtorch.improvement.gating import sent_to, train_gating
 from cgtorch.simulation import rollout
 
 ACTIONS = paper_actions()
@@ -36,7 +36,7 @@ def branches(count: int, seed: int) -> torch.Tensor:
     edges = percepts[:, 5].quantile(torch.linspace(0, 1, count + 1)[1:-1])
     zone = torch.bucketize(percepts[:, 5].contiguous(), edges)
     solves = torch.nn.functional.one_hot(zone, count).float()
-    found, member = train_branches(BRANCH, percepts, solves, torch.ones(COUNT), seeded(seed))
+    found, member = train_gating(BRANCH, percepts, solves, torch.ones(COUNT), seeded(seed))
     assert len(set(member.tolist())) == count
     return found
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from cgtorch.actions import BranchingNN
 from cgtorch.environment import start_lanes
 from cgtorch.improvement import gating as gate
-from cgtorch.improvement.gating import _unscaled, sent_to, train_branches
+from cgtorch.improvement.gating import _unscaled, sent_to, train_gating
 
 BRANCH = BranchingNN()
 
@@ -27,7 +27,7 @@ def test_sets_that_can_be_separated_are(members: int) -> None:
     edges = seen[:, 5].quantile(torch.linspace(0, 1, members + 1)[1:-1])
     zone = torch.bucketize(seen[:, 5].contiguous(), edges)
     solves = torch.nn.functional.one_hot(zone, members).float()
-    parameters, member = train_branches(BRANCH, seen, solves, torch.ones(60), seeded(1))
+    parameters, member = train_gating(BRANCH, seen, solves, torch.ones(60), seeded(1))
     assert parameters.shape == (members - 1, BRANCH.num_parameters)
     assert float((member == zone).float().mean()) > 0.95
     assert torch.equal(member, sent_to(BRANCH, parameters, seen))
@@ -38,7 +38,7 @@ def test_members_that_solve_are_preferred_and_hopeless_scenarios_ignored() -> No
     # Member 1 solves the right half and member 0 solves all that anybody does.
     left, hopeless = seen[:, 5] > 0, torch.arange(40) % 8 == 0
     solves = torch.stack([~hopeless, ~left & ~hopeless], 1).float()
-    _, member = train_branches(BRANCH, seen, solves, torch.ones(40), seeded(3))
+    _, member = train_gating(BRANCH, seen, solves, torch.ones(40), seeded(3))
     assert solves.gather(1, member[:, None])[~hopeless].min() == 1
 
 
@@ -46,7 +46,7 @@ def test_surer_members_are_preferred() -> None:
     seen = percepts(40, 4)
     left = seen[:, 5] > 0
     sure = torch.where(left[:, None], torch.tensor([1.0, 0.34]), torch.tensor([0.34, 1.0]))
-    _, member = train_branches(BRANCH, seen, sure, torch.ones(40), seeded(5))
+    _, member = train_gating(BRANCH, seen, sure, torch.ones(40), seeded(5))
     assert float((member == (~left).long()).float().mean()) > 0.9
 
 
@@ -56,15 +56,15 @@ def test_weight_decides_where_not_all_can_be_served(important: int) -> None:
     solves = torch.zeros(20, 2)
     solves[:4, important], solves[4:, 1 - important] = 1, 1
     weight = torch.ones(20)
-    _, member = train_branches(BRANCH, seen, solves, weight, seeded(7))
+    _, member = train_gating(BRANCH, seen, solves, weight, seeded(7))
     assert set(member.tolist()) == {1 - important}
     weight[:4] = 20
-    _, member = train_branches(BRANCH, seen, solves, weight, seeded(7))
+    _, member = train_gating(BRANCH, seen, solves, weight, seeded(7))
     assert set(member.tolist()) == {important}
 
 
 def test_one_member_needs_no_branch() -> None:
-    parameters, member = train_branches(
+    parameters, member = train_gating(
         BRANCH, percepts(5), torch.ones(5, 1), torch.ones(5), seeded(0)
     )
     assert parameters.shape == (0, BRANCH.num_parameters)
@@ -75,7 +75,7 @@ def test_the_generator_decides() -> None:
     seen = percepts(20)
     solves = torch.rand(20, 3, generator=seeded(0))
     first, again, other = (
-        train_branches(BRANCH, seen, solves, torch.ones(20), seeded(s))[0] for s in (1, 1, 2)
+        train_gating(BRANCH, seen, solves, torch.ones(20), seeded(s))[0] for s in (1, 1, 2)
     )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)

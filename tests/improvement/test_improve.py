@@ -18,7 +18,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
-from cgtorch.improvement.gating import train_branches
+from cgtorch.improvement.gating import train_gating
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup, Stage
@@ -223,7 +223,7 @@ def test_a_team_that_would_lose_something_is_not_accepted(
     percepts = first_percepts(setup.world_of(scenarios))
     rates = torch.tensor([[0.0, 1.0]]).repeat(40, 1)
     _, branch = branching_action(setup.actions)
-    always, _ = train_branches(branch, percepts, rates.flip(1), torch.ones(40), seeded(0))
+    always, _ = train_gating(branch, percepts, rates.flip(1), torch.ones(40), seeded(0))
     whole = compose("S1", [member, idle], always, setup.actions, setup.max_transitions)
     solved = try_skill(whole, setup.world_of(scenarios)).succeeded
     assert 0 < int(solved.sum()) < 40

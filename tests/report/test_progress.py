@@ -56,8 +56,8 @@ def test_models_are_told_with_what_no_model_can_better(events: list[Event], mode
     said = Acceptance(True, 20, 0.02, 0.01, 0.001), Acceptance(False, 20, 0.03, 0.04, 0.001)
     learned = replace(models.knowledge, acceptances=said)
     assert message_of(replace(fitted, summary=summary_of(learned))).startswith(
-        "S1: Γ has learned on; C stays as it was, since its error on earlier data would be 0.0400 "
-        "instead of 0.0300; now from 120 transitions"
+        "S1: Γ was trained on more data; C stays as it was, since its error on earlier data would "
+        "be 0.0400 instead of 0.0300; now from 120 transitions"
     )
 
 
@@ -80,7 +80,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     )
     assert re.fullmatch(
         r"S1\.1: in the world W \d/6, M \d/5; "
-        r"of its group \d+ solved in the search, \d+ in the world",
+        r"its group: \d+ solved in the search, \d+ in the world",
         lines[2],
     )
     assert lines[-3] == "S1: 30 of 40 fresh scenarios = 75.0%, the goal is 0.9"
@@ -99,7 +99,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
 def test_it_is_told_once_that_the_world_keeps_little(kept: int, said: bool) -> None:
     with ProgressDisplay(console(False)) as display:
         for number in range(6):
-            display(WorldTested("S1", f"S1.{number}", 0, 0, kept, 50, kept=kept, promised=12))
+            display(WorldTested("S1", f"S1.{number}", 0, 0, kept, 50, kept=kept, predicted=12))
     hint = "of 36 scenarios solved in the search, 6 are solved in the world: Γ or C is wrong"
     assert text_of(display).count(hint) == int(said)
     assert text_of(display).count("When it does not learn") == int(said)
@@ -185,7 +185,7 @@ def test_how_good_the_first_models_are_stays_above_the_live_lines(
     assert later.stage == "S1"
     with ProgressDisplay(console(terminal=True)) as display:
         told = models.summary(replace(models.fresh, quality=QUALITY))
-        learned = ModelSummary("Γ has learned on; C has learned on")
+        learned = ModelSummary("Γ was trained on more data; C was trained on more data")
         for event in (replace(later, stage="start", summary=told), replace(later, summary=learned)):
             display(event)
     shown = text_of(display)

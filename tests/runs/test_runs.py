@@ -90,7 +90,7 @@ def test_a_run_is_opened_as_it_was_begun(tmp_path: Path) -> None:
     assert isinstance(run.domain, Tabletop)
     assert isinstance(again.domain, Tabletop)
     assert again.domain.robot.description == run.domain.robot.description
-    with pytest.raises(RunError, match="holds something that is no run"):
+    with pytest.raises(RunError, match="is not empty and holds no run"):
         create_run(run.folder, SMALL)
 
 

@@ -27,7 +27,7 @@ from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
-from cgtorch.tabletop.world import ClearWay
+from cgtorch.tabletop.world import ClearMotion
 
 pytestmark = pytest.mark.skipif(
     not available() or shutil.which("c++") is None, reason="there is no C++ compiler"
@@ -52,8 +52,8 @@ def moved(environment: ModelEnvironment, device: torch.device) -> ModelEnvironme
         return environment
     gamma, classifier = environment.gamma.__self__, environment.classifier  # type: ignore[attr-defined]
     possible, errors = environment.possible, environment.errors
-    if isinstance(possible, ClearWay):
-        possible = ClearWay(possible.footprint.to(device))
+    if isinstance(possible, ClearMotion):
+        possible = ClearMotion(possible.footprint.to(device))
     return ModelEnvironment(
         environment.percepts.to(device), copy.deepcopy(gamma).to(device).predict_with_novelty,
         copy.deepcopy(classifier).to(device), possible, environment.control_size,

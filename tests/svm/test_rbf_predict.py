@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.svm import rbf_predict
-from cgtorch.svm.rbf_predict import chunk_rows, fused_rbf
+from cgtorch.svm.rbf_predict import chunk_rows, predict_rbf
 
 FLOATS = [torch.float32, torch.float64]
 
@@ -45,8 +45,8 @@ sizes = {
 @given(rows=st.integers(0, 600), **sizes)
 def test_values_and_nearest_distance_are_those_of_the_definition(rows, **problem):
     x, machine = _problem(rows, **problem)
-    values, nearest = fused_rbf(x, *machine)
-    assert torch.equal(values, fused_rbf(x, *machine, with_nearest=False)[0])
+    values, nearest = predict_rbf(x, *machine)
+    assert torch.equal(values, predict_rbf(x, *machine, with_nearest=False)[0])
     if rows:
         tolerance = 3e-4 if problem["dtype"] == torch.float32 else 1e-10
         right, distance = _plain(x, *machine)
@@ -57,14 +57,14 @@ def test_values_and_nearest_distance_are_those_of_the_definition(rows, **problem
 @given(data=st.data(), **sizes)
 def test_a_row_has_the_same_values_in_every_batch(data, **problem):
     x, machine = _problem(1300, **problem)
-    values, nearest = fused_rbf(x, *machine)
+    values, nearest = predict_rbf(x, *machine)
     begin = data.draw(st.integers(0, 1299))
     end = data.draw(st.integers(begin + 1, 1300))
-    part, part_nearest = fused_rbf(x[begin:end], *machine)
+    part, part_nearest = predict_rbf(x[begin:end], *machine)
     assert torch.equal(part, values[begin:end])
     assert torch.equal(part_nearest, nearest[begin:end])
     order = torch.tensor(data.draw(st.lists(st.integers(0, 1299), min_size=1, max_size=40)))
-    assert torch.equal(fused_rbf(x[order], *machine)[0], values[order])
+    assert torch.equal(predict_rbf(x[order], *machine)[0], values[order])
 
 
 @pytest.mark.parametrize("outputs", [1, 7])
@@ -72,23 +72,23 @@ def test_a_row_has_the_same_values_in_every_batch(data, **problem):
 def test_more_rows_than_a_block_and_more_centres_than_fit_change_nothing(outputs, dtype):
     x, machine = _problem(9001, 6, 2003, outputs, dtype)
     assert chunk_rows(2003, x.element_size()) * 4 < 9001
-    values, _ = fused_rbf(x, *machine)
+    values, _ = predict_rbf(x, *machine)
     for rows in (slice(0, 1), slice(9000, 9001), slice(505, 1021), slice(4444, 4447)):
-        assert torch.equal(fused_rbf(x[rows], *machine)[0], values[rows])
+        assert torch.equal(predict_rbf(x[rows], *machine)[0], values[rows])
 
 
 @pytest.mark.parametrize("outputs", [1, 7])
 def test_threads_change_nothing_and_are_kept(outputs):
     x, machine = _problem(12_000, 8, 300, outputs, torch.float32)
-    alone = fused_rbf(x, *machine)
+    alone = predict_rbf(x, *machine)
     torch.set_num_threads(2)
     try:
-        small = fused_rbf(x[:64], *machine)
-        shared = fused_rbf(x, *machine)
+        small = predict_rbf(x[:64], *machine)
+        shared = predict_rbf(x, *machine)
         with torch.inference_mode():
-            inferred = fused_rbf(x, *machine)
+            inferred = predict_rbf(x, *machine)
         running = threading.active_count()
-        fused_rbf(x, *machine)
+        predict_rbf(x, *machine)
         assert threading.active_count() == running
         assert torch.get_num_threads() == 2
     finally:
@@ -101,14 +101,14 @@ def test_threads_change_nothing_and_are_kept(outputs):
 
 FORKS = """
 import os, torch
-from cgtorch.svm.rbf_predict import fused_rbf
+from cgtorch.svm.rbf_predict import predict_rbf
 torch.set_num_threads(2)
 x, c, w = torch.ones(12_000, 3), torch.ones(300, 3), torch.ones(300, 1)
 machine = (c, w, torch.zeros(1), torch.tensor(1.0))
-fused_rbf(x, *machine)
+predict_rbf(x, *machine)
 child = os.fork()
 if child == 0:
-    os._exit(round(float(fused_rbf(x, *machine)[0][0, 0])) - 300)
+    os._exit(round(float(predict_rbf(x, *machine)[0][0, 0])) - 300)
 raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
@@ -127,7 +127,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     torch.set_num_threads(2)
     try:
         with pytest.raises(ValueError, match="no"):
-            fused_rbf(x, *machine)
+            predict_rbf(x, *machine)
     finally:
         torch.set_num_threads(1)
 
@@ -143,5 +143,7 @@ def test_chunks_are_whole_and_bounded():
 def test_gradients_are_those_of_the_definition():
     x, machine = _problem(5, 3, 20, 2, torch.float64)
     x.requires_grad_()
-    assert torch.autograd.gradcheck(lambda rows: fused_rbf(rows, *machine), (x,))
-    assert torch.allclose(fused_rbf(x, *machine)[0], fused_rbf(x.detach(), *machine)[0], atol=1e-12)
+    assert torch.autograd.gradcheck(lambda rows: predict_rbf(rows, *machine), (x,))
+    assert torch.allclose(
+        predict_rbf(x, *machine)[0], predict_rbf(x.detach(), *machine)[0], atol=1e-12
+    )

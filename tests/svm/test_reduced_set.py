@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.svm import SVR, compact
+from cgtorch.svm import SVR, fit_reduced_set
 from cgtorch.svm.gram import rbf
 from cgtorch.svm.reduced_set import pivots
 
@@ -36,10 +36,10 @@ def test_more_centres_lose_less() -> None:
     machine = SVR(5.0, gamma=0.3, epsilon=0.01).fit(x[:300], (2 * x[:300, 0]).sin())
     losses = []
     for centres in (10, 30, 90):
-        small = compact(machine, centres, x)
+        small = fit_reduced_set(machine, centres, x)
         assert len(small.centres) == centres
         error = (small.predict(x) - machine.predict(x)).abs()
         losses.append(float(error[3::4].mean()))
     assert losses == sorted(losses, reverse=True)
     with pytest.raises(SettingsError, match="8 rows"):
-        compact(machine, 4, x[:7])
+        fit_reduced_set(machine, 4, x[:7])

@@ -14,7 +14,7 @@ from cgtorch.tabletop.edge_networks import (
     edge_way_actions,
 )
 from cgtorch.tabletop.world.edge_frame import SCENE, edge_frame, motion_to, scene
-from cgtorch.tabletop.world.ways import first_motion
+from cgtorch.tabletop.world.routes import first_motion
 
 
 def environment(size: int) -> ModelEnvironment:
@@ -69,6 +69,6 @@ def test_where_there_are_obstacles_networks_drive_around() -> None:
     wide = Tabletop(obstacles=1, tabletop="yaw")
     assert wide.actions().names == edge_way_actions(13, FOOTPRINT).names
     x0, x1, y0, y1 = wide.actions().actions[3].footprint  # type: ignore[union-attr]
-    kept = wide._clear_way("cpu").footprint
+    kept = wide._clear_motion("cpu").footprint
     assert (x0, x1, y0, y1) == pytest.approx(kept.tolist())
     assert Tabletop().actions().names == edge_actions().names

@@ -9,14 +9,14 @@ from click.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import kill_and_resume
-from kill_and_resume import command, timeless, told
+from kill_and_resume import command, results_of, timeless
 
 
 def test_a_training_that_is_killed_ends_as_one_left_alone(tmp_path: Path) -> None:
     result = CliRunner().invoke(command, [str(tmp_path), "--kills", "1", "--stage", "S0"])
     assert result.exit_code == 0, result.output
     assert "the same" in result.output
-    found = told(tmp_path / "alone")
+    found = results_of(tmp_path / "alone")
     assert {"S0/skill.json", "S0/scenarios.json", "ledger/S0.json"} <= set(found)
     assert found["fitness/best"]
     assert not list(tmp_path.glob("*/journal/S0"))

@@ -19,7 +19,7 @@ from solvability.ways import fewest_moves
 
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, random_scenarios
-from cgtorch.tabletop.world.clear_way import CLEARANCE
+from cgtorch.tabletop.world.clear_motion import CLEARANCE
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, rectangle_in_frame, to_frame
 
 

@@ -116,7 +116,9 @@ def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
 
 
 def test_a_run_with_rounds_has_no_further_stages(made: Made) -> None:
-    with pytest.raises(RunError, match="can have no further stage; go on with --stage auto"):
+    with pytest.raises(
+        RunError, match="cannot make a single stage any more; continue with --stage auto"
+    ):
         train(Training(made[0], ignore, quietly), "S0")
 
 

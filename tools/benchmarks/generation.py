@@ -119,19 +119,19 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     watch, settings = Stopwatch(), EvolutionSettings(population=size)
     select = watch.around("selection", settings.selection)
     settings = EvolutionSettings(population=size, selection=select)
-    evaluated, told, logged = list[tuple[float, float]](), list[float](), list[float]()
+    evaluated, selected, logged = list[tuple[float, float]](), list[float](), list[float]()
     selection, populations = list[float](), dict[int, Population]()
     seed = torch.Generator().manual_seed(2)
     with _timed_evaluations(evaluated), _logger(work) as log:
         evolution = search.evolve(work.environment, work.actions, settings, seed)
         for generation in islice(evolution, max(numbers) + 2):
-            told.append(time.perf_counter())
+            selected.append(time.perf_counter())
             selection.append(watch.taken().get("selection", 0.0))
             log(_event(generation))
             logged.append(time.perf_counter())
             if generation.number in numbers:
                 populations[generation.number] = generation.population
-    logs = [end - begin for begin, end in zip(told, logged, strict=True)]
+    logs = [end - begin for begin, end in zip(selected, logged, strict=True)]
     logging = statistics.mean(
         statistics.median(logs[i::HISTOGRAMS_EVERY])
         for i in range(min(HISTOGRAMS_EVERY, len(logs)))
@@ -139,7 +139,7 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     found = {}
     for number in numbers:
         begin, end = evaluated[number]
-        rest = told[number] - end + evaluated[number + 1][0] - logged[number]
+        rest = selected[number] - end + evaluated[number + 1][0] - logged[number]
         selected = selection[number + 1]  # after the event, before the next is evaluated
         seconds = {
             "rollouts": end - begin,

@@ -115,8 +115,8 @@ def padding(effort: Effort) -> Line:
     """What twice the room for nodes costs graphs that do not need it: in rollouts, in all."""
     work, population = workload(), evolved_population()
     graphs, capacities = population.graphs, (2 * CAPACITY, CAPACITY)
-    following = [generation(work, population, c).population for c in capacities]
-    if not equal(following[0].graphs, following[1].graphs):
+    successors = [generation(work, population, c).population for c in capacities]
+    if not equal(successors[0].graphs, successors[1].graphs):
         raise DisagreementError("with more room other children come about; nothing was timed")
     with run_threads(cores()):
         parts = _padded_rollouts(work, *(widened(graphs, c) for c in capacities), effort.repeats)

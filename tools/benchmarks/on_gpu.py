@@ -26,7 +26,7 @@ from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import ranking
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
-from cgtorch.tabletop.world import ClearWay
+from cgtorch.tabletop.world import ClearMotion
 
 GPU = torch.device("cuda", 0)
 GENERATIONS = {10_000: 10, 100_000: 40, 1_000_000: 80}
@@ -84,10 +84,10 @@ def _generation(
         generator, found = torch.Generator().manual_seed(0), evaluation(population.graphs)
         order = ranking(found.fitness, population.graphs)
         about = found.fitness, found.scores, settings, work.actions, generator
-        following = next_state(state, order, *about)
+        next_one = next_state(state, order, *about)
         if device.type == "cuda":
             torch.cuda.synchronize()
-        return following
+        return next_one
 
     return generation
 
@@ -103,7 +103,7 @@ def _there() -> ModelEnvironment:
         environment.percepts.to(GPU),
         gamma.predict_with_novelty,
         copy.deepcopy(environment.classifier).to(GPU),  # type: ignore[attr-defined]
-        ClearWay(way.footprint.to(GPU)),  # type: ignore[attr-defined]
+        ClearMotion(way.footprint.to(GPU)),  # type: ignore[attr-defined]
         environment.control_size,
         None if errors is None else errors.to(GPU),
         environment.most_novel,

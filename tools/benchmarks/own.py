@@ -200,9 +200,9 @@ def ring(actions: ActionSet, nodes: tuple[int, ...], weights: Tensor) -> Graphs:
     p, n = len(weights), len(nodes)
     parameters = torch.zeros(p, n, actions.parameter_capacity)
     parameters[:, 0] = weights
-    following = (torch.arange(n) + 1) % n
+    successors = (torch.arange(n) + 1) % n
     has = actions.has_edge[torch.tensor(nodes)]
-    edges = torch.where(has, following[:, None], -1).expand(p, -1, -1).contiguous()
+    edges = torch.where(has, successors[:, None], -1).expand(p, -1, -1).contiguous()
     start = torch.zeros(p, dtype=torch.long)
     return Graphs(torch.tensor(nodes).expand(p, -1).contiguous(), edges, parameters, start)
 

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
 from cgtorch.actions import ActionSet
 from cgtorch.graphs import NO_NODE, Graphs
-from cgtorch.tabletop.world.clear_way import MAX_TRANSLATION
+from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION
 from cgtorch.tabletop.world.sweep import TURN_STEP
 
 Row: TypeAlias = list[float]

@@ -12,7 +12,7 @@ from benchmarks.workload import Workload
 from cgtorch.svm.machine import KernelMachine
 from cgtorch.tabletop.domain import MARGIN
 from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
-from cgtorch.tabletop.world.clear_way import CLEARANCE
+from cgtorch.tabletop.world.clear_motion import CLEARANCE
 
 Array = NDArray[np.float64]
 

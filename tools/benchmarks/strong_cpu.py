@@ -78,9 +78,9 @@ def run_individual(
                 free = models.possible(percept[rows], message[rows])
                 where, rows = where[free], rows[free]
                 if len(rows):
-                    following, novelty = models.gamma(percept[rows], message[rows])
+                    next_percept, novelty = models.gamma(percept[rows], message[rows])
                     turn = motions[rows] % errors.shape[1]
-                    percept[rows] = following + errors[rows, turn]
+                    percept[rows] = next_percept + errors[rows, turn]
                     motions[rows] += 1
                     lost[rows] = novelty > models.models.most_novel
                     outcome[where] = 0

@@ -102,7 +102,7 @@ def prepare(folder: Path) -> ActionSet:
     gamma, report = load_model_and_report(stage / "gamma.safetensors", MODELS)
     assert isinstance(gamma, TableTransitionModel)  # noqa: S101
     data = load_dataset(stage / "data.safetensors")
-    gamma = gamma.compacted(16, data.percept[:200], data.control[:200])
+    gamma = gamma.with_fewer_centres(16, data.percept[:200], data.control[:200])
     save_model(stage / "gamma.safetensors", gamma, report)
     for name in ("aside", "data"):
         save_tensors(stage / f"{name}.safetensors", vars(_few(data)), {"seed": "2"})

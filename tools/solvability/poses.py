@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from cgtorch.environment import start_lanes
 from cgtorch.tabletop.world import TabletopWorld
-from cgtorch.tabletop.world.clear_way import motion_possible
+from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate
 from cgtorch.tabletop.world.scenarios import Scenarios
 

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.tabletop.world.clear_way import motion_possible
+from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, to_frame, wrap
 from cgtorch.tabletop.world.scenarios import Scenarios
 

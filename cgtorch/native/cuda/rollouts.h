@@ -52,7 +52,7 @@ INLINE bool refilled(const Task *task, const Launch *launch, Layout layout, uint
       int64_t scenario = task->scenarios[run->place];
       const ModelEnvironment *m = task->environment;
       run->graph = graph_of(task->program, run->number);
-      run->errors = m->errors ? (const vec *)(m->errors + scenario * m->turns * m->size) : NULL;
+      run->errors = m->errors ? (const vec *)(m->errors + scenario * m->error_draws * m->size) : NULL;
       begin_lane(task, run, layout, lanes);
       run->active = true, run->ended = false;
     }
@@ -94,7 +94,7 @@ INLINE Done one_action(const Task *task, Layout layout, const Run *run, Lanes *l
       vec out[MOST_MESSAGE];
       answer(action, parameters_of_node(program, run->graph, lanes->node[0]), m->models, layout,
              lanes->percept, every(-1), out);
-      done = spoken(action, out, lanes, every(-1));
+      done = apply_output(action, out, lanes, every(-1));
     }
   }
   __syncwarp();

@@ -45,16 +45,16 @@ KERNEL sort_groups(const __grid_constant__ Groups g) {
    any stands, in all threads. */
 typedef struct {
   uint32_t mine, some;
-} Standing;
+} Survivors;
 
-INLINE Standing standing_of(uint32_t mine) {
-  Standing s = {mine, 0};
+INLINE Survivors survivors_of(uint32_t mine) {
+  Survivors s = {mine, 0};
   for (int c = 0; c < CANDIDATES / WARP; c++)
     s.some |= (uint32_t)__any_sync(EVERYONE, mine >> c & 1) << c;
   return s;
 }
 /* Those whose score is the best of all that stand, or less by no more than `epsilon`. */
-INLINE Standing good_ones(Standing s, const real *score, real epsilon) {
+INLINE Survivors survivors_of_case(Survivors s, const real *score, real epsilon) {
   real best = -(real)INFINITY;
   int me = thread_of_warp();
   for (uint32_t rest = s.some; rest; rest &= rest - 1) {
@@ -75,14 +75,14 @@ INLINE Standing good_ones(Standing s, const real *score, real epsilon) {
   return s;
 }
 /* Whether all that stand have the same scores: they are in order of who was the first to have them. */
-INLINE int all_alike(Standing s, const int32_t *leader) {
+INLINE int all_alike(Survivors s, const int32_t *leader) {
   if (!s.some) return 1;
   int low = __ffs((int)s.some) - 1, high = 31 - __clz((int)s.some);
   uint32_t first = __ballot_sync(EVERYONE, s.mine >> low & 1), last = __ballot_sync(EVERYONE, s.mine >> high & 1);
   return leader[low * WARP + __ffs((int)first) - 1] == leader[high * WARP + 31 - __clz((int)last)];
 }
 /* Candidate number `place` of those that stand; and how many these are. */
-INLINE int candidate(Standing s, int64_t place) {
+INLINE int candidate(Survivors s, int64_t place) {
   for (uint32_t rest = s.some; rest; rest &= rest - 1) {
     int c = __ffs((int)rest) - 1;
     uint32_t here = __ballot_sync(EVERYONE, s.mine >> c & 1);
@@ -94,35 +94,35 @@ INLINE int candidate(Standing s, int64_t place) {
   }
   return 0;
 }
-INLINE int64_t how_many(Standing s) {
+INLINE int64_t how_many(Survivors s) {
   int count = __popc(s.mine);
   for (int by = WARP / 2; by; by /= 2) count += __shfl_xor_sync(EVERYONE, count, by);
   return count;
 }
 
 /* The next scenario, the same for all threads of a warp, of whom the first shuffles. */
-INLINE int64_t next_of_warp(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
+INLINE int64_t next_of_warp(int32_t *case_order, int64_t scenarios, int64_t place_in_order, uint64_t key) {
   int64_t found = 0;
-  if (thread_of_warp() == 0) found = next_case(turns, scenarios, turn, key);
+  if (thread_of_warp() == 0) found = next_case(case_order, scenarios, place_in_order, key);
   return __shfl_sync(EVERYONE, found, 0);
 }
 
-INLINE void choose(const Groups *g, int64_t group, int64_t parent, int64_t to, int32_t *turns) {
+INLINE void choose(const Groups *g, int64_t group, int64_t parent, int64_t to, int32_t *case_order) {
   int64_t b = g->scenarios, begin = begin_of(group, g->smaller, g->larger);
   int size = (int)(g->smaller + (group < g->larger)), me = thread_of_warp();
   uint64_t key = key_of(g->keys[group], parent);
   uint32_t mine = 0;
-  for (int64_t s = me; s < b; s += WARP) turns[s] = (int32_t)s;
+  for (int64_t s = me; s < b; s += WARP) case_order[s] = (int32_t)s;
   for (int c = 0; c < CANDIDATES / WARP; c++) mine |= (uint32_t)(c * WARP + me < size) << c;
   __syncwarp();
-  Standing standing = standing_of(mine);
-  for (int64_t turn = 0; turn < b; turn++) {
-    int64_t scenario = next_of_warp(turns, b, turn, key), row = group * b + scenario;
-    standing = good_ones(standing, g->cases + row * CANDIDATES, g->epsilon[row]);
-    if (all_alike(standing, g->leader + group * CANDIDATES)) break;
+  Survivors survivors = survivors_of(mine);
+  for (int64_t place_in_order = 0; place_in_order < b; place_in_order++) {
+    int64_t scenario = next_of_warp(case_order, b, place_in_order, key), row = group * b + scenario;
+    survivors = survivors_of_case(survivors, g->cases + row * CANDIDATES, g->epsilon[row]);
+    if (all_alike(survivors, g->leader + group * CANDIDATES)) break;
   }
-  int64_t place = (int64_t)(fine(key, b) * (double)how_many(standing));
-  int found = candidate(standing, place);
+  int64_t place = (int64_t)(fine(key, b) * (double)how_many(survivors));
+  int found = candidate(survivors, place);
   if (me == 0) g->chosen[to] = g->members[begin + g->ordered[group * CANDIDATES + found]];
 }
 
@@ -132,7 +132,7 @@ KERNEL parents(const __grid_constant__ Groups g) {
   for (int64_t to = warp; to < g.count; to += g.warps) {
     int64_t many = larger * (smaller + 1);
     int64_t group = to < many ? to / (smaller + 1) : larger + (to - many) / smaller;
-    choose(&g, group, to - begin_of(group, smaller, larger), to, g.turns + warp * g.scenarios);
+    choose(&g, group, to - begin_of(group, smaller, larger), to, g.case_order + warp * g.scenarios);
     __syncwarp();
   }
 }

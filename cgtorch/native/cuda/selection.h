@@ -15,7 +15,7 @@ typedef struct {
   real *cases;            /* (G, B, CANDIDATES) scores of those in order */
   int32_t *ordered;       /* (G, CANDIDATES) members of a group, those of equal scores side by side */
   int32_t *leader;        /* (G, CANDIDATES) of these the first with their scores */
-  int32_t *turns;         /* (warps, B) */
+  int32_t *case_order;    /* (warps, B) */
   int64_t *chosen;        /* (count,) */
   int64_t scenarios, groups, smaller, larger, count, warps;
 } Groups;

@@ -47,7 +47,7 @@ INLINE vwhole move(const ModelEnvironment *m, const int64_t *again, Layout layou
 INLINE void add_errors(const ModelEnvironment *m, const vec *errors, Lanes *lanes, vwhole here) {
   for (uint32_t bits = bits_of(here); bits; bits = bits_of(here)) {
     real moves = lanes->moves[first_of(bits)];
-    const vec *error = errors + (whole)(moves - 1) % (whole)m->turns * m->size;
+    const vec *error = errors + (whole)(moves - 1) % (whole)m->error_draws * m->size;
     vwhole same = here & (lanes->moves == moves);
     for (int i = 0; i < m->size; i++)
       lanes->percept[i] = select_vec(same, lanes->percept[i] + error[i], lanes->percept[i]);
@@ -99,7 +99,7 @@ APART void answer(const Action *a, const real *weights, const void *models, Layo
                   const vec *percept, vwhole here, vec *out) {
   answer_with(a, weights, NULL, models, layout, percept, here, out);
 }
-INLINE Done spoken(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
+INLINE Done apply_output(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
   if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
   return say(lanes, out, a->outputs, here);
 }

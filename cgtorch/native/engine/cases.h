@@ -17,13 +17,13 @@ static inline uint64_t hash_of(const real *scores, int64_t count) {
   return mixed(hash);
 }
 
-/* The scenario that comes as number `turn`, when those before it have been moved to the front:
+/* The scenario that comes as number `place`, when those before it have been moved to the front:
    Fisher and Yates' shuffle as far as it is looked at. */
-static inline int64_t next_case(int32_t *turns, int64_t scenarios, int64_t turn, uint64_t key) {
-  int64_t at = turn + pick(uniform(key, turn), (int)(scenarios - turn));
-  int32_t found = turns[at];
-  turns[at] = turns[turn];
-  turns[turn] = found;
+static inline int64_t next_case(int32_t *case_order, int64_t scenarios, int64_t place, uint64_t key) {
+  int64_t at = place + pick(uniform(key, place), (int)(scenarios - place));
+  int32_t found = case_order[at];
+  case_order[at] = case_order[place];
+  case_order[place] = found;
   return found;
 }
 

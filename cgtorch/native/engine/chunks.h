@@ -7,7 +7,7 @@ INLINE void fill_chunk(const ModelEnvironment *m, const int64_t *scenarios, Chun
                        vec *errors) {
   Lanes *lanes = &chunk->lanes;
   vec *state[3] = {&lanes->moves, &lanes->lost, &lanes->chance};
-  int64_t each = m->errors ? m->turns * m->size : 0;
+  int64_t each = m->errors ? m->error_draws * m->size : 0;
   memset(lanes, 0, sizeof *lanes);
   for (int i = 0; i < WIDTH; i++) {
     int64_t scenario = scenarios[chunk->from + (i < chunk->count ? i : 0)];
@@ -23,7 +23,7 @@ INLINE void fill_chunk(const ModelEnvironment *m, const int64_t *scenarios, Chun
    freed. */
 static Chunk *chunks_of(const ModelEnvironment *m, const int64_t *scenarios, int64_t total,
                         int64_t keep, int64_t *num_chunks) {
-  int64_t each = m->errors ? m->turns * m->size : 0, from = 0;
+  int64_t each = m->errors ? m->error_draws * m->size : 0, from = 0;
   int64_t count = (keep + WIDTH - 1) / WIDTH + (total - keep + WIDTH - 1) / WIDTH;
   size_t head = (size_t)count * sizeof(Chunk);
   Chunk *chunks = malloc(head + (size_t)(count * each) * BYTES + 1);

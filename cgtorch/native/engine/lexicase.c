@@ -10,7 +10,7 @@ typedef struct {
   const real *epsilon;         /* (B,) */
   int64_t *members, *first;    /* individuals by row, and where those of each row begin */
   int64_t *good, *good_first;  /* rows that stand after one scenario alone, and where they begin */
-  vwhole *stands;              /* (B, vectors) whether they do */
+  vwhole *survives;            /* (B, vectors) whether they do */
   int64_t *top;                /* (B,) the first best row */
   int64_t key;                 /* of all parents' numbers */
   int64_t *chosen;             /* (count,) */
@@ -37,8 +37,8 @@ static int64_t number_rows(const real *scores, int64_t individuals, int64_t scen
   return rows;
 }
 
-static int64_t standing(const real *score, real epsilon, const int64_t *rows, int64_t count,
-                        int64_t *left) {
+static int64_t survivors(const real *score, real epsilon, const int64_t *rows, int64_t count,
+                         int64_t *left) {
   real best = -INFINITY;
   for (int64_t i = 0; i < count; i++)
     if (score[rows[i]] > best) best = score[rows[i]];
@@ -54,29 +54,29 @@ static int64_t standing(const real *score, real epsilon, const int64_t *rows, in
 /* The same of rows that stand or do not, a vector at a time, in columns that are filled up with what is
    worse than all: while many stand, that is faster than a list of them. `best` stands at `top` at
    first; how many are left. */
-static int64_t standing_at_once(const real *score, real epsilon, real best, int64_t top,
-                                vwhole *stands, int64_t vectors) {
-  if (!stands[top / WIDTH][top % WIDTH]) {
+static int64_t survivors_at_once(const real *score, real epsilon, real best, int64_t top,
+                                 vwhole *survives, int64_t vectors) {
+  if (!survives[top / WIDTH][top % WIDTH]) {
     vec most = vec_of(-INFINITY);
     for (int64_t v = 0; v < vectors; v++)
-      most = vec_max(most, select_vec(stands[v], load(score + v * WIDTH), vec_of(-INFINITY)));
+      most = vec_max(most, select_vec(survives[v], load(score + v * WIDTH), vec_of(-INFINITY)));
     best = -least(-most);
   }
   vec enough = vec_of(best - epsilon);
   vwhole less = every(0);
   for (int64_t v = 0; v < vectors; v++) {
-    stands[v] &= load(score + v * WIDTH) >= enough;
-    less += stands[v];
+    survives[v] &= load(score + v * WIDTH) >= enough;
+    less += survives[v];
   }
   int64_t kept = 0;
   for (int i = 0; i < WIDTH; i++) kept -= less[i];
   return kept;
 }
 
-static int64_t listed(const vwhole *stands, int64_t vectors, int64_t *left) {
+static int64_t listed(const vwhole *survives, int64_t vectors, int64_t *left) {
   int64_t count = 0;
   for (int64_t v = 0; v < vectors; v++)
-    for (uint32_t bits = bits_of(stands[v]); bits; bits &= bits - 1)
+    for (uint32_t bits = bits_of(survives[v]); bits; bits &= bits - 1)
       left[count++] = v * WIDTH + first_of(bits);
   return count;
 }
@@ -84,30 +84,30 @@ static int64_t listed(const vwhole *stands, int64_t vectors, int64_t *left) {
 static void some_parents(void *what, int64_t begin, int64_t end) {
   Lexicase *l = what;
   int64_t *left = malloc((size_t)(l->rows + 1) * sizeof *left), stride = l->vectors * WIDTH;
-  int32_t *turns = malloc((size_t)(l->scenarios + 1) * sizeof *turns);
-  vwhole *stands = malloc((size_t)(l->vectors + 1) * sizeof *stands);
-  int ready = left && turns && stands;
+  int32_t *case_order = malloc((size_t)(l->scenarios + 1) * sizeof *case_order);
+  vwhole *survives = malloc((size_t)(l->vectors + 1) * sizeof *survives);
+  int ready = left && case_order && survives;
   if (!ready) l->failed = 1;
   for (int64_t parent = begin; ready && parent < end; parent++) {
     uint64_t key = key_of(l->key, parent);
-    for (int64_t j = 0; j < l->scenarios; j++) turns[j] = (int32_t)j;
-    int64_t turn = 0, total = 0, scenario = next_case(turns, l->scenarios, turn++, key);
+    for (int64_t j = 0; j < l->scenarios; j++) case_order[j] = (int32_t)j;
+    int64_t drawn = 0, total = 0, scenario = next_case(case_order, l->scenarios, drawn++, key);
     const int64_t *rows = l->good + l->good_first[scenario];
     int64_t count = l->good_first[scenario + 1] - l->good_first[scenario];
     if (count > l->vectors) {
-      memcpy(stands, l->stands + scenario * l->vectors, (size_t)l->vectors * sizeof *stands);
-      while (count > l->vectors && turn < l->scenarios) {
-        scenario = next_case(turns, l->scenarios, turn++, key);
+      memcpy(survives, l->survives + scenario * l->vectors, (size_t)l->vectors * sizeof *survives);
+      while (count > l->vectors && drawn < l->scenarios) {
+        scenario = next_case(case_order, l->scenarios, drawn++, key);
         const real *score = l->cases + scenario * stride;
         int64_t top = l->top[scenario];
-        count = standing_at_once(score, l->epsilon[scenario], score[top], top, stands, l->vectors);
+        count = survivors_at_once(score, l->epsilon[scenario], score[top], top, survives, l->vectors);
       }
-      listed(stands, l->vectors, left);
+      listed(survives, l->vectors, left);
       rows = left;
     }
-    while (count > 1 && turn < l->scenarios) {
-      scenario = next_case(turns, l->scenarios, turn++, key);
-      count = standing(l->cases + scenario * stride, l->epsilon[scenario], rows, count, left);
+    while (count > 1 && drawn < l->scenarios) {
+      scenario = next_case(case_order, l->scenarios, drawn++, key);
+      count = survivors(l->cases + scenario * stride, l->epsilon[scenario], rows, count, left);
       rows = left;
     }
     for (int64_t i = 0; i < count; i++) total += l->first[rows[i] + 1] - l->first[rows[i]];
@@ -122,7 +122,7 @@ static void some_parents(void *what, int64_t begin, int64_t end) {
       place -= size;
     }
   }
-  free(left), free(turns), free(stands);
+  free(left), free(case_order), free(survives);
 }
 
 /* Individuals sorted by their row, and where those of each row begin. */
@@ -137,20 +137,20 @@ static void sort_members(const int64_t *row_of, int64_t individuals, int64_t row
 }
 
 /* Which rows stand after one scenario alone, for each scenario. */
-static void stand_after_one(Lexicase *l) {
+static void survivors_of_one_case(Lexicase *l) {
   l->good_first[0] = 0;
   for (int64_t j = 0; j < l->scenarios; j++) {
     const real *score = l->cases + j * l->vectors * WIDTH;
-    vwhole *stands = l->stands + j * l->vectors;
+    vwhole *survives = l->survives + j * l->vectors;
     int64_t top = 0;
     for (int64_t r = 1; r < l->rows; r++)
       if (score[r] > score[top]) top = r;
-    for (int64_t v = 0; v < l->vectors; v++) stands[v] = every(-1);
-    for (int64_t r = l->rows; r < l->vectors * WIDTH; r++) stands[r / WIDTH][r % WIDTH] = 0;
-    standing_at_once(score, l->epsilon[j], score[top], top, stands, l->vectors);
+    for (int64_t v = 0; v < l->vectors; v++) survives[v] = every(-1);
+    for (int64_t r = l->rows; r < l->vectors * WIDTH; r++) survives[r / WIDTH][r % WIDTH] = 0;
+    survivors_at_once(score, l->epsilon[j], score[top], top, survives, l->vectors);
     l->top[j] = top;
     l->good_first[j + 1] =
-        l->good_first[j] + listed(stands, l->vectors, l->good + l->good_first[j]);
+        l->good_first[j] + listed(survives, l->vectors, l->good + l->good_first[j]);
   }
 }
 
@@ -163,8 +163,8 @@ int lexicase(const real *scores, int64_t individuals, int64_t scenarios, const r
   int64_t most = (individuals + WIDTH - 1) / WIDTH * WIDTH * scenarios; /* with what fills rows up */
   int64_t *row_of = malloc((size_t)numbers * sizeof *row_of);
   real *cases = malloc((size_t)(most + 1) * sizeof *cases);
-  vwhole *stands = malloc((size_t)(most + 1) * sizeof(whole));
-  Lexicase l = {.failed = !row_of || !cases || !stands};
+  vwhole *survives = malloc((size_t)(most + 1) * sizeof(whole));
+  Lexicase l = {.failed = !row_of || !cases || !survives};
   if (!l.failed) {
     int64_t *members = row_of + individuals, *first = members + individuals;
     int64_t *good_first = first + individuals + 1, *top = good_first + scenarios + 1;
@@ -177,10 +177,10 @@ int lexicase(const real *scores, int64_t individuals, int64_t scenarios, const r
         cases[j * vectors * WIDTH + r] =
             r < rows ? scores[members[first[r]] * scenarios + j] : -INFINITY;
     l = (Lexicase){scenarios, rows, vectors, cases, epsilon, members, first,
-                   good, good_first, stands, top, key, chosen, 0};
-    stand_after_one(&l);
+                   good, good_first, survives, top, key, chosen, 0};
+    survivors_of_one_case(&l);
     in_parallel(some_parents, &l, count, 64, threads);
   }
-  free(row_of), free(cases), free(stands);
+  free(row_of), free(cases), free(survives);
   return l.failed ? NO_MEMORY : DONE;
 }

@@ -23,6 +23,6 @@
 typedef struct {
   const void *models;
   const real *percepts, *state, *errors; /* (B, D), (B, 3), (B, T, D) or NULL */
-  int64_t size, turns, controls;         /* D, T, U */
+  int64_t size, error_draws, controls;         /* D, T, U */
   real most_novel;
 } ModelEnvironment;

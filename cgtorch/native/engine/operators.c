@@ -69,7 +69,7 @@ static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t tot
 /* Copies of the elite, then children of pairs; where they are mutated, they may have a node more, and
    their new nodes are numbered. NO_PARENT where one of the elite or of the parents is none of the
    individuals. */
-int bred(Breeding *b, int64_t threads) {
+int breed(Breeding *b, int64_t threads) {
   int64_t children = 2 * b->pairs;
   if (!all_there(b->elite, b->elites, b->individuals)) return NO_PARENT;
   if (!all_there(b->parents, children, b->individuals)) return NO_PARENT;

@@ -47,7 +47,7 @@ static void some_children(void *what, int64_t begin, int64_t end) {
   }
 }
 
-int changed(const Children *c, int64_t threads) {
+int perturb_parameters(const Children *c, int64_t threads) {
   large_pages(c->parameters, (size_t)(c->rows * c->nodes * c->most) * sizeof(real));
   in_parallel(some_children, (void *)c, c->rows, 64, threads);
   return 0;

@@ -134,8 +134,8 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
   for (uint32_t bits = bits_of(moved); bits; bits &= bits - 1) {
     int i = first_of(bits);
     real *percept = w->percept + t->lane[i] * w->percept_size, *state = state_of(w, t->lane[i]);
-    int64_t turn = (int64_t)state[0] % m->turns, scenario = w->first_scenario[t->lane[i] % w->firsts];
-    const real *error = m->errors ? m->errors + (scenario * m->turns + turn) * m->size : NULL;
+    int64_t turn = (int64_t)state[0] % m->error_draws, scenario = w->first_scenario[t->lane[i] % w->firsts];
+    const real *error = m->errors ? m->errors + (scenario * m->error_draws + turn) * m->size : NULL;
     for (int j = 0; j < layout.size; j++)
       percept[j] = error ? lanes.percept[j][i] + error[j] : lanes.percept[j][i];
     state[0] = lanes.moves[i], state[1] = lanes.lost[i], state[2] = lanes.chance[i];

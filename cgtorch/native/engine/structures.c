@@ -19,11 +19,11 @@ EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)
 EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DELAYED, MOST_WEIGHTS, MOST_DEPTH)
 
 /* Whether any of `count` nodes has an action that is marked; what is no action has the last mark. */
-int any_marked(const int64_t *action, int64_t count, const int64_t *marks, int64_t actions) {
+int any_flagged(const int64_t *action, int64_t count, const int64_t *flags, int64_t actions) {
   int64_t found = 0;
   for (int64_t i = 0; i < count; i++) {
     int64_t a = action[i] < 0 || action[i] >= actions ? actions : action[i];
-    found |= marks[a];
+    found |= flags[a];
   }
   return found != 0;
 }

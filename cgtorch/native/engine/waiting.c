@@ -18,12 +18,12 @@ static void lay_out(void *what, int64_t begin, int64_t end) {
       w->kinds[row] = (int32_t)kind_of(p, g, p->rows + place);
       for (int64_t o = 0; o < p->outcomes; o++) {
         int64_t head = head_of(p, g, p->rows + place, o);
-        Way way = {(int32_t)head, -1};
+        Successor successor = {(int32_t)head, -1};
         if (head >= 0) {
-          way.kind = (int32_t)kind_of(p, g, head);
-          way.head = (int32_t)(head - p->rows + graph * p->nodes);
+          successor.kind = (int32_t)kind_of(p, g, head);
+          successor.head = (int32_t)(head - p->rows + graph * p->nodes);
         }
-        w->ways[row * p->outcomes + o] = way;
+        w->successors[row * p->outcomes + o] = successor;
       }
     }
   }
@@ -55,8 +55,8 @@ int begin_waiting(Waiting *w, int64_t threads) {
     w->kinds[own + row] = (int32_t)p->kind[row];
     for (int64_t o = 0; o < p->outcomes; o++) {
       int64_t head = p->heads[row * p->outcomes + o];
-      Way way = {(int32_t)(head < 0 ? head : head + own), head < 0 ? -1 : (int32_t)p->kind[head]};
-      w->ways[(own + row) * p->outcomes + o] = way;
+      Successor successor = {(int32_t)(head < 0 ? head : head + own), head < 0 ? -1 : (int32_t)p->kind[head]};
+      w->successors[(own + row) * p->outcomes + o] = successor;
     }
   }
   size_t lanes = (size_t)(w->graphs * w->count);

@@ -17,7 +17,7 @@ typedef struct {
 /* Where an outcome leads: a row or an end, and the kind of the node there. */
 typedef struct {
   int32_t head, kind;
-} Way;
+} Successor;
 
 /* Of some actions, T nodes and L = P * B lanes, which are rows of tensors. */
 typedef struct {
@@ -39,7 +39,7 @@ typedef struct {
   int64_t percept_size, message_size, memory_size, state_bytes, state_is_real;
 
   int32_t *kinds; /* (T,) of all graphs' nodes, and then of those of sub-skills */
-  Way *ways;      /* (T, outcomes) */
+  Successor *successors;      /* (T, outcomes) */
   Place *places;  /* (L,) */
   int32_t *caller, *outer, *outer_first; /* (L, depth) */
   int32_t *queue;   /* (K, L) the lanes of each share that wait for each kind */

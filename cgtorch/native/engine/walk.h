@@ -32,7 +32,7 @@ APART int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
   while (head < 0 && at->level > 0) {
     /* A sub-skill's first outcome is success, its second failure; a timeout is a failure. */
     int64_t level = i * p->depth + at->level--;
-    head = w->ways[w->caller[level] * p->outcomes + (head != SUCCESS)].head;
+    head = w->successors[w->caller[level] * p->outcomes + (head != SUCCESS)].head;
     at->left = w->outer[level - 1] - 1, at->first = w->outer_first[level - 1];
     if (head >= 0 && at->left <= 0) head = TIMEOUT;
   }
@@ -46,14 +46,14 @@ APART int32_t leave_skills(const Waiting *w, int64_t i, int32_t head) {
 /* What the walks of many lanes have in common. */
 typedef struct {
   const Waiting *waiting;
-  const Way *ways;
+  const Successor *successors;
   Place *places;
   int64_t outcomes, count, depth, max_steps, most_idle;
 } Walk;
 
 INLINE Walk walk_of(const Waiting *w) {
   const Program *p = w->program;
-  return MAKE(Walk){w,           w->ways,      w->places,   p->outcomes, p->count,
+  return MAKE(Walk){w,           w->successors,      w->places,   p->outcomes, p->count,
                 p->depth, w->max_steps, w->most_idle};
 }
 
@@ -62,24 +62,24 @@ INLINE Walk walk_of(const Waiting *w) {
 INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int state_changed,
                     int over) {
   Place *at = v->places + i;
-  Way way = v->ways[at->node * v->outcomes + outcome];
-  int32_t left = at->left - 1, skipped = 0, end = way.head < 0 ? way.head : 0, step = at->step + 1;
+  Successor successor = v->successors[at->node * v->outcomes + outcome];
+  int32_t left = at->left - 1, skipped = 0, end = successor.head < 0 ? successor.head : 0, step = at->step + 1;
   int enters = 0;
-  if (way.head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
-    uint64_t bit = seen_bit(way.head - at->first);
-    enters = way.kind >= v->count;
-    int32_t apart = (way.head - at->first) ^ (at->node - at->first);
+  if (successor.head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
+    uint64_t bit = seen_bit(successor.head - at->first);
+    enters = successor.kind >= v->count;
+    int32_t apart = (successor.head - at->first) ^ (at->node - at->first);
     int same = !changed & !enters & (apart < NODES_SEEN);
     if (same & ((at->visited & bit) != 0)) skipped = left, left = 0;
     end = left <= 0 ? TIMEOUT : 0;
     at->visited = (same ? at->visited : 0) | bit;
-    at->node = way.head;
+    at->node = successor.head;
   }
   at->left = left;
   if (v->depth > 1) {
-    if (end && at->level > 0) end = leave_skills(v->waiting, i, end), way.kind = -1;
-    else if (!end && enters) enter_skills(v->waiting, i), way.kind = -1;
-    if (way.kind < 0 && !end) way.kind = v->waiting->kinds[at->node];
+    if (end && at->level > 0) end = leave_skills(v->waiting, i, end), successor.kind = -1;
+    else if (!end && enters) enter_skills(v->waiting, i), successor.kind = -1;
+    if (successor.kind < 0 && !end) successor.kind = v->waiting->kinds[at->node];
   }
   step += skipped;
   int last = step >= v->max_steps;
@@ -90,7 +90,7 @@ INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int 
   }
   if (over) end = over == 1 ? SUCCESS : FAILURE;
   at->step = last ? (int32_t)v->max_steps : step;
-  if (!(last | (end != 0))) return way.kind;
+  if (!(last | (end != 0))) return successor.kind;
   v->waiting->succeeded[i] = end == SUCCESS;
   v->waiting->timed_out[i] = end != SUCCESS && end != FAILURE;
   v->waiting->step[i] = at->step;

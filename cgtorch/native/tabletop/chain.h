@@ -4,7 +4,7 @@
 
 #define MOST_FRAMES 64
 
-enum { FIXED, TURNS, SLIDES };
+enum { FIXED, REVOLUTE, PRISMATIC };
 
 /* A chain of frames, each in the one before and moved by a joint. Poses are rows of (3, 4). */
 typedef struct {
@@ -27,8 +27,8 @@ static inline void product(const real *a, const real *b, real *out) {
 
 /* The pose that a joint at `q` gives what it moves: Rodrigues' formula, or a shift. */
 static inline void moved(int64_t kind, const real *axis, real q, real *out) {
-  real sine = kind == TURNS ? (real)sin((double)q) : 0, cosine = kind == TURNS ? (real)cos((double)q) : 1;
-  real x = axis[0], y = axis[1], z = axis[2], rest = 1 - cosine, shift = kind == SLIDES ? q : 0;
+  real sine = kind == REVOLUTE ? (real)sin((double)q) : 0, cosine = kind == REVOLUTE ? (real)cos((double)q) : 1;
+  real x = axis[0], y = axis[1], z = axis[2], rest = 1 - cosine, shift = kind == PRISMATIC ? q : 0;
   const real pose[12] = {
       cosine + rest * x * x,   rest * x * y - sine * z, rest * x * z + sine * y, shift * x,
       rest * x * y + sine * z, cosine + rest * y * y,   rest * y * z - sine * x, shift * y,

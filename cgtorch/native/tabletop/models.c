@@ -1,4 +1,4 @@
-/* Γ, C (cgtorch.tabletop.models) and the check of motions (cgtorch.tabletop.world.clear_way) for many
+/* Γ, C (cgtorch.tabletop.models) and the check of motions (cgtorch.tabletop.world.clear_motion) for many
    rows. */
 #include "models.h"
 #include "library.h"

@@ -1,4 +1,4 @@
-/* The first motion of a way around what is seen: cgtorch.tabletop.world.ways. */
+/* The first motion of a route around what is seen: cgtorch.tabletop.world.routes. */
 #pragma once
 #include "tabletop.h"
 
@@ -56,9 +56,9 @@ INLINE vwhole possible_from(const Surroundings *seen, vec x, vec y, const vec *u
   }
   return rows;
 }
-INLINE vec way_of(const vec *u) { return vec_sqrt(u[0] * u[0] + u[1] * u[1]); }
+INLINE vec length_of(const vec *u) { return vec_sqrt(u[0] * u[0] + u[1] * u[1]); }
 
-/* The length of the shortest way past corners, for those of `rows` that have one, else infinite, and
+/* The length of the shortest route past corners, for those of `rows` that have one, else infinite, and
    the first corner. The base turns by `by` there. */
 INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *body, vwhole rows,
                     vec *x, vec *y) {
@@ -72,7 +72,7 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
   for (int j = 0; j < corners; j++) {
     vec last[3] = {gx - turned.x[j], gy - turned.y[j], wrap(u[2] - by)};
     vwhole ended = possible_from(&turned, turned.x[j], turned.y[j], last, body, rows & seen->there[j]);
-    ends[j] = select_vec(ended, way_of(last), vec_of(INFINITY));
+    ends[j] = select_vec(ended, length_of(last), vec_of(INFINITY));
     some |= ended;
   }
   vec best = vec_of(INFINITY);
@@ -81,8 +81,9 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
   if (!bits_of(rows)) return best;
   for (int j = 0; j < corners; j++) {
     vec to[3] = {seen->x[j], seen->y[j], by};
-    vwhole begun = possible_from(seen, vec_of(0), vec_of(0), to, body, rows & seen->there[j] & (way_of(to) > AWAY));
-    length[j] = select_vec(begun, way_of(to), vec_of(INFINITY));
+    vwhole outside = rows & seen->there[j] & (length_of(to) > AWAY);
+    vwhole begun = possible_from(seen, vec_of(0), vec_of(0), to, body, outside);
+    length[j] = select_vec(begun, length_of(to), vec_of(INFINITY));
     first[j] = every(j);
   }
   for (int round = 1; round < VIAS; round++) {
@@ -90,7 +91,7 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
       next[j] = length[j], after[j] = first[j];
       for (int i = 0; i < corners; i++) {
         vec on[3] = {turned.x[j] - turned.x[i], turned.y[j] - turned.y[i], vec_of(0)};
-        vec total = length[i] + way_of(on);
+        vec total = length[i] + length_of(on);
         vwhole better = rows & seen->there[j] & (total < next[j]);
         if (!bits_of(better)) continue;
         better = possible_from(&turned, turned.x[i], turned.y[i], on, body, better);
@@ -113,7 +114,7 @@ INLINE vec shortest(const Surroundings *seen, const vec *u, vec by, const Body *
   return best;
 }
 
-/* Puts the first motion of a way around what is seen in the place of those of `rows`; which have one. */
+/* Puts the first motion of a route around what is seen in the place of those of `rows`; which have one. */
 INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows, vec *u) {
   Surroundings seen;
   vec x, y, best = vec_of(INFINITY), wanted[3] = {u[0], u[1], u[2]};
@@ -129,14 +130,14 @@ INLINE vwhole around(const vec *p, Layout layout, const Body *body, vwhole rows,
   return rows & (best < INFINITY);
 }
 
-/* The first motions of ways to where motions would lead: those themselves, or others in their place. */
+/* The first motions of routes to where motions would lead: those themselves, or others in their place. */
 APART void first_motion(const vec *p, Layout layout, const Body *base, vwhole rows, vec *u) {
   Body body = *base;
   body.farthest = INFINITY;
   vwhole found = motion_possible(p, u, layout, &body, rows), blocked = rows & ~found;
   if (bits_of(blocked)) found |= around(p, layout, &body, blocked, u);
-  vec way = way_of(u);
-  vwhole too_long = found & (way > LONGEST);
-  for (int i = 0; i < 2; i++) u[i] = select_vec(too_long, u[i] * (LONGEST / way), u[i]);
+  vec distance = length_of(u);
+  vwhole too_long = found & (distance > LONGEST);
+  for (int i = 0; i < 2; i++) u[i] = select_vec(too_long, u[i] * (LONGEST / distance), u[i]);
   u[2] = select_vec(too_long, vec_of(0), u[2]);
 }

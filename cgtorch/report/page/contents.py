@@ -10,7 +10,7 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_json
-from cgtorch.report.page.event_files import Told, read_event_files
+from cgtorch.report.page.event_files import EventData, read_event_files
 from cgtorch.report.tensorboard import BY_ROWS
 from cgtorch.runs.journal import FOLDER as JOURNAL
 from cgtorch.runs.journal import FileJournal
@@ -53,8 +53,8 @@ class Contents:
     stages: tuple[Stage, ...]
     begun: tuple[tuple[str, int], ...]
     fitted: Fitted | None
-    told: Told
-    by_rows: Told
+    events: EventData
+    by_rows: EventData
 
 
 def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Contents:

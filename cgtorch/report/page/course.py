@@ -42,10 +42,10 @@ class Course:
 
 def course_of(contents: Contents) -> Course | None:
     """The course of a run, None if its event files hold no generation."""
-    steps = tuple(step for step, _ in contents.told.scalars.get(GENERATION, ()))
+    steps = tuple(step for step, _ in contents.events.scalars.get(GENERATION, ()))
     if not steps:
         return None
-    tested = {bisect_right(steps, step - 1) for step, _ in contents.told.scalars.get(TESTED, ())}
+    tested = {bisect_right(steps, step - 1) for step, _ in contents.events.scalars.get(TESTED, ())}
     counts = [stage.result["generations"] for stage in contents.stages]
     stages, first = [], 1
     if sum(counts) <= len(steps):

@@ -19,7 +19,7 @@ class Spread(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Told:
+class EventData:
     """What the files in a folder hold, by tag: steps and the scalars or histograms there."""
 
     scalars: dict[str, tuple[tuple[int, float], ...]]
@@ -31,17 +31,17 @@ class Told:
         return points[-1][1] if points else None
 
 
-def read_event_files(folder: Path) -> Told:
+def read_event_files(folder: Path) -> EventData:
     """Scalars and histograms, but those hidden as done again; a file that is cut, up to the cut."""
     if not any(folder.glob("events.out.tfevents.*")):
-        return Told({}, {})
+        return EventData({}, {})
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     everything = {"scalars": 0, "histograms": 0, "images": 1, "tensors": 1}
     events = EventAccumulator(str(folder), size_guidance=everything)
     events.Reload()
     tags = events.Tags()
-    return Told(
+    return EventData(
         {tag: tuple((e.step, e.value) for e in events.Scalars(tag)) for tag in tags["scalars"]},
         {
             tag: tuple((e.step, _spread(e.histogram_value)) for e in events.Histograms(tag))

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents
-from cgtorch.report.page.event_files import Told
+from cgtorch.report.page.event_files import EventData
 from cgtorch.report.page.plots import Curve, draw_learning
 from cgtorch.report.reliability_picture import draw_reliability
 
@@ -21,7 +21,7 @@ SCORES = {
 
 def model_quality(contents: Contents) -> dict[str, Any]:
     """From the reports of the models where the run has them, else from its event files."""
-    fitted, told = contents.fitted, contents.told
+    fitted, events = contents.fitted, contents.events
     learning, reliability = Markup(""), Markup("")
     if curves := _curves(contents):
         figure = draw_learning(curves)
@@ -33,10 +33,10 @@ def model_quality(contents: Contents) -> dict[str, Any]:
     return {
         "fitted": fitted,
         "errors": _errors(contents),
-        "fresh": _beside(told, tests, "error", "floor", _cm),
-        "accuracy": _beside(told, tests, "accuracy", "possible", "{:.1%}".format),
-        "balanced": told.last("classifier/balanced_accuracy"),
-        "seconds": [seconds for _, seconds in told.scalars.get("models/fit_seconds", ())],
+        "fresh": _beside(events, tests, "error", "floor", _cm),
+        "accuracy": _beside(events, tests, "accuracy", "possible", "{:.1%}".format),
+        "balanced": events.last("classifier/balanced_accuracy"),
+        "seconds": [seconds for _, seconds in events.scalars.get("models/fit_seconds", ())],
         "learning": learning,
         "reliability": reliability,
     }
@@ -51,18 +51,18 @@ def _errors(contents: Contents) -> Rows:
     prefix = "gamma/error_"
     return [
         (tag.removeprefix(prefix).replace("_", " "), _cm(points[-1][1]), "–")
-        for tag, points in contents.told.scalars.items()
+        for tag, points in contents.events.scalars.items()
         if tag.startswith(prefix)
     ]
 
 
 def _beside(
-    told: Told, tests: Mapping[str, str], ours: str, best: str, text: Callable[[float], str]
+    events: EventData, tests: Mapping[str, str], ours: str, best: str, text: Callable[[float], str]
 ) -> Rows:
     """What was told of fresh tests, beside the best possible."""
     rows: Rows = []
     for tag, words in tests.items():
-        found, possible = told.last(f"{tag}_{ours}"), told.last(f"{tag}_{best}")
+        found, possible = events.last(f"{tag}_{ours}"), events.last(f"{tag}_{best}")
         if found is not None and possible is not None:
             rows.append((words, text(found), text(possible)))
     return rows

@@ -89,10 +89,10 @@ def _missing(contents: Contents) -> list[str]:
         f"{generations} generation{'s' if generations != 1 else ''}."
         for name, generations in contents.begun
     ]
-    if not contents.told.scalars:
-        said.append("There are no TensorBoard files, so no course of the evolution.")
+    if not contents.events.scalars:
+        said.append("There are no TensorBoard files, so the page has no plots of the evolution.")
     if contents.fitted is None and run.learns:
-        said.append("There are no models Γ and C in the folder, so nothing of their fits.")
+        said.append("There are no models Γ and C in the folder, so the page has no model reports.")
     return said
 
 
@@ -108,7 +108,7 @@ def _success(contents: Contents) -> Markup:
     line = None if theirs is None else (domain.publisher, theirs.succeeded / theirs.tried)
     words = ("fresh scenarios of the stage", "all kinds of scenarios")
     if contents.run.rounds:
-        words = ("fresh scenarios", "those that decide, if it came to that")
+        words = ("fresh scenarios", "the final test, if there was one")
     figure = draw_success(shares, others, *words, line)
     return inline_svg(figure, "success", "Share of scenarios solved, by stage")
 
@@ -117,9 +117,9 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     course = course_of(contents)
     if course is None:
         return {"fitness": "", "rates": "", "logged": 0}
-    fitness = draw_fitness(contents.told, course, contents.run.domain.rewarded)
-    rates = draw_rates(contents.told, course)
-    label = "Fitness, share that is worth nothing, and nodes over generations"
+    fitness = draw_fitness(contents.events, course, contents.run.domain.rewarded)
+    rates = draw_rates(contents.events, course)
+    label = "Fitness, share of unsolved individuals, and nodes over generations"
     return {
         "fitness": inline_svg(fitness, "fitness", label),
         "rates": rates and inline_svg(rates, "rates", "Self-adapted rates over generations"),

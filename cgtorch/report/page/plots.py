@@ -12,7 +12,7 @@ from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.interval import wilson
 from cgtorch.report.figures import FAINT, GOOD, INK, LINE, PAPER, plain_figure
 from cgtorch.report.page.course import Course
-from cgtorch.report.page.event_files import Told
+from cgtorch.report.page.event_files import EventData
 
 WIDTH = 8.4  # inches
 RATES = {
@@ -63,7 +63,7 @@ def draw_success(
     return figure
 
 
-def draw_fitness(told: Told, course: Course, rewarded: bool) -> Figure:
+def draw_fitness(events: EventData, course: Course, rewarded: bool) -> Figure:
     """Each evolution's fitness or mean return, the share that is worth nothing, and graph sizes."""
     worthless = "no return" if rewarded else "fitness 0"
     figure, (fitness, unsolved, nodes) = plain_figure(WIDTH, 5.4, (2.2, 1, 1))
@@ -73,7 +73,7 @@ def draw_fitness(told: Told, course: Course, rewarded: bool) -> Figure:
         (nodes, {"graph/nodes_best": (GOOD, "the best"), "graph/nodes_mean": (LINE, "the mean")}),
     ):
         for tag, (colour, name) in tags.items():
-            for i, line in enumerate(course.lines(told.scalars.get(tag, ()))):
+            for i, line in enumerate(course.lines(events.scalars.get(tag, ()))):
                 known = [point for point in line if isfinite(point[1])]
                 axes.plot(
                     *(zip(*known, strict=True) if known else ((), ())), color=colour, lw=1.3,
@@ -90,9 +90,9 @@ def draw_fitness(told: Told, course: Course, rewarded: bool) -> Figure:
     return figure
 
 
-def draw_rates(told: Told, course: Course) -> Figure | None:
+def draw_rates(events: EventData, course: Course) -> Figure | None:
     """The strategy parameters of eq. 2 over generations: mean and middle 80 %; None without any."""
-    rates = {name: told.histograms.get(f"strategy/{name}", ()) for name in STRATEGY}
+    rates = {name: events.histograms.get(f"strategy/{name}", ()) for name in STRATEGY}
     if not any(rates.values()):
         return None
     figure, grid = plain_figure(WIDTH, 4.0, (1, 1), columns=4)

@@ -66,8 +66,8 @@ def _legs(
         (name, [f"--stage {AUTO}", *goal, f"--rounds {count}"])
         for count, name in enumerate(run.rounds or ([] if own else [""]), 1)
     ]
-    told = summary.get("stages")
-    if summary.get("reached") and isinstance(told, list) and len(told) == len(run.stages):
+    listed = summary.get("stages")
+    if summary.get("reached") and isinstance(listed, list) and len(listed) == len(run.stages):
         made[-1][1].pop()  # it ends by itself after as many rounds
     legs: list[tuple[list[str], str | None]] = []
     for i, (name, words) in enumerate(made):

@@ -14,7 +14,7 @@ from cgtorch.ground.files import read_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 _MAX_BYTES = 1_000_000  # of a package.xml
-_TOLD = 8  # places that an error names
+_LISTED = 8  # places that an error names
 
 
 def package_places(
@@ -71,7 +71,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     looked = folders or [*places, *_around(urdf)[:1]]
     what = "it is not in" if folders else f"the package {package!r} is in none of"
     raise RobotError(
-        f"URDF {str(urdf)!r} names the file {name!r}, which is missing: {what} {_told(looked)}; "
+        f"URDF {str(urdf)!r} names the file {name!r}, which is missing: {what} {_listed(looked)}; "
         "give the folder that holds the package by --package-path or ROS_PACKAGE_PATH"
     )
 
@@ -84,8 +84,8 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
     roots = [around[0], own, *(Path(os.path.abspath(place)) for place in places)]
     if not any(found.is_relative_to(root) for root in roots):
         raise RobotError(
-            f"URDF {str(urdf)!r} names the file {name!r}, which leads out of {_told(roots)}: move "
-            "it there, or give its folder by --package-path"
+            f"URDF {str(urdf)!r} names the file {name!r}, which leads out of {_listed(roots)}: "
+            "move it there, or give its folder by --package-path"
         )
     if not isfile(found):
         raise RobotError(
@@ -123,7 +123,7 @@ def _around(urdf: Path) -> tuple[Path, ...]:
     return tuple(Path(os.path.abspath(urdf)).parents)
 
 
-def _told(folders: Sequence[Path]) -> str:
+def _listed(folders: Sequence[Path]) -> str:
     names = list(dict.fromkeys(repr(str(folder)) for folder in folders))
-    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return ", ".join(names[:_TOLD]) + more
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more

@@ -4,7 +4,7 @@ from cgtorch.native import alike, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.tabletop.models.success import GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
-from cgtorch.tabletop.world.clear_way import ClearWay, body_structure
+from cgtorch.tabletop.world.clear_motion import ClearMotion, body_structure
 
 
 def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
@@ -12,7 +12,7 @@ def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
     gamma, classifier = getattr(e.gamma, "__self__", None), e.classifier
     if not (type(gamma) is TableTransitionModel and type(classifier) is GraspClassifier):
         return None
-    if type(e.possible) is not ClearWay or e.gamma != gamma.predict_with_novelty:
+    if type(e.possible) is not ClearMotion or e.gamma != gamma.predict_with_novelty:
         return None
     percepts, footprint = e.percepts, e.possible.footprint
     first, second = gamma.compiled(percepts, percepts[:, :3]), classifier.compiled(percepts)

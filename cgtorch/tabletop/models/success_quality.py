@@ -115,7 +115,7 @@ def success_quality(
     # can but raise what is called possible.
     unsure = ((chance > _SURE) & (chance < 1 - _SURE)).nonzero()[:, 0]
     if len(unsure):
-        found = chance_of_success(scenes, labels.percept[unsure], _SCENES, generator)
+        found = success_frequency(scenes, labels.percept[unsure], _SCENES, generator)
         best = truth.index_copy(0, unsure, found)
     near, overall = torch.arange(count), torch.arange(2 * count, 3 * count)
     first, second, third = (
@@ -141,7 +141,7 @@ def _judged(chance: Tensor, truth: Tensor, best: Tensor) -> Accuracy:
     )
 
 
-def chance_of_success(
+def success_frequency(
     scenes: Scenes, percept: Tensor, samples: int, generator: Generator
 ) -> Tensor:
     """Share (n,) of `samples` scenes behind each percept (n, D) in which a grasp succeeds.

@@ -59,8 +59,8 @@ def tabletop_summary(
         scalars[f"classifier/{name}_accuracy"] = getattr(judged, name).balanced
         scalars[f"classifier/{name}_possible"] = getattr(judged, name).possible_balanced
     text = f"{_on_fresh(fresh.quality)}, {_on_labels(judged)}; {rows_of(knowledge)}"
-    told = summary_of(knowledge)
-    return replace(told, text=text, scalars=scalars, reliability=judged.reliability)
+    basic = summary_of(knowledge)
+    return replace(basic, text=text, scalars=scalars, reliability=judged.reliability)
 
 
 def _on_labels(quality: SuccessQuality) -> str:

@@ -154,8 +154,8 @@ def possible_next(
     # The height has the noise of both looks.
     height = parts_of(percept[:, None]).height - parts_of(blur[some()]).height
     pose = moved(torch.zeros_like(many), many + drift[pick])
-    following = percept_of(pose, torch.cat([rectangle, height], -1), placed) + blur[then]
-    return following, weight / weight.sum(1, keepdim=True)
+    next_percept = percept_of(pose, torch.cat([rectangle, height], -1), placed) + blur[then]
+    return next_percept, weight / weight.sum(1, keepdim=True)
 
 
 def _one_table(percept: Tensor, shapes: Tensor, look: Tensor) -> tuple[Tensor, Tensor, Tensor]:

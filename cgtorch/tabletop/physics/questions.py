@@ -49,7 +49,7 @@ class Physics:
     models: dict[tuple[int | None, int], Model] = field(default_factory=dict)
     watch: Callable[[Model], None] | None = None
 
-    def told(self, model: Model) -> Watch | None:
+    def watch_of(self, model: Model) -> Watch | None:
         """What a simulation of a model is watched by."""
         watch = self.watch
         return None if watch is None else lambda _: watch(model)
@@ -108,7 +108,7 @@ def _found(physics: Physics, answer: Answer, rows: Tensor) -> Tensor:
 
 def _drives(physics: Physics, rows: Tensor) -> Tensor:
     model = physics.model(None, (rows.shape[1] - 16 - SEEN) // 5)
-    watch = physics.told(model)
+    watch = physics.watch_of(model)
     out = [drive(model, Scene.of(row[:-SEEN]), row[-SEEN:], watch) for row in rows.double().numpy()]
     return _as_tensor(out, 11)
 
@@ -123,7 +123,7 @@ def _grasps(physics: Physics, rows: Tensor) -> Tensor:
             continue
         model = physics.model(int(ways.arm[i]), boxes)
         way = way_of(physics.robot, ways, i)
-        out.append(grasp(model, scene, way, physics.told(model)))
+        out.append(grasp(model, scene, way, physics.watch_of(model)))
     return _as_tensor(out, 9)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from cgtorch.environment import Lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.physics.questions import Physics, drives, grasps
-from cgtorch.tabletop.world.clear_way import motion_possible
+from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, wrap
 from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.percepts import TABLETOP

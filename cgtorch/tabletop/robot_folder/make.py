@@ -71,7 +71,7 @@ def make_robot_folder(
             robot = _loaded(place, dataclasses.replace(words, home=home))
         except RobotError as error:
             raise RobotError(str(error).replace(str(place), str(folder))) from None
-        write_json(place / SHAPES, [_told(each) for each in meshes])
+        write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
     return Made(robot, meshes, inertials, proposal.notes, _tried(robot))
 
@@ -103,7 +103,7 @@ def _corners(urdf: Urdf, meshes: tuple[MeshFit, ...]) -> dict[str, list[Array]]:
     return found
 
 
-def _told(each: MeshFit) -> dict[str, Any]:
+def _record(each: MeshFit) -> dict[str, Any]:
     """What was fitted to a mesh, for its file."""
     about = {"link": each.link, "file": each.file, "kind": each.kind}
     if each.fit is None:

@@ -1,7 +1,7 @@
 """The tabletop world and its scenarios."""
 
-from cgtorch.tabletop.world.clear_way import ClearWay as ClearWay
-from cgtorch.tabletop.world.clear_way import motion_possible as motion_possible
+from cgtorch.tabletop.world.clear_motion import ClearMotion as ClearMotion
+from cgtorch.tabletop.world.clear_motion import motion_possible as motion_possible
 from cgtorch.tabletop.world.general import DRAWS as DRAWS
 from cgtorch.tabletop.world.general import cluttered_scenarios as cluttered_scenarios
 from cgtorch.tabletop.world.general import draw_of as draw_of

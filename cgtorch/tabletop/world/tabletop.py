@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Lanes
-from cgtorch.tabletop.world.clear_way import motion_possible
+from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, to_frame
 from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.scenarios import Scenarios

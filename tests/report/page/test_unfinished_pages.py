@@ -30,8 +30,8 @@ def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
     page = parsed(folder)
     assert missing(page) == [
         "No stage is finished yet, so there is no skill to show.",
-        "There are no TensorBoard files, so no course of the evolution.",
-        "There are no models Γ and C in the folder, so nothing of their fits.",
+        "There are no TensorBoard files, so the page has no plots of the evolution.",
+        "There are no models Γ and C in the folder, so the page has no model reports.",
     ]
     ours = [words(e) for e in page.find_class("ours")]
     assert ours == [*["This run Not made in this run."] * 4, "This run Not tried yet."]
@@ -67,8 +67,8 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
 def test_a_run_without_models_and_events(tmp_path: Path) -> None:
     page = parsed(thinned(tmp_path / "run", "S0", models=False, events=False))
     assert missing(page)[1:] == [
-        "There are no TensorBoard files, so no course of the evolution.",
-        "There are no models Γ and C in the folder, so nothing of their fits.",
+        "There are no TensorBoard files, so the page has no plots of the evolution.",
+        "There are no models Γ and C in the folder, so the page has no model reports.",
     ]
     assert "No generation is in the run" in words(page.get_element_by_id("evolution"))
     assert "Nothing is known of the models." in words(page.get_element_by_id("models"))

@@ -11,7 +11,7 @@ from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import poses_at_object
 from cgtorch.tabletop.models import TableTransitionModel, transition_quality
-from cgtorch.tabletop.models.success_quality import chance_of_success, scenes_behind
+from cgtorch.tabletop.models.success_quality import scenes_behind, success_frequency
 from cgtorch.tabletop.models.table_posterior import tables_behind
 from cgtorch.tabletop.models.transition_quality import (
     fresh_transitions,
@@ -87,7 +87,7 @@ def test_nothing_is_left_to_learn_where_the_yaw_is_seen():
 def test_a_grasp_that_the_noise_cannot_change_is_certain():
     poses = poses_at_object(scenes_of("yaw"), 300, seeded(8))
     seen, truth = label(scenes_of("yaw"), poses)
-    chance = chance_of_success(scenes_of("yaw"), seen, 8, seeded(9))
+    chance = success_frequency(scenes_of("yaw"), seen, 8, seeded(9))
     sure = (chance == 0) | (chance == 1)
     assert float(sure.float().mean()) > 0.8
     assert float(((chance > 0.5) == truth)[sure].float().mean()) > 0.98

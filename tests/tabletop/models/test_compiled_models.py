@@ -9,9 +9,9 @@ from support import FOOTPRINT, seeded
 
 from cgtorch.native import available
 from cgtorch.svm.compiled import machine_structure, machine_values
-from cgtorch.svm.rbf_predict import fused_rbf
+from cgtorch.svm.rbf_predict import predict_rbf
 from cgtorch.tabletop.world import motion_possible
-from cgtorch.tabletop.world.clear_way import motion_possible_in_torch
+from cgtorch.tabletop.world.clear_motion import motion_possible_in_torch
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -44,7 +44,7 @@ def test_values_are_those_of_the_definition(
     torch.testing.assert_close(
         found[0].double(), kernel @ machine[1].double() + machine[2], atol=FLOATS[dtype], rtol=0
     )
-    wanted = fused_rbf(x, *machine)
+    wanted = predict_rbf(x, *machine)
     torch.testing.assert_close(found[1], wanted[1], atol=FLOATS[dtype], rtol=1e-4)
     one = machine_values(x[-1:], *machine)
     assert one is not None

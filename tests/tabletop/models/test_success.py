@@ -9,7 +9,7 @@ from stand_in import labelled, labels, transitions
 
 from cgtorch.domains.success import calibration, fit_success_classifier
 from cgtorch.ground.errors import DataError
-from cgtorch.svm import compact
+from cgtorch.svm import fit_reduced_set
 from cgtorch.tabletop.models import GraspClassifier
 
 GRID = {"C": [8.0, 64.0], "gamma": [0.03, 0.1]}
@@ -23,7 +23,7 @@ def fitted():
 def compacted(model, centres, x):
     """A classifier of fewer centres that says nearly the same of percepts (n, D)."""
     small = deepcopy(model)
-    small.machine = compact(model.machine, centres, model.features(x))
+    small.machine = fit_reduced_set(model.machine, centres, model.features(x))
     return small
 
 

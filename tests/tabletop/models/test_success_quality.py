@@ -12,9 +12,9 @@ from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import in_table, poses_at_object
 from cgtorch.tabletop.models.success_quality import (
     SuccessQuality,
-    chance_of_success,
     fresh_labels,
     scenes_behind,
+    success_frequency,
     success_quality,
 )
 from cgtorch.tabletop.world import Noise, Scenarios, TabletopWorld
@@ -57,7 +57,7 @@ def test_scenes_behind_a_percept_look_like_it(seed: int) -> None:
 def test_the_chance_is_how_often_the_same_percept_succeeds() -> None:
     poses = poses_at_object(SCENES, 1500, seeded(1))
     percept, answer = label(SCENES, poses)
-    chance = chance_of_success(SCENES, percept, 24, seeded(2))
+    chance = success_frequency(SCENES, percept, 24, seeded(2))
     assert float(chance.mean()) == pytest.approx(float(answer.float().mean()), abs=0.02)
     unsure = (chance > 0.2) & (chance < 0.8)
     assert int(unsure.sum()) > 20

@@ -115,7 +115,7 @@ def test_such_models_are_kept_shrunk_and_learn_on(fitted, tmp_path):
     model, report, (p, u, q) = fitted
     save_model(tmp_path / "gamma", model, report)
     assert torch.equal(load_model(tmp_path / "gamma", KINDS)(p, u), model(p, u))
-    small = model.compacted(32, p, u)
+    small = model.with_fewer_centres(32, p, u)
     assert torch.allclose(small(p, u), model(p, u), atol=1e-6)
     kept, start = model.coreset(p, u, q, limit=300)
     assert len(kept) == 300

@@ -127,7 +127,7 @@ def test_gradients_equal_finite_differences():
         TableTransitionModel(), *transitions(200, 6), dtype=torch.float64, grid=GRID
     )[0]
     assert float(model.trust) == 1
-    small = model.compacted(24, *_torch(transitions(200, 6), torch.float64)[:2])
+    small = model.with_fewer_centres(24, *_torch(transitions(200, 6), torch.float64)[:2])
     for one in (model, small):
         p, u, _ = _torch(transitions(3, 7), torch.float64)
         assert torch.autograd.gradcheck(one, (p.requires_grad_(), u.requires_grad_()))
@@ -183,7 +183,7 @@ def test_a_compact_model_knows_its_own_rim(fitted):
     model, _ = fitted
     p, u, _ = _torch(transitions(900, 1))
     for centres in (16, 64):
-        small = model.compacted(centres, p, u)
+        small = model.with_fewer_centres(centres, p, u)
         assert float((small.novelty(p, u) <= 0.5).float().mean()) == pytest.approx(0.95, abs=0.02)
 
 
@@ -239,7 +239,7 @@ def test_learning_on_reaches_the_fit_on_all_data(fitted):
 def test_a_compact_model_loses_little(fitted):
     model, _ = fitted
     p, u, _ = _torch(transitions(900, 1))
-    small = model.compacted(128, p, u)
+    small = model.with_fewer_centres(128, p, u)
     assert len(small.machine.centres) == 128 < len(model.machine.centres)
     fresh = _torch(transitions(900, 13))[:2]
 
@@ -252,7 +252,7 @@ def test_a_compact_model_loses_little(fitted):
     value, metres = lost(small)
     assert max(metres[:4]) < 0.02
     assert max(metres[4:]) < 1e-6
-    worse = lost(model.compacted(16, p, u))
+    worse = lost(model.with_fewer_centres(16, p, u))
     assert worse[0].sum() > value.sum()
     assert worse[1].sum() > metres.sum()
 

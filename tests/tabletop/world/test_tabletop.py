@@ -21,7 +21,7 @@ from cgtorch.tabletop.world import (
     random_scenarios,
     stage_scenarios,
 )
-from cgtorch.tabletop.world.clear_way import CLEARANCE, MAX_TRANSLATION
+from cgtorch.tabletop.world.clear_motion import CLEARANCE, MAX_TRANSLATION
 
 QUIET = Noise(0, 0)
 

@@ -38,9 +38,9 @@ class Networks:
             each = len(percept) // len(self.networks)
             memory = [self._again(network) for network in self.networks for _ in range(each)]
         rows, seen = live.nonzero()[:, 0].tolist(), percept.tolist()
-        told = [memory[row].activate(seen[row]) for row in rows]
+        outputs = [memory[row].activate(seen[row]) for row in rows]
         control = torch.zeros(len(percept), len(self.networks[0].output_nodes))
-        control[live] = torch.tensor(told)
+        control[live] = torch.tensor(outputs)
         return control, memory
 
     def _again(self, network: Any) -> Any:

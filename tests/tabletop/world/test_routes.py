@@ -8,9 +8,9 @@ from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
 from cgtorch.environment import start_lanes
-from cgtorch.tabletop.world import ClearWay, Noise, Scenarios, TabletopWorld, cluttered_scenarios
+from cgtorch.tabletop.world import ClearMotion, Noise, Scenarios, TabletopWorld, cluttered_scenarios
 from cgtorch.tabletop.world.geometry import to_frame, wrap
-from cgtorch.tabletop.world.ways import LONGEST, first_motion
+from cgtorch.tabletop.world.routes import LONGEST, first_motion
 
 BASE = torch.tensor(FOOTPRINT)
 
@@ -32,7 +32,7 @@ def test_it_is_clear_of_what_is_seen_or_what_was_asked_for(seed: int) -> None:
     asked = 2 * torch.randn(30, 3, generator=seeded(seed))
     found = first_motion(percept, asked, BASE)
     same, short = (found == asked).all(1), asked[:, :2].norm(dim=1) <= LONGEST
-    clear = ClearWay(BASE)
+    clear = ClearMotion(BASE)
     assert torch.equal(same | clear(percept, found), torch.ones_like(same))
     assert same[clear(percept, asked) & short].all()
     assert (found[~same, :2].norm(dim=1) <= LONGEST + 1e-6).all()

@@ -48,7 +48,7 @@ def motion_possible_in_torch(
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
-class ClearWay:
+class ClearMotion:
     """MoveBase's own check on percepts: the way must be clear of table and obstacles as seen.
 
     Attributes:

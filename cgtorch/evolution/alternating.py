@@ -1,4 +1,4 @@
-"""Search in turns: a population of structures, then lineages of the best ones."""
+"""Alternating search: a population of new structures, then lineages of its best structures."""
 
 from dataclasses import replace
 
@@ -7,26 +7,36 @@ from torch import Generator
 from cgtorch.actions import ActionSet
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
-from cgtorch.evolution.lineages import after_samples, founded, raced, samples, with_lineages
+from cgtorch.evolution.lineages import (
+    after_samples,
+    new_lineages,
+    samples,
+    successive_halving,
+    with_lineages,
+)
 from cgtorch.evolution.population import Population, initial_strategy, slim
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
 
 
-def next_in_turn(
+def next_alternating(
     state: EvolutionState,
     evaluated: Evaluated,
     settings: EvolutionSettings,
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """Samples of lineages as long as there are any, else a population of structures."""
+    """The next population, given how the last one did.
+
+    While lineages are running, the population consists of samples of them. Otherwise it consists of
+    new structures. See `cgtorch.evolution.lineages`.
+    """
     if state.lineages:
-        lineages, ended = raced(after_samples(state.lineages, evaluated, actions))
+        lineages, ended = successive_halving(after_samples(state.lineages, evaluated, actions))
         assert state.parents is not None  # noqa: S101  they are there with lineages
         parents = with_lineages(state.parents, ended)
     else:
-        lineages = founded(evaluated, actions, settings.lineages)
+        lineages = new_lineages(evaluated, actions, settings.lineages)
         parents = evaluated
         if state.parents is not None:
             parents = parents.with_others(state.parents)
@@ -51,9 +61,10 @@ def _next_structures(
     actions: ActionSet,
     generator: Generator,
 ) -> EvolutionState:
-    """A population of new structures: random ones, or children of all parents, in turn.
+    """A population of new structures: alternately random graphs, and children of all parents.
 
-    Children go on from where lineages have come to, and can be caught there; random ones are not.
+    Children inherit what lineages have tuned, so they may inherit a local optimum as well. Random
+    graphs do not.
     """
     if not state.fresh:
         children = next_population(state, parents, settings, actions, generator)

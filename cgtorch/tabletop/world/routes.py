@@ -1,18 +1,18 @@
-"""A way around what is seen: the first of several straight motions that lead to a pose."""
+"""A route around what is seen: the first of several straight motions that lead to a pose."""
 
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.world.clear_way import CLEARANCE, motion_possible
+from cgtorch.tabletop.world.clear_motion import CLEARANCE, motion_possible
 from cgtorch.tabletop.world.geometry import corners, rotate, wrap
 from cgtorch.tabletop.world.percepts import parts_of, present
 
 LONGEST = 1.9
 """M of one motion: Γ has seen motions of up to 2 m."""
 VIAS = 3
-"""Corners that a way may lead past."""
+"""Corners that a route may lead past."""
 WORTH_TURNING = 0.001
-"""By how much (m) a way that turns at its first corner has to be shorter, else it turns last."""
+"""By how much (m) a route that turns at its first corner has to be shorter, else it turns last."""
 AWAY = 0.05
 """M from the base within which a corner has been passed."""
 ROOM = 1.05
@@ -20,10 +20,10 @@ ROOM = 1.05
 
 
 def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
-    """The first motion (n, 3) of the shortest way found to where motions (n, 3) would lead.
+    """The first motion (n, 3) of the shortest route found to where motions (n, 3) would lead.
 
-    That is the motion itself where it is clear of what percepts (n, D) show, or no way is found.
-    Ways lead past corners of the table and of obstacles, far enough from each for the footprint
+    That is the motion itself where it is clear of what percepts (n, D) show, or no route is found.
+    Routes lead past corners of the table and of obstacles, far enough from each for the footprint
     (4,) to turn there: a visibility graph (Lozano-Pérez and Wesley 1979). They are driven with the
     heading that the base has, or turned at the first corner to the one that it shall have. Of what
     is longer than `LONGEST` only so much is driven, without a turn.
@@ -42,15 +42,17 @@ def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
         total = torch.where(shorter, length, total)
     best = torch.where(straight[:, None], motion, best)
     found = straight | total.isfinite()
-    way = best[:, :2].norm(dim=1)
-    part = torch.cat([best[:, :2] * (LONGEST / way)[:, None], torch.zeros_like(best[:, 2:])], 1)
-    return torch.where((found & (way > LONGEST))[:, None], part, best)
+    distance = best[:, :2].norm(dim=1)
+    part = torch.cat(
+        [best[:, :2] * (LONGEST / distance)[:, None], torch.zeros_like(best[:, 2:])], 1
+    )
+    return torch.where((found & (distance > LONGEST))[:, None], part, best)
 
 
 def _shortest(
     seen: Tensor, corner: Tensor, there: Tensor, motion: Tensor, turn: Tensor, footprint: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Lengths (n,) of ways past corners (n, J, 2), inf for none, and their first corners (n,).
+    """Lengths (n,) of routes past corners (n, J, 2), inf for none, and their first corners (n,).
 
     The base turns by `turn` (n,) at the first one, and by what is left at the end.
     """
@@ -62,10 +64,10 @@ def _shortest(
     # What is seen after the turn, as if from the start.
     turned, things = rotate(corner, -turn[:, None]), _turned(seen, turn)
     goal = rotate(motion[:, :2], -turn)
-    ways = turned[:, None] - turned[:, :, None]
-    onward = torch.cat([ways, torch.zeros_like(ways[..., :1])], 3)
+    between = turned[:, None] - turned[:, :, None]
+    onward = torch.cat([between, torch.zeros_like(between[..., :1])], 3)
     free = there[:, None] & _possible_from(turned, onward, things, footprint)
-    step = _or_inf(ways.norm(dim=3), free)
+    step = _or_inf(between.norm(dim=3), free)
     for _ in range(VIAS - 1):
         further = (length[:, :, None] + step).min(1)
         first = torch.where(further.values < length, first.gather(1, further.indices), first)
