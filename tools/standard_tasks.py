@@ -57,7 +57,7 @@ Work: TypeAlias = tuple[str, str, int]
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these tasks only.")
 @click.option("--library", multiple=True, type=click.Choice([*EVERY]), help="Of these only.")
 @click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
-@click.option("--cpu-seconds", default=1e9, help="Give a search up after these at the latest.")
+@click.option("--evaluations", default=10**9, help="Give a search up after so many at the latest.")
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
@@ -67,7 +67,7 @@ def command(
     only: tuple[str, ...],
     library: tuple[str, ...],
     seeds: str,
-    cpu_seconds: float,
+    evaluations: int,
     jobs: int,
     as_json: bool,
     output: Path | None,
@@ -82,7 +82,7 @@ def command(
     work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
     if kept_only:
         work = [each for each in work if each in kept]
-    for found in measured([each for each in work if each not in kept], cpu_seconds, jobs):
+    for found in measured([each for each in work if each not in kept], evaluations, jobs):
         kept[found.task, found.library, found.seed] = found
         click.echo(_line(found), err=True)
         if output:
@@ -100,19 +100,22 @@ def command(
         write_json(figure, read_json(figure) | {"rows": figure_rows(about)})
 
 
-def measured(work: list[Work], cpu_seconds: float, jobs: int) -> Iterator[Result]:
+def measured(work: list[Work], evaluations: int, jobs: int) -> Iterator[Result]:
     """Results as they come in."""
     os.environ.update(ONE_THREAD)  # for the processes that are started
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for future in as_completed([pool.submit(apart, *each, cpu_seconds) for each in work]):
+        for future in as_completed([pool.submit(apart, *each, evaluations) for each in work]):
             yield future.result()
 
 
-def apart(task: str, library: str, seed: int, cpu_seconds: float) -> Result:
+def apart(task: str, library: str, seed: int, evaluations: int) -> Result:
     """The result of a search in a process of its own, whatever becomes of that."""
     budget = BUDGETS[task]
-    budget = replace(budget, cpu_seconds=min(budget.cpu_seconds, cpu_seconds))
-    context = multiprocessing.get_context("spawn")
+    budget = replace(budget, evaluations=min(budget.evaluations, evaluations))
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(
+        ["torch", "cgtorch.evolution"]
+    )  # takes longer than most searches
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
         target=_search, args=(sender, task, library, seed, budget), daemon=True

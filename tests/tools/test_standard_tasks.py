@@ -230,6 +230,12 @@ def test_the_command(one_missing: None, tmp_path: Path, monkeypatch: pytest.Monk
     assert lines[3] == "| CartPole | evosax | – | – | – | – | – | not installed |"
 
 
+def test_a_search_can_be_given_less() -> None:
+    found = standard_tasks.apart("repeat_first", "cgtorch", 1, 49)
+    assert not found.solved
+    assert 49 <= found.evaluations < 200
+
+
 def test_rows_of_a_figure_are_replaced(tmp_path: Path) -> None:
     figure = tmp_path / "figure.json"
     figure.write_text('{"title": "Tasks", "rows": [["old"]]}')
@@ -251,7 +257,7 @@ def test_what_has_failed_is_said_and_made_again(
     words += ["--output", str(tmp_path / "results.json")]
     made = []
 
-    def apart(task: str, library: str, seed: int, cpu_seconds: float) -> Found:
+    def apart(task: str, library: str, seed: int, evaluations: int) -> Found:
         made.append(seed)
         if made == [3]:
             return standard_tasks._failed(task, library, seed, "it broke")
@@ -269,7 +275,7 @@ def test_what_has_failed_is_said_and_made_again(
 
 def test_a_process_that_dies_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standard_tasks, "_search", os._exit)  # which takes no such arguments
-    found = standard_tasks.apart("cartpole", "cgtorch", 0, 1.0)
+    found = standard_tasks.apart("cartpole", "cgtorch", 0, 100)
     assert (found.note, found.solved) == ("failed: exit code 1", False)
 
 
