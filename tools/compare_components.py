@@ -45,13 +45,17 @@ def command(results: Path, figure: Path | None) -> None:
 
 
 def table(results: Sequence[Result]) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows: a column for each task, a row for each variant, first of all our own."""
+    """Headings and rows: a column for each task that a variant has tried, a row for each variant.
+
+    The first row is that of the library with all its parts.
+    """
     costs: dict[tuple[str, str], dict[int, float]] = {}
     for each in results:
         found = float(each.evaluations) if each.solved else math.inf
         costs.setdefault((each.task, each.library), {})[each.seed] = found
-    tasks = [name for name in TASKS if (name, BASE) in costs]
     tried = {library for _, library in costs}
+    varied = {task for task, library in costs if library != BASE}
+    tasks = [name for name in TASKS if name in varied and (name, BASE) in costs]
     rows = [
         [name, *(_cell(costs.get((task, name), {}), costs[task, BASE]) for task in tasks)]
         for name in (BASE, *VARIANTS)

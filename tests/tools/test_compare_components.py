@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from click.testing import CliRunner
@@ -33,6 +33,11 @@ def test_a_variant_is_compared_seed_by_seed() -> None:
     assert found["cgtorch"] == "6 of 6, 102"
     # All of six differences have the same sign, which has a chance of 2 in 64.
     assert found["one lineage"] == "6 of 6, 225, p 0.031"
+
+
+def test_a_task_that_no_variant_has_tried_is_left_out() -> None:
+    other = replace(OURS[0], task="acrobot")
+    assert cells([*OURS, *SLOWER, other])["cgtorch"] == "6 of 6, 102"
 
 
 def test_what_is_not_solved_counts_as_the_most() -> None:
