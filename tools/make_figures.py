@@ -165,7 +165,7 @@ def plots(figures: dict[str, Figure]) -> dict[str, str]:
 
     figure = figures["standard_tasks"]
     tasks = list(dict.fromkeys(row[0] for row in figure["rows"]))
-    libraries = list(dict.fromkeys(row[1] for row in figure["rows"]))
+    libraries = list(dict.fromkeys(row[1] for row in figure["rows"] if row[-1] != UNSOLVED))
     with mpl.rc_context({"svg.hashsalt": "cgtorch", "font.size": 9}):
         drawing = Drawing(figsize=(7, 3.4), layout="constrained")
         axes = drawing.subplots()
@@ -178,7 +178,7 @@ def plots(figures: dict[str, Figure]) -> dict[str, str]:
         axes.invert_yaxis()
         axes.set_xscale("log")
         axes.set_xlabel("CPU seconds until solved, median (lower is better)")
-        axes.legend(loc="lower right")
+        drawing.legend(loc="outside upper center", ncols=len(libraries))
         file = io.StringIO()
         drawing.savefig(file, format="svg", metadata={"Date": None})
     return {"standard-tasks.svg": re.sub(r"[ \t]+\n", "\n", file.getvalue())}

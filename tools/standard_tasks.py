@@ -1,7 +1,7 @@
-"""Measure this library and its peers on ten standard tasks, with the same worlds and budgets.
+"""Measure this library and its peers on standard tasks, with the same worlds and budgets.
 
     python tools/standard_tasks.py [--only cartpole] [--library evosax] [--seeds 0:10] [--jobs 2]
-                                   [--json] [--output FILE]
+                                   [--json] [--output FILE] [--figure FILE]
 
 A champion that is good enough in training is tried on 100 fresh episodes, and has solved the task
 if their mean return passes the task's threshold, and further tests where a task has such
@@ -20,18 +20,18 @@ import multiprocessing
 import os
 import platform
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from statistics import median
 from typing import Any, TypeAlias
 
 import click
-from standard.measure import BUDGETS, Result, Trial
+from standard.measure import BUDGETS, Budget, Result, Trial
 from standard.peers import LIBRARIES, VARIANTS, UnsuitableError
+from standard.tables import figure_rows, markdown, summary
 from standard.tasks import TASKS
 
 from cgtorch.ground.files import read_json, write_json
@@ -49,35 +49,29 @@ FAILED = "failed: "
 EVERY = ChainMap(LIBRARIES, VARIANTS)
 """What can be measured; variants are if they are asked for."""
 NOT_INSTALLED = "not installed"
-SHOWN = ("evaluations", "episodes", "cpu_seconds")
-"""Costs that the figure of the documentation has."""
-COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
-HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
-
-
 Work: TypeAlias = tuple[str, str, int]
 """A task, a library and a seed."""
-
-
-Summary: TypeAlias = dict[str, dict[str, dict[str, Any]]]
-"""What has come out, by task and library."""
 
 
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these tasks only.")
 @click.option("--library", multiple=True, type=click.Choice([*EVERY]), help="Of these only.")
 @click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
+@click.option("--evaluations", default=10**9, help="Give a search up after so many at the latest.")
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
+@click.option("--kept-only", is_flag=True, help="Measure nothing, show what --output holds.")
 @click.option("--figure", type=click.Path(path_type=Path), help="Whose rows are replaced.")
 def command(
     only: tuple[str, ...],
     library: tuple[str, ...],
     seeds: str,
+    evaluations: int,
     jobs: int,
     as_json: bool,
     output: Path | None,
+    kept_only: bool,
     figure: Path | None,
 ) -> None:
     """Measure what is not kept yet, and print what has come out."""
@@ -86,7 +80,9 @@ def command(
     there = [name for name in libraries if importlib.util.find_spec(EVERY[name].package)]
     kept = _kept(output)
     work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
-    for found in measured([each for each in work if each not in kept], jobs):
+    if kept_only:
+        work = [each for each in work if each in kept]
+    for found in measured([each for each in work if each not in kept], evaluations, jobs):
         kept[found.task, found.library, found.seed] = found
         click.echo(_line(found), err=True)
         if output:
@@ -104,23 +100,30 @@ def command(
         write_json(figure, read_json(figure) | {"rows": figure_rows(about)})
 
 
-def measured(work: list[Work], jobs: int) -> Iterator[Result]:
+def measured(work: list[Work], evaluations: int, jobs: int) -> Iterator[Result]:
     """Results as they come in."""
     os.environ.update(ONE_THREAD)  # for the processes that are started
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for future in as_completed([pool.submit(apart, *each) for each in work]):
+        for future in as_completed([pool.submit(apart, *each, evaluations) for each in work]):
             yield future.result()
 
 
-def apart(task: str, library: str, seed: int) -> Result:
+def apart(task: str, library: str, seed: int, evaluations: int) -> Result:
     """The result of a search in a process of its own, whatever becomes of that."""
-    context = multiprocessing.get_context("spawn")
+    budget = BUDGETS[task]
+    budget = replace(budget, evaluations=min(budget.evaluations, evaluations))
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(
+        ["torch", "cgtorch.evolution"]
+    )  # takes longer than most searches
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_search, args=(sender, task, library, seed), daemon=True)
+    process = context.Process(
+        target=_search, args=(sender, task, library, seed, budget), daemon=True
+    )
     process.start()
     sender.close()
     failed = partial(_failed, task, library, seed)
-    patience = 20 * BUDGETS[task].cpu_seconds + 600
+    patience = 20 * budget.cpu_seconds + 600
     try:
         found: Result = receiver.recv() if receiver.poll(patience) else failed("no end")
     except EOFError:
@@ -136,7 +139,7 @@ def _failed(task: str, library: str, seed: int, why: str) -> Result:
     return Result(task, library, seed, False, 0, 0, 0, 0.0, None, None, FAILED + why)
 
 
-def _search(sender: Connection, task: str, library: str, seed: int) -> None:
+def _search(sender: Connection, task: str, library: str, seed: int, budget: Budget) -> None:
     """Search, in this process, and send the result."""
     import torch
 
@@ -146,7 +149,7 @@ def _search(sender: Connection, task: str, library: str, seed: int) -> None:
     except ImportError as error:
         sender.send(_failed(task, library, seed, f"cannot be imported ({error})"))
         return
-    trial, note = Trial(TASKS[task], library, seed, BUDGETS[task]), ""
+    trial, note = Trial(TASKS[task], library, seed, budget), ""
     try:
         module.search(trial)
     except UnsuitableError as error:
@@ -171,93 +174,6 @@ def _line(found: Result) -> str:
     cost = f"{found.evaluations:,} evaluations, {found.cpu_seconds:.1f} CPU s"
     note = f" ({found.note})" if found.note else ""
     return f"{found.task}, {found.library}, seed {found.seed}: {outcome}, {cost}{note}"
-
-
-def summary(
-    results: Sequence[Result],
-    tasks: Sequence[str],
-    libraries: Sequence[str],
-    missing: Mapping[str, str],
-) -> Summary:
-    """For each task and library how many seeds have solved it, and at what costs these have.
-
-    Medians and ranges are None where no seed has. Of libraries that are missing it is said why.
-    """
-    return {
-        task: {
-            library: _about(
-                [each for each in results if (each.task, each.library) == (task, library)],
-                missing.get(library, ""),
-            )
-            for library in libraries
-        }
-        for task in tasks
-    }
-
-
-def _about(results: Sequence[Result], note: str) -> dict[str, Any]:
-    """What seeds of one library have made of one task."""
-    good = [each for each in results if each.solved]
-    about: dict[str, Any] = {
-        "solved": len(good),
-        "seeds": sum(each.evaluations > 0 for each in results),  # that were tried
-    }
-    for name in COSTS:
-        about |= _spread(name, [getattr(each, name) for each in good])
-    compiled = [each.compile_seconds for each in good if each.compile_seconds is not None]
-    about["compile_seconds_median"] = median(compiled) if compiled else None
-    about |= _spread("mean_return", [x for each in results if (x := each.mean_return) is not None])
-    notes = dict.fromkeys([note, *(each.note for each in results)])
-    about["note"] = "; ".join(each for each in notes if each)
-    return about
-
-
-def _spread(name: str, values: Sequence[float]) -> dict[str, Any]:
-    """The median and the extremes."""
-    if not values:
-        return {f"{name}_median": None, f"{name}_range": None}
-    return {f"{name}_median": median(values), f"{name}_range": [min(values), max(values)]}
-
-
-def figure_rows(about: Summary) -> list[list[str]]:
-    """The table without what was not tried, world steps and notes, as `docs/figures` has it."""
-    return [
-        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in SHOWN)]
-        for task, found in about.items()
-        for library, each in found.items()
-        if each["seeds"]
-    ]
-
-
-def markdown(about: Summary) -> str:
-    """One row for each task and library."""
-    rows = [HEADINGS, ("---",) * len(HEADINGS)]
-    for task, found in about.items():
-        rows += [_row(TASKS[task].title, library, each) for library, each in found.items()]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
-def _row(title: str, library: str, about: Mapping[str, Any]) -> tuple[str, ...]:
-    """A task and a library."""
-    costs = [_costs(about, name) for name in COSTS]
-    if about["compile_seconds_median"] is not None:
-        costs[-1] += f", {about['compile_seconds_median']:.1f} of them compiling"
-    return title, library, _solved(about), *costs, about["note"]
-
-
-def _solved(about: Mapping[str, Any]) -> str:
-    """How many seeds of those that were tried."""
-    return f"{about['solved']} of {about['seeds']}" if about["seeds"] else "–"
-
-
-def _costs(about: Mapping[str, Any], name: str) -> str:
-    """The median, and the range if there is one."""
-    if about[f"{name}_median"] is None:
-        return "–"
-    form = "{:,.1f}" if name == "cpu_seconds" else "{:,.0f}"
-    spread = (about[f"{name}_median"], *about[f"{name}_range"])
-    middle, low, high = map(form.format, spread)
-    return middle if low == high else f"{middle} ({low}–{high})"
 
 
 def machine() -> dict[str, Any]:

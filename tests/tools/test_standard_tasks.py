@@ -222,10 +222,18 @@ def test_the_command(one_missing: None, tmp_path: Path, monkeypatch: pytest.Monk
     assert [Found(**each).evaluations for each in kept] == [ours["evaluations_median"]]
     monkeypatch.setattr(standard_tasks, "apart", None)  # nothing is made again
     assert json.loads(run(*words, "--json").stdout)["tasks"] == whole["tasks"]
+    further = run(*words, "--seeds", "0:3", "--kept-only", "--json")
+    assert json.loads(further.stdout)["tasks"] == whole["tasks"]
     lines = run(*words).stdout.splitlines()
     assert len(lines) == 4
     assert lines[2].startswith("| CartPole | cgtorch | 1 of 1 | ")
     assert lines[3] == "| CartPole | evosax | – | – | – | – | – | not installed |"
+
+
+def test_a_search_can_be_given_less() -> None:
+    found = standard_tasks.apart("repeat_first", "cgtorch", 1, 49)
+    assert not found.solved
+    assert 49 <= found.evaluations < 200
 
 
 def test_rows_of_a_figure_are_replaced(tmp_path: Path) -> None:
@@ -249,7 +257,7 @@ def test_what_has_failed_is_said_and_made_again(
     words += ["--output", str(tmp_path / "results.json")]
     made = []
 
-    def apart(task: str, library: str, seed: int) -> Found:
+    def apart(task: str, library: str, seed: int, evaluations: int) -> Found:
         made.append(seed)
         if made == [3]:
             return standard_tasks._failed(task, library, seed, "it broke")
@@ -267,7 +275,7 @@ def test_what_has_failed_is_said_and_made_again(
 
 def test_a_process_that_dies_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standard_tasks, "_search", os._exit)  # which takes no such arguments
-    found = standard_tasks.apart("cartpole", "cgtorch", 0)
+    found = standard_tasks.apart("cartpole", "cgtorch", 0, 100)
     assert (found.note, found.solved) == ("failed: exit code 1", False)
 
 
@@ -293,12 +301,12 @@ def test_an_error_becomes_a_note(
 
     monkeypatch.setattr("standard.ours.search", search)
     answers: Any = Answers()
-    standard_tasks._search(answers, "cartpole", "cgtorch", 0)
+    standard_tasks._search(answers, "cartpole", "cgtorch", 0, BUDGETS["cartpole"])
     assert [(each.note, each.solved, each.evaluations) for each in answers] == [(note, False, 7)]
     assert asdict(answers[0])["seed"] == 0
 
 
 def test_a_library_that_cannot_be_imported_is_said_so(one_missing: None) -> None:
     answers: Any = Answers()
-    standard_tasks._search(answers, "cartpole", "evosax", 0)
+    standard_tasks._search(answers, "cartpole", "evosax", 0, BUDGETS["cartpole"])
     assert answers[0].note.startswith("failed: cannot be imported (")

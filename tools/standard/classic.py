@@ -104,6 +104,14 @@ class Acrobot(TaskWorld):
         return torch.cat([both, spin], 1)
 
 
+class AcrobotNoVelocities(Acrobot):
+    """Acrobot-v1 of which only the cosines and sines of the angles are seen."""
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return super().perceived(state, scenario)[:, :4]
+
+
 def acrobot_rates(state: Array, torque: Array) -> Array:
     """Time derivatives (4, n) of states (4, n), as in Sutton and Barto's book.
 
@@ -188,3 +196,11 @@ class Pendulum(TaskWorld):
         """See `World.perceived`."""
         angle, spin = state[:, :2].T.contiguous().unbind()
         return torch.stack([angle.cos(), angle.sin(), spin / 8], 1)
+
+
+class PendulumNoVelocity(Pendulum):
+    """Pendulum-v1 of which only the cosine and the sine of the angle are seen."""
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        return super().perceived(state, scenario)[:, :2]

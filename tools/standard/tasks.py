@@ -3,10 +3,12 @@
 from standard.cards import RepeatFirst, RepeatPrevious
 from standard.classic import (
     Acrobot,
+    AcrobotNoVelocities,
     CartPole,
     CartPoleNoVelocities,
     MountainCarContinuous,
     Pendulum,
+    PendulumNoVelocity,
 )
 from standard.double_pole import CHALLENGES, DoublePole, DoublePoleNoVelocities
 from standard.lander import lunar_lander
@@ -37,6 +39,8 @@ TASKS: dict[str, Task] = {
         lunar_lander(),
         _of("pendulum", "Pendulum", Pendulum, 3),
         _of("cartpole_no_velocities", "CartPole without velocities", CartPoleNoVelocities, 2),
+        _of("acrobot_no_velocities", "Acrobot without velocities", AcrobotNoVelocities, 4),
+        _of("pendulum_no_velocity", "Pendulum without velocity", PendulumNoVelocity, 2),
         _of("double_pole", "Double pole", DoublePole, 6),
         _of(
             "double_pole_no_velocities",

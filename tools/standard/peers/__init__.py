@@ -5,7 +5,14 @@ from dataclasses import dataclass
 from standard.components import COMPONENTS
 
 NEEDS_MEMORY = frozenset(
-    {"cartpole_no_velocities", "double_pole_no_velocities", "repeat_first", "repeat_previous"}
+    {
+        "cartpole_no_velocities",
+        "acrobot_no_velocities",
+        "pendulum_no_velocity",
+        "double_pole_no_velocities",
+        "repeat_first",
+        "repeat_previous",
+    }
 )
 """Tasks for which the networks are recurrent, in libraries that have such."""
 
