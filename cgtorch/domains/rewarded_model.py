@@ -11,12 +11,13 @@ from typing import Any, Self, TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.domains.posterior import Posterior
+from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.world import World
 from cgtorch.environment import Lanes, ScenarioBatch
 
-MOST_VARIANCE = 0.05
-"""Of what Γ says, in units of the prior variance, beyond which nothing is believed."""
+MOST_UNSURE = 1.0
+"""Standard deviation of what Γ says, in units of that of all changes, beyond which nothing is
+believed."""
 ABOUT = 3
 """Columns of a state behind those of the percept: steps, the return, and 1 once it is over."""
 
@@ -46,11 +47,14 @@ class Imagined(ScenarioBatch):
 
     @classmethod
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
-        """So many starts of the percepts (b, D), each taken as often as any other, or once less."""
-        often = range(0, count, len(percept))
-        rows = torch.cat([torch.randperm(len(percept), generator=generator) for _ in often])
-        error = torch.randn(count, percept.shape[1], generator=generator)
-        return cls(percept[rows[:count]], error)
+        """So many starts, each somewhere between two of the percepts (b, D).
+
+        Of few starts that are known a policy would learn by heart what to do.
+        """
+        one, other = torch.randint(len(percept), (2, count), generator=generator)
+        share = torch.rand(count, 1, generator=generator).to(percept)
+        error = torch.randn(count, percept.shape[1], generator=generator).to(percept)
+        return cls(share * percept[one] + (1 - share) * percept[other], error)
 
 
 class RewardedModel(World):
@@ -65,7 +69,7 @@ class RewardedModel(World):
     def __init__(
         self,
         scenarios: Imagined,
-        posterior: Posterior,
+        gamma: GaussianProcess,
         reward: Reward,
         most_steps: int,
         unknown: float,
@@ -76,7 +80,7 @@ class RewardedModel(World):
 
         Args:
             scenarios: the starts.
-            posterior: Γ, and how sure it is.
+            gamma: what happens, and how sure that is.
             reward: what steps give, and which of them end an episode.
             most_steps: of an episode.
             unknown: the least that a step gives, as far as is known.
@@ -85,38 +89,38 @@ class RewardedModel(World):
                 depend on each other, such as a sine and a cosine.
         """
         super().__init__(scenarios)
-        self.gamma, self.posterior = posterior.gamma, posterior
-        self.reward, self.most_steps = reward, most_steps
+        self.gamma, self.reward, self.most_steps = gamma, reward, most_steps
         self.unknown, self.effect, self.valid = min(unknown, 0.0), effect, valid
+        self._error = scenarios.error * gamma.spread
 
     @property
     def control_size(self) -> int:
         """See `World.control_size`."""
-        return len(self.gamma.control_fields)
+        return self.gamma.control_size
 
     def first_state(self, scenario: Tensor) -> Tensor:
         """See `World.first_state`."""
-        return torch.nn.functional.pad(self.scenarios.percept[scenario], (0, ABOUT))
+        percept = self.valid(self.scenarios.percept[scenario])
+        return torch.nn.functional.pad(percept, (0, ABOUT))
 
     @torch.no_grad()
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         """See `World.next_state`."""
         before, (steps, total, over) = state[:, :-ABOUT], state[:, -ABOUT:].unbind(1)
-        control = self.effect(control)
-        after, variance = self.posterior.predict(before, control)
-        off = self.posterior.deviation(variance)[:, None] * self.gamma.spread
-        after = self.valid(after + self.scenarios.error[scenario] * off)
-        gain, ended = self.gained(before, control, after, variance)
-        lost, steps = (variance > MOST_VARIANCE) | ~after.isfinite().all(1), steps + 1
-        left = self.most_steps - steps
-        gain = torch.where(lost, self.unknown * (left + 1), gain)
-        done = ended | lost | (left <= 0)
-        about = torch.stack([steps, total + gain, done.to(steps)], 1)
+        control = self.effect(control).to(before)
+        after, unsure = self.gamma.predict(before, control)
+        error = self._error[scenario] * unsure[:, None]
+        after = self.valid(after + error)
+        gain, ended = self.gained(before, control, after, unsure)
+        lost, left = ~(unsure <= MOST_UNSURE), self.most_steps - steps
+        gain = torch.where(lost, self.unknown * left, gain)
+        done = ended | lost | (left <= 1)
+        about = torch.stack([steps + 1, total + gain, done.to(steps)], 1)
         moved = torch.cat([torch.where(lost[:, None], before, after), about], 1)
         return torch.where(over[:, None] > 0, state, moved)
 
     def gained(
-        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+        self, before: Tensor, control: Tensor, after: Tensor, unsure: Tensor
     ) -> tuple[Tensor, Tensor]:
         """What steps give (n,), and (n,) bool what ends by them."""
         return self.reward(before, control, after)
@@ -151,8 +155,8 @@ class CuriousModel(RewardedModel):
         self.unknown = 1.0
 
     def gained(
-        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+        self, before: Tensor, control: Tensor, after: Tensor, unsure: Tensor
     ) -> tuple[Tensor, Tensor]:
         """See `RewardedModel.gained`."""
-        ended = super().gained(before, control, after, variance)[1]
-        return (variance / MOST_VARIANCE).sqrt().clamp_max(1), ended
+        ended = super().gained(before, control, after, unsure)[1]
+        return (unsure / MOST_UNSURE).clamp_max(1), ended
