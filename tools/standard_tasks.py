@@ -49,10 +49,14 @@ FAILED = "failed: "
 EVERY = ChainMap(LIBRARIES, VARIANTS)
 """What can be measured; variants are if they are asked for."""
 NOT_INSTALLED = "not installed"
-SHOWN = ("evaluations", "episodes", "cpu_seconds")
-"""Costs that the figure of the documentation has."""
-COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
-HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
+COSTS = {
+    "evaluations": "evaluations",
+    "episodes": "episodes",
+    "world_steps": "world steps",
+    "cpu_seconds": "CPU s",
+}
+"""What a search costs, and the headings of that."""
+HEADINGS = ("task", "library", "solved", *COSTS.values(), "note")
 
 
 Work: TypeAlias = tuple[str, str, int]
@@ -101,7 +105,8 @@ def command(
     else:
         click.echo(markdown(about))
     if figure:
-        write_json(figure, read_json(figure) | {"rows": figure_rows(about)})
+        shown = read_json(figure)
+        write_json(figure, shown | {"rows": figure_rows(about, shown["columns"])})
 
 
 def measured(work: list[Work], jobs: int) -> Iterator[Result]:
@@ -219,10 +224,11 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, Any]:
     return {f"{name}_median": median(values), f"{name}_range": [min(values), max(values)]}
 
 
-def figure_rows(about: Summary) -> list[list[str]]:
-    """The table without what was not tried, world steps and notes, as `docs/figures` has it."""
+def figure_rows(about: Summary, columns: Sequence[str]) -> list[list[str]]:
+    """The table without what was not tried, with the costs that a figure has columns for."""
+    shown = [name for name, heading in COSTS.items() if heading in columns]
     return [
-        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in SHOWN)]
+        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in shown)]
         for task, found in about.items()
         for library, each in found.items()
         if each["seeds"]

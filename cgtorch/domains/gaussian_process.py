@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.domains.learned_model import mean_and_spread
+from cgtorch.ground.errors import DataError
+from cgtorch.svm import inputs
 
 MOST_PIVOTS = 200
 """Rows by which it is told how sure Γ is: those of which the rest tell the least."""
@@ -108,6 +110,23 @@ def telling_rows(kernel: Kernel, x: Tensor) -> Tensor:
     return torch.tensor(rows)
 
 
+def projected(kernel: Kernel, pivots: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """What pivots (m, F) say of changes y (n, D) of features x (n, F).
+
+    With covariances k (m,) of a feature with the pivots, weights w (m, D) and columns v (m, m),
+    its change has the mean k w, and its variance is less by |k v|² than if nothing were known.
+    """
+    deviation, one = kernel.noise.sqrt(), torch.eye(len(pivots), dtype=x.dtype)
+    gram = kernel(pivots, pivots) + 1e-3 * kernel.noise * one
+    factor = torch.linalg.cholesky(gram)
+    white = torch.linalg.solve_triangular(factor.T, one, upper=True)  # gram⁻¹ = white whiteᵀ
+    q, r = torch.linalg.qr(torch.cat([kernel(x, pivots) @ white / deviation, one]))
+    inverse = torch.linalg.solve_triangular(r, one, upper=True)
+    weights = white @ (inverse @ (q[: len(x)].T @ (y / deviation)))
+    share, turned = torch.linalg.eigh(one - inverse @ inverse.T)
+    return weights, white @ turned * share.clamp_min(0).sqrt()
+
+
 class GaussianProcess:
     """Γ: percepts (n, D) and controls (n, U) to next percepts, and how sure these are.
 
@@ -118,9 +137,17 @@ class GaussianProcess:
     def __init__(
         self, percept: Tensor, control: Tensor, after: Tensor, free: Tensor | None = None
     ) -> None:
-        """Fit on transitions (n, D), (n, U) and (n, D); from the last choice `free`, if given."""
-        self.control_size = control.shape[1]
-        p, u, q = percept.double(), control.double(), after.double()
+        """Fit on transitions (n, D), (n, U) and (n, D); from the last choice `free`, if given.
+
+        DataError for wrong shapes, NaN, or no rows.
+        """
+        p, u, q = (inputs.as_rows(rows, "transitions") for rows in (percept, control, after))
+        if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
+            raise DataError(
+                f"percept, control and next percept are {tuple(p.shape)}, {tuple(u.shape)} and "
+                f"{tuple(q.shape)}; pass (n, D), (n, U) and (n, D)"
+            )
+        self.control_size = u.shape[1]
         raw = torch.cat([p, u], 1)
         self.mean, self.scale = mean_and_spread(raw)
         self.shift, self.spread = mean_and_spread(q - p)
@@ -130,48 +157,39 @@ class GaussianProcess:
         steps = STEPS if free is None else AGAIN
         guess = first_guess(x.shape[1]) if free is None else free
         self.free = likely(guess, x[some], y[some], steps)
-        self.kernel = kernel = Kernel.of(self.free)
-        self.pivots = x[telling_rows(kernel, x)]
-        self._project(x, y)
-
-    def _project(self, x: Tensor, y: Tensor) -> None:
-        """Find out what pivots say of changes y (n, D) of features x (n, F)."""
-        kernel, c, deviation = self.kernel, self.pivots, self.kernel.noise.sqrt()
-        (m, d), f = (len(c), y.shape[1]), x.shape[1]
-        one = torch.eye(m, dtype=x.dtype)
-        factor = torch.linalg.cholesky(kernel(c, c) + 1e-3 * kernel.noise * one)
-        white = torch.linalg.solve_triangular(factor.T, one, upper=True)  # K⁻¹ = white whiteᵀ
-        seen = torch.cat([kernel(x, c) @ white / deviation, one])
-        q, r = torch.linalg.qr(seen)
-        inverse = torch.linalg.solve_triangular(r, one, upper=True)
-        weights = white @ (inverse @ (q[: len(x)].T @ (y / deviation)))
-        # Of what is not known before, the part that data tell.
-        told, turned = torch.linalg.eigh(one - inverse @ inverse.T)
-        told = white @ turned * told.clamp_min(0).sqrt()
+        self.kernel = Kernel.of(self.free)
+        self.pivots = x[telling_rows(self.kernel, x)]
+        weights, told = projected(self.kernel, self.pivots, x, y)
         self._columns = torch.cat([weights * self.spread, told], 1)
-        straight = kernel.slope * torch.cat([c, torch.ones(m, 1).to(c)], 1).T @ self._columns
-        # All that is linear in percepts and controls is one product, with a 1 behind them.
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Fold scales and the linear part into few products, which is what a step costs."""
+        kernel, c = self.kernel, self.pivots
+        (m, f), d = c.shape, len(self.shift)
+        # All that is linear in percepts and controls, with a 1 behind them.
         unit = torch.cat([torch.diag(1 / self.scale), -(self.mean / self.scale)[None]])
-        unit = torch.cat([unit, torch.eye(f + 1, dtype=x.dtype)[:, -1:]], 1)
-        self._straight = unit @ straight
-        self._straight[:d, :d] += torch.eye(d, dtype=x.dtype)
+        unit = torch.cat([unit, torch.eye(f + 1, dtype=c.dtype)[:, -1:]], 1)
+        ones = torch.ones(m, 1, dtype=c.dtype)
+        self._straight = unit @ (kernel.slope * torch.cat([c, ones], 1).T @ self._columns)
+        self._straight[:d, :d] += torch.eye(d, dtype=c.dtype)
         self._straight[-1, :d] += self.shift
-        self._unit, self._ones = unit * kernel.slope.sqrt(), torch.ones(1, 1, dtype=x.dtype)
+        self._unit, self._one = unit * kernel.slope.sqrt(), ones[:1]
         scaled = c / kernel.length
-        self._near = unit[:, :-1] / kernel.length
-        self._centres = scaled.T.contiguous()
+        self._near, self._centres = unit[:, :-1] / kernel.length, scaled.T.contiguous()
         self._about = -0.5 * (scaled * scaled).sum(1) + kernel.amplitude.log()
-        self._sizes = d, m
 
     def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """Next percepts (n, D), and standard deviations (n,) in units of `spread`."""
-        d, m = self._sizes
-        x = torch.cat([percept, control, self._ones.expand(len(percept), 1)], 1)
+        """Next percepts (n, D), and standard deviations (n,) in units of `spread`.
+
+        Both are float64, as is what is given.
+        """
+        d = len(self.shift)
+        x = torch.cat([percept, control, self._one.expand(len(percept), 1)], 1)
         near, slope = x @ self._near, x @ self._unit
         exponent = torch.addmm(self._about, near, self._centres)
         exponent -= 0.5 * (near * near).sum(1, keepdim=True)
         said = torch.addmm(x @ self._straight, exponent.exp_(), self._columns)
-        after, told = said.split([d, m], 1)
-        alone = self.kernel.amplitude + (slope * slope).sum(1)
-        variance = alone - (told * told).sum(1)
+        after, told = said[:, :d], said[:, d:]
+        variance = self.kernel.amplitude + (slope * slope).sum(1) - (told * told).sum(1)
         return after, variance.clamp_min(0).sqrt()
