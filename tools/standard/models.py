@@ -5,7 +5,8 @@ graphs are evolved in Γ as `standard.ours` evolves them in the world. A champio
 in Γ, beyond what chance may have added, is played once in the world, and Γ learns from that. It is
 offered if this episode is good enough, or if the world gives what Γ has promised for it. Where
 there is none for some generations, the best one is played if it could be good or Γ would learn from
-it, and else a graph that is evolved to come to where Γ is unsure. Rewards, and when an episode is
+it, and else a graph that is evolved to come to where Γ is unsure, or if there is no such graph, the
+best one for a few steps, to see another start. Rewards, and when an episode is
 over, are given (`standard.rewards`).
 """
 
@@ -32,7 +33,8 @@ from standard.task import Task
 STARTS = 8
 """Episodes of an individual in Γ; each generation has other ones."""
 EPISODES, SHORT = 8, 25
-"""Episodes of random controls to begin with, and steps after which they are broken off."""
+"""Episodes of random controls to begin with, and steps after which they are broken off, and after
+which episodes are that only show another start."""
 CHANGES = (1.0, 0.25, 0.06)
 """Chances of another control in each step; an episode has one of them."""
 HORIZON, LONG = 1000, 2000
@@ -80,10 +82,11 @@ def search(trial: Trial) -> None:
                 trial.offer(player_of(graphs, actions), task.solved)
                 cautious = min(cautious + 1, MOST_CAUTIOUS)
             continue
-        graphs = exploring(known, actions, generator)
-        if telling(graphs, actions, known, generator):
-            *_, known = played(trial, graphs, actions, known, CURIOUS, generator)
-        else:
+        curious = exploring(known, actions, generator)
+        if telling(curious, actions, known, generator):
+            *_, known = played(trial, curious, actions, known, CURIOUS, generator)
+        else:  # what is still unknown is where episodes begin
+            *_, known = played(trial, graphs, actions, known, SHORT, generator)
             patience += PATIENCE
 
 
