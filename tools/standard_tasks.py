@@ -97,7 +97,8 @@ def command(
     else:
         click.echo(markdown(about))
     if figure:
-        write_json(figure, read_json(figure) | {"rows": figure_rows(about)})
+        shown = read_json(figure)
+        write_json(figure, shown | {"rows": figure_rows(about, shown["columns"])})
 
 
 def measured(work: list[Work], evaluations: int, jobs: int) -> Iterator[Result]:

@@ -11,12 +11,13 @@ from typing import Any, Self, TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.domains.posterior import Posterior
+from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.world import World
 from cgtorch.environment import Lanes, ScenarioBatch
 
-MOST_VARIANCE = 0.05
-"""The largest variance of a prediction, in units of the prior variance, that is still trusted."""
+MOST_UNSURE = 1.0
+"""The largest standard deviation of a prediction, in units of that of all changes, that is still
+trusted."""
 ABOUT = 3
 """Columns of a state after those of the percept: steps, the return, and 1 once it is over."""
 
@@ -47,11 +48,14 @@ class Imagined(ScenarioBatch):
 
     @classmethod
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
-        """`count` starts from percepts (b, D), each of which is used equally often or once less."""
-        often = range(0, count, len(percept))
-        rows = torch.cat([torch.randperm(len(percept), generator=generator) for _ in often])
-        error = torch.randn(count, percept.shape[1], generator=generator)
-        return cls(percept[rows[:count]], error)
+        """`count` starts, each at a random place between two of the percepts (b, D).
+
+        A policy would learn by heart what to do at a few known starts.
+        """
+        one, other = torch.randint(len(percept), (2, count), generator=generator)
+        share = torch.rand(count, 1, generator=generator).to(percept)
+        error = torch.randn(count, percept.shape[1], generator=generator).to(percept)
+        return cls(share * percept[one] + (1 - share) * percept[other], error)
 
 
 class RewardedModel(World):
@@ -66,7 +70,7 @@ class RewardedModel(World):
     def __init__(
         self,
         scenarios: Imagined,
-        posterior: Posterior,
+        gamma: GaussianProcess,
         reward: Reward,
         most_steps: int,
         unknown: float,
@@ -77,7 +81,7 @@ class RewardedModel(World):
 
         Args:
             scenarios: The starts.
-            posterior: Γ with its variances.
+            gamma: Γ with its standard deviations.
             reward: The rewards of steps, and which of them end an episode.
             most_steps: The maximum number of steps of an episode.
             unknown: The least known reward of a step.
@@ -86,38 +90,38 @@ class RewardedModel(World):
                 depend on each other, such as a sine and a cosine.
         """
         super().__init__(scenarios)
-        self.gamma, self.posterior = posterior.gamma, posterior
-        self.reward, self.most_steps = reward, most_steps
+        self.gamma, self.reward, self.most_steps = gamma, reward, most_steps
         self.unknown, self.effect, self.valid = min(unknown, 0.0), effect, valid
+        self._error = scenarios.error * gamma.spread
 
     @property
     def control_size(self) -> int:
         """See `World.control_size`."""
-        return len(self.gamma.control_fields)
+        return self.gamma.control_size
 
     def first_state(self, scenario: Tensor) -> Tensor:
         """See `World.first_state`."""
-        return torch.nn.functional.pad(self.scenarios.percept[scenario], (0, ABOUT))
+        percept = self.valid(self.scenarios.percept[scenario])
+        return torch.nn.functional.pad(percept, (0, ABOUT))
 
     @torch.no_grad()
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         """See `World.next_state`."""
         before, (steps, total, over) = state[:, :-ABOUT], state[:, -ABOUT:].unbind(1)
-        control = self.effect(control)
-        after, variance = self.posterior.predict(before, control)
-        off = self.posterior.deviation(variance)[:, None] * self.gamma.spread
-        after = self.valid(after + self.scenarios.error[scenario] * off)
-        gain, ended = self.gained(before, control, after, variance)
-        lost, steps = (variance > MOST_VARIANCE) | ~after.isfinite().all(1), steps + 1
-        left = self.most_steps - steps
-        gain = torch.where(lost, self.unknown * (left + 1), gain)
-        done = ended | lost | (left <= 0)
-        about = torch.stack([steps, total + gain, done.to(steps)], 1)
+        control = self.effect(control).to(before)
+        after, unsure = self.gamma.predict(before, control)
+        error = self._error[scenario] * unsure[:, None]
+        after = self.valid(after + error)
+        gain, ended = self.gained(before, control, after, unsure)
+        lost, left = ~(unsure <= MOST_UNSURE), self.most_steps - steps
+        gain = torch.where(lost, self.unknown * left, gain)
+        done = ended | lost | (left <= 1)
+        about = torch.stack([steps + 1, total + gain, done.to(steps)], 1)
         moved = torch.cat([torch.where(lost[:, None], before, after), about], 1)
         return torch.where(over[:, None] > 0, state, moved)
 
     def gained(
-        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+        self, before: Tensor, control: Tensor, after: Tensor, unsure: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The rewards of steps (n,), and (n,) bool, which episodes they end."""
         return self.reward(before, control, after)
@@ -152,8 +156,8 @@ class CuriousModel(RewardedModel):
         self.unknown = 1.0
 
     def gained(
-        self, before: Tensor, control: Tensor, after: Tensor, variance: Tensor
+        self, before: Tensor, control: Tensor, after: Tensor, unsure: Tensor
     ) -> tuple[Tensor, Tensor]:
         """See `RewardedModel.gained`."""
-        ended = super().gained(before, control, after, variance)[1]
-        return (variance / MOST_VARIANCE).sqrt().clamp_max(1), ended
+        ended = super().gained(before, control, after, unsure)[1]
+        return (unsure / MOST_UNSURE).clamp_max(1), ended

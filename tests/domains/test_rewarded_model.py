@@ -7,16 +7,11 @@ import torch
 from support import seeded
 from torch import Tensor
 
-from cgtorch.domains.posterior import MOST_PIVOTS, NUGGET, Posterior
+from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
-from cgtorch.domains.transition import KernelTransitionModel
-from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Rewarded, start_lanes
-from cgtorch.environment.fields import Field
-from cgtorch.svm.gram import rbf
 
 STEP, END = 0.2, 0.9
-FIELDS = (Field("place", "m"), Field("height", "m", 0, 1))
 
 
 def moved(place: Tensor, push: Tensor) -> Tensor:
@@ -30,48 +25,26 @@ def reward(before: Tensor, control: Tensor, after: Tensor) -> tuple[Tensor, Tens
 
 
 @pytest.fixture(scope="module")
-def posterior() -> Posterior:
+def gamma() -> GaussianProcess:
     g = seeded(0)
     place = torch.stack([2 * torch.rand(90, generator=g) - 1, torch.rand(90, generator=g)], 1)
     push = 2 * torch.rand(90, 1, generator=g) - 1
-    gamma = KernelTransitionModel(FIELDS, (Field("push", "m", -1, 1),))
-    fit_transition_model(gamma, place, push, moved(place, push))
-    return Posterior(gamma.float(), place, push)
+    return GaussianProcess(place, push, moved(place, push))
 
 
-def model(posterior: Posterior, kind: type[RewardedModel] = RewardedModel, **other: Any) -> Any:
-    start = torch.tensor([[0.0, 0.5], [0.5, 0.2]])
-    return kind(Imagined(start, torch.zeros(2, 2)), posterior, reward, 5, -3.0, **other)
+def model(gamma: GaussianProcess, kind: type[RewardedModel] = RewardedModel, **other: Any) -> Any:
+    start = torch.tensor([[0.0, 0.5], [0.5, 0.2]]).double()
+    return kind(Imagined(start, torch.zeros(2, 2)), gamma, reward, 5, -3.0, **other)
 
 
-def test_variances_are_those_of_a_gaussian_process(posterior: Posterior) -> None:
-    g = seeded(1)
-    place, push = 3 * torch.rand(20, 2, generator=g) - 1, torch.rand(20, 1, generator=g)
-    known = posterior.pivots.double()
-    assert len(known) <= min(90, MOST_PIVOTS)
-    asked = posterior.gamma.features(place, push).double()
-    across = rbf(asked, known, posterior.width)
-    gram = rbf(known, known, posterior.width) + NUGGET * torch.eye(len(known))
-    plain = 1 - (across * torch.linalg.solve(gram, across.T).T).sum(1)
-    after, variance = posterior.predict(place, push)
-    torch.testing.assert_close(variance, plain.float(), atol=2e-3, rtol=0.0)
-    torch.testing.assert_close(after, posterior.gamma(place, push), atol=1e-5, rtol=0.0)
-
-
-def test_it_is_sure_of_its_data_and_of_nothing_far_off(posterior: Posterior) -> None:
-    g = seeded(2)
-    place, push = torch.rand(50, 2, generator=g), 2 * torch.rand(50, 1, generator=g) - 1
-    assert posterior.predict(place, push)[1].max() < 0.02
-    assert posterior.predict(place + 100, push)[1].min() > 0.99
-    none, one = posterior.deviation(torch.tensor([NUGGET / 2, 1.0])).tolist()
-    assert none == 0
-    assert one > 1
-
-
-def test_an_imagined_episode_is_like_one_in_the_world(posterior: Posterior) -> None:
-    world = model(posterior)
+def test_an_imagined_episode_is_like_one_in_the_world(gamma: GaussianProcess) -> None:
+    world = model(gamma)
     assert isinstance(world, Rewarded)
-    lanes, place, total = start_lanes(world, torch.arange(2), 0, 0), world.scenarios.percept, 0.0
+    lanes, place, total = (
+        start_lanes(world, torch.arange(2), 0, 0),
+        world.scenarios.percept.float(),
+        0.0,
+    )
     for _ in range(5):
         push = torch.full((2, 1), 0.4)
         lanes, _ = world.step(lanes, push)
@@ -84,20 +57,21 @@ def test_an_imagined_episode_is_like_one_in_the_world(posterior: Posterior) -> N
     assert torch.equal(again.state, lanes.state)
 
 
-def test_errors_are_the_larger_the_less_is_known(posterior: Posterior) -> None:
-    start, error = torch.tensor([[0.0, 0.5], [1.05, 0.5]]), torch.ones(2, 2)
-    world = RewardedModel(Imagined(start, error), posterior, reward, 5, 0.0)
+def test_errors_are_the_larger_the_less_is_known(gamma: GaussianProcess) -> None:
+    start, error = torch.tensor([[0.0, 0.5], [8.0, 0.5]]).double(), torch.ones(2, 2)
+    world = RewardedModel(Imagined(start, error), gamma, reward, 5, 0.0)
     lanes, _ = world.step(start_lanes(world, torch.arange(2), 0, 0), torch.zeros(2, 1))
-    off = (lanes.percept - posterior.gamma(start, torch.zeros(2, 1))).abs().mean(1)
+    said, _ = gamma.predict(start, torch.zeros(2, 1).double())
+    off = (lanes.percept - said).abs().mean(1)
     assert off[1] > 2 * off[0]
 
 
 @pytest.mark.parametrize(("kind", "left"), [(RewardedModel, -3.0), (CuriousModel, 1.0)])
 def test_beyond_its_data_each_step_gives_the_least_or_is_what_is_wanted(
-    kind: type[RewardedModel], left: float, posterior: Posterior
+    kind: type[RewardedModel], left: float, gamma: GaussianProcess
 ) -> None:
-    start = torch.tensor([[50.0, 0.5]])
-    world = kind(Imagined(start, torch.zeros(1, 2)), posterior, reward, 5, -3.0)
+    start = torch.tensor([[5000.0, 0.5]])
+    world = kind(Imagined(start.double(), torch.zeros(1, 2)), gamma, reward, 5, -3.0)
     lanes, _ = world.step(start_lanes(world, torch.arange(1), 0, 0), torch.ones(1, 1))
     assert world.over(lanes).all()
     assert torch.equal(lanes.percept, start)
@@ -105,16 +79,21 @@ def test_beyond_its_data_each_step_gives_the_least_or_is_what_is_wanted(
 
 
 def test_what_a_control_counts_for_and_what_percepts_can_be_are_the_tasks(
-    posterior: Posterior,
+    gamma: GaussianProcess,
 ) -> None:
-    world = model(posterior, effect=torch.sign, valid=lambda percept: percept.round(decimals=1))
+    world = model(gamma, effect=torch.sign, valid=lambda percept: percept.round(decimals=1))
     lanes, _ = world.step(start_lanes(world, torch.arange(2), 0, 0), torch.full((2, 1), 0.1))
     assert lanes.percept[:, 0].tolist() == pytest.approx([0.2, 0.7], abs=0.05)
     assert torch.equal(lanes.percept, lanes.percept.round(decimals=1))
 
 
-def test_starts_are_used_in_turn() -> None:
-    first = torch.arange(3.0)[:, None]
-    drawn = Imagined.drawn(first, 7, seeded(3))
-    assert sorted(int((drawn.percept == k).sum()) for k in range(3)) == [2, 2, 3]
-    assert drawn.error.shape == (7, 1)
+def test_starts_lie_between_those_that_are_known() -> None:
+    first = torch.tensor([[0.0, 1.0], [2.0, 5.0]])
+    drawn = Imagined.drawn(first, 50, seeded(3))
+    torch.testing.assert_close(drawn.percept[:, 1], 1 + 2 * drawn.percept[:, 0])
+    assert drawn.percept[:, 0].min() >= 0
+    assert drawn.percept[:, 0].max() <= 2
+    assert drawn.percept.unique(dim=0).shape[0] > 20
+    assert drawn.error.shape == (50, 2)
+    one = Imagined.drawn(first[:1], 7, seeded(3))
+    torch.testing.assert_close(one.percept, first[:1].expand(7, 2))

@@ -15,9 +15,9 @@ from standard.models import (
     EPISODES,
     HORIZON,
     SHORT,
-    BoundedModel,
     BrokenOff,
     begun,
+    fitted,
     search,
     wanted,
 )
@@ -27,7 +27,6 @@ from standard.task import Starts
 from standard.tasks import TASKS
 
 from cgtorch.environment import start_lanes
-from cgtorch.environment.fields import Field
 
 
 @pytest.mark.parametrize("name", GIVEN)
@@ -81,10 +80,14 @@ def test_what_is_known_grows_by_episodes() -> None:
 
 
 def test_what_came_to_a_bound_does_not_tell_how_far_it_would_go() -> None:
-    model = BoundedModel([Field("height", "m", 0, 1), Field("place", "m")], [Field("push", "m")])
-    before = torch.tensor([[0.9, 5.0], [0.5, 5.0]])
-    after = torch.tensor([[1.0, 6.0], [0.6, 6.0]])
-    assert model.targets(before, torch.zeros(2, 1), after)[1].tolist() == [False, True]
+    g = seeded(2)
+    p, u = torch.rand(60, 2, generator=g) - 0.5, 2 * torch.rand(60, 1, generator=g) - 1
+    after = p + 0.3 * u
+    inside = (after.abs() < 0.6).all(1)
+    bounded = torch.where(inside[:, None], after, after.sign())  # thrown to a bound
+    known = fitted(TASKS["mountain_car_continuous"], p[:1], (p, u, bounded))
+    said, _ = known.gamma.predict(p.double(), u.double())
+    torch.testing.assert_close(said[inside].float(), after[inside], atol=0.01, rtol=0.0)
 
 
 def test_an_episode_is_broken_off() -> None:

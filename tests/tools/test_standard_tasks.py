@@ -238,7 +238,8 @@ def test_a_search_can_be_given_less() -> None:
 
 def test_rows_of_a_figure_are_replaced(tmp_path: Path) -> None:
     figure = tmp_path / "figure.json"
-    figure.write_text('{"title": "Tasks", "rows": [["old"]]}')
+    columns = ["task", "library", "solved", "world steps"]
+    figure.write_text(json.dumps({"title": "Tasks", "columns": columns, "rows": [["old"]]}))
     words = ["--only", "cartpole", "--library", "cgtorch", "--library", "one lineage"]
     assert run(*words, "--seeds", "3:4", "--figure", str(figure)).exit_code == 0
     written = json.loads(figure.read_text())
@@ -247,7 +248,7 @@ def test_rows_of_a_figure_are_replaced(tmp_path: Path) -> None:
         ["CartPole", "cgtorch", "1 of 1"],
         ["CartPole", "one lineage", "1 of 1"],
     ]
-    assert all(len(row) == 6 for row in written["rows"])
+    assert all(len(row) == 4 for row in written["rows"])
 
 
 def test_what_has_failed_is_said_and_made_again(

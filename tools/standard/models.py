@@ -1,10 +1,13 @@
 """This library on the standard tasks with a learned Γ: few steps in the world, the rest imagined.
 
 Short episodes of random controls are played first, and Γ is fitted to their transitions. Then
-graphs are evolved in Γ as `standard.ours` evolves them in the world. A champion that Γ says is good
-enough is played once in the world, and Γ learns from that. Where there is none for some
-generations, the best one is played if Γ would learn from it, and so is another one that is evolved
-to come to where Γ is unsure. Rewards, and when an episode is over, are given (`standard.rewards`).
+graphs are evolved in Γ as `standard.ours` evolves them in the world. A champion that is good enough
+in Γ, beyond what chance may have added, is played once in the world, and Γ learns from that. It is
+offered if this episode is good enough, or if the world gives what Γ has promised for it. Where
+there is none for some generations, the best one is played if it could be good or Γ would learn from
+it, and else a graph that is evolved to come to where Γ is unsure, or if there is no such graph, the
+best one for a few steps, to see another start. Rewards, and when an episode is
+over, are given (`standard.rewards`).
 """
 
 from collections.abc import Sequence
@@ -14,42 +17,40 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet, reward_actions
-from cgtorch.domains.posterior import Posterior
+from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
-from cgtorch.domains.transition import Grid, KernelTransitionModel
-from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Lanes, start_lanes
-from cgtorch.environment.fields import Field, bounds_of
 from cgtorch.evolution import REWARDS, evolve
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import rollout
 from cgtorch.simulation.recording import Recording
 from standard.measure import CountedWorld, Trial
-from standard.ours import MOST, STARTS, player_of
+from standard.ours import MOST, player_of
 from standard.peers import UnsuitableError
 from standard.rewards import GIVEN
 from standard.task import Task
 
+STARTS = 8
+"""Episodes of an individual in Γ; each generation has other ones."""
 EPISODES, SHORT = 8, 25
-"""Episodes of random controls to begin with, and steps after which they are broken off."""
+"""Episodes of random controls to begin with, and steps after which they are broken off, and after
+which episodes are that only show another start."""
 CHANGES = (1.0, 0.25, 0.06)
 """Chances of another control in each step; an episode has one of them."""
-HORIZON, LONG = 1000, 5000
+HORIZON, LONG = 1000, 2000
 """Steps of an episode at most, and of those that a champion has to get right in Γ."""
 CURIOUS = 100
 """Steps of an episode at most that is to explore."""
-PATIENCE, EXPLORING = 5, 10
+PATIENCE, EXPLORING = 10, 10
 """Generations that a good champion is waited for at first, and by how many more once there is
 nothing left to explore, and generations of a search that explores."""
-SURE = 24
+SURE = 64
 """Imagined episodes by which a champion is judged before it is played in the world."""
-TELLING = 0.1
+TELLING = 0.03
 """How unsure Γ is on average, of 1 where it knows nothing, in episodes that it learns from."""
-MOST_NEW = 100
-"""Transitions of an episode that Γ learns from: those that it gets most wrong."""
-GRID = Grid((10.0, 100.0), (0.1, 0.3, 1.0), (0.01,), 200)
-"""What cross-validation chooses from: worlds without noise, and episodes of hundreds of steps, want
-narrower tubes than Γ has in general."""
+MOST_CAUTIOUS = 3
+"""Standard errors by which a champion has to be better than is wanted: one at first, and one more
+after each that was not good on fresh episodes, up to so many."""
 
 
 def search(trial: Trial) -> None:
@@ -59,7 +60,7 @@ def search(trial: Trial) -> None:
         raise UnsuitableError("percepts do not tell what comes next, or rewards are not given")
     generator = Generator().manual_seed(trial.seed)
     actions, known = reward_actions(task.inputs, task.outputs), begun(trial, generator)
-    waited, patience = 0, PATIENCE
+    waited, patience, cautious, enough = 0, PATIENCE, 1, wanted(task, HORIZON)
 
     def model(number: int) -> RewardedModel:
         return known.model(trial.starts(STARTS), HORIZON, generator)
@@ -68,23 +69,24 @@ def search(trial: Trial) -> None:
         if not trial.open:
             return
         graphs, waited = generation.champion.graphs, waited + 1
-        promising = generation.best >= wanted(task, HORIZON) and imagined(
-            graphs, actions, known.model(SURE, LONG, generator)
-        ) >= wanted(task, LONG)
-        if not promising and waited < patience:
+        good, margin, error = generation.best >= enough, -torch.inf, torch.inf
+        if good:
+            mean, error = promised(graphs, actions, known.model(SURE, LONG, generator))
+            margin = mean - wanted(task, LONG)
+        if margin < cautious * error and waited < patience:
             continue
         waited = 0
-        if promising or telling(graphs, actions, known, generator):
-            reached, known = played(trial, graphs, actions, known, HORIZON)
-            if reached >= wanted(task, HORIZON):
+        if good or telling(graphs, actions, known, generator):
+            reached, short, known = played(trial, graphs, actions, known, HORIZON, generator)
+            if good and (reached >= enough or short <= margin):
                 trial.offer(player_of(graphs, actions), task.solved)
-                continue
-        if promising:
+                cautious = min(cautious + 1, MOST_CAUTIOUS)
             continue
-        graphs = exploring(known, actions, generator)
-        if telling(graphs, actions, known, generator):
-            _, known = played(trial, graphs, actions, known, CURIOUS)
-        else:
+        curious = exploring(known, actions, generator)
+        if telling(curious, actions, known, generator):
+            *_, known = played(trial, curious, actions, known, CURIOUS, generator)
+        else:  # what is still unknown is where episodes begin
+            *_, known = played(trial, graphs, actions, known, SHORT, generator)
             patience += PATIENCE
 
 
@@ -101,15 +103,13 @@ class Known:
         task: which.
         first: (E, D) percepts that episodes began with.
         rows: transitions (n, D), (n, U) and (n, D).
-        posterior: Γ, and how sure it is.
-        chosen: rows that there were when its hyper-parameters were chosen.
+        gamma: what happens, and how sure that is.
     """
 
     task: Task
     first: Tensor
     rows: tuple[Tensor, ...]
-    posterior: Posterior
-    chosen: int
+    gamma: GaussianProcess
 
     def model(
         self,
@@ -121,7 +121,7 @@ class Known:
         """Γ as a world of so many starts, whose episodes are no longer than the task's."""
         given, steps = GIVEN[self.task.name], min(self.task.most_steps, most_steps)
         return kind(
-            Imagined.drawn(self.first, count, generator), self.posterior, given.reward, steps,
+            Imagined.drawn(self.first.double(), count, generator), self.gamma, given.reward, steps,
             float(given.reward(*self.rows)[0].min()), self.effect, given.valid,
         )  # fmt: skip
 
@@ -134,39 +134,18 @@ class Known:
     def learned(self, rows: Sequence[Tensor]) -> "Known":
         """The same after one more episode; where data have doubled, Γ is fitted anew."""
         first = torch.cat([self.first, rows[0][:1]])
-        with torch.no_grad():
-            p, u, q = rows[0], self.effect(rows[1]), rows[2]
-            wrong = self.posterior.gamma.loss(p, u, q)
-        new = wrong.argsort(descending=True)[:MOST_NEW].sort().values
-        kept = tuple(torch.cat([a, b[new]]) for a, b in zip(self.rows, (p, u, q), strict=True))
-        if len(kept[0]) > 2 * self.chosen:
-            return fitted(self.task, first, kept)
-        gamma = self.posterior.gamma.updated(*kept)
-        return replace(self, first=first, rows=kept, posterior=Posterior(gamma, *kept[:2]))
+        p, u, q = rows[0], self.effect(rows[1]), rows[2]
+        kept = tuple(torch.cat(pair) for pair in zip(self.rows, (p, u, q), strict=True))
+        return fitted(self.task, first, kept, self.gamma.free)
 
 
-class BoundedModel(KernelTransitionModel):
-    """Γ of numbers that are seldom at their bounds, from where they do not tell all.
-
-    Of a number that has come to its bound it is not known by how much it would have gone on.
-    """
-
-    def targets(
-        self, percept: Tensor, control: Tensor, next_percept: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """See `TransitionModel.targets`."""
-        target, tells = super().targets(percept, control, next_percept)
-        low, high = (bound.to(next_percept) for bound in bounds_of(self.percept_fields))
-        return target, tells & ((next_percept > low) & (next_percept < high)).all(1)
-
-
-def fitted(task: Task, first: Tensor, rows: tuple[Tensor, ...]) -> Known:
+def fitted(
+    task: Task, first: Tensor, rows: tuple[Tensor, ...], free: Tensor | None = None
+) -> Known:
     """What transitions tell whose controls are what counts of them."""
-    percept = [Field(f"p{i}", "", *GIVEN[task.name].bounds) for i in range(task.inputs)]
-    control = [Field(f"u{i}", "", -1, 1) for i in range(task.outputs)]
-    model = BoundedModel(percept, control)
-    gamma, _ = fit_transition_model(model, *rows, grid=GRID)
-    return Known(task, first, rows, Posterior(gamma, *rows[:2]), len(rows[0]))
+    low, high = GIVEN[task.name].bounds
+    tell = ((rows[2] > low) & (rows[2] < high)).all(1)
+    return Known(task, first, rows, GaussianProcess(*(part[tell] for part in rows), free))
 
 
 def begun(trial: Trial, generator: Generator) -> Known:
@@ -191,16 +170,23 @@ def begun(trial: Trial, generator: Generator) -> Known:
     return fitted(task, first, (p, u, q))
 
 
-def imagined(graphs: Graphs, actions: ActionSet, model: RewardedModel) -> float:
-    """The mean return of a graph in Γ."""
+def imagined(graphs: Graphs, actions: ActionSet, model: RewardedModel) -> Tensor:
+    """(B,) returns of a graph in Γ."""
     found = rollout(graphs, actions, model, max_transitions=MOST).returns
-    return -torch.inf if found is None else float(found.mean())
+    return torch.full((1,), -torch.inf) if found is None else found[0]
+
+
+def promised(graphs: Graphs, actions: ActionSet, model: RewardedModel) -> tuple[float, float]:
+    """What a graph returns on average in Γ, and the standard error of that."""
+    returns = imagined(graphs, actions, model).double()
+    error = returns.std() / len(returns) ** 0.5
+    return float(returns.mean()), float(error.nan_to_num(nan=torch.inf))
 
 
 def telling(graphs: Graphs, actions: ActionSet, known: Known, generator: Generator) -> bool:
     """Whether Γ would learn from an episode of a graph."""
     model = known.model(SURE, CURIOUS, generator, CuriousModel)
-    return imagined(graphs, actions, model) >= TELLING * model.most_steps
+    return float(imagined(graphs, actions, model).mean()) >= TELLING * model.most_steps
 
 
 def exploring(known: Known, actions: ActionSet, generator: Generator) -> Graphs:
@@ -233,12 +219,20 @@ class BrokenOff(CountedWorld):
 
 
 def played(
-    trial: Trial, graphs: Graphs, actions: ActionSet, known: Known, most_steps: int
-) -> tuple[float, Known]:
-    """What an episode of a graph in the world returns, and what is known after it."""
+    trial: Trial,
+    graphs: Graphs,
+    actions: ActionSet,
+    known: Known,
+    most_steps: int,
+    generator: Generator,
+) -> tuple[float, float, Known]:
+    """What an episode in the world returns, how much more Γ had said, and what is known then."""
     trial.evaluated(1)
     recording = Recording(BrokenOff(trial.world(1), most_steps))
     found = rollout(graphs, actions, recording, max_transitions=MOST)
     rows = recording.experience()[:3]
-    reached = -torch.inf if found.returns is None else float(found.returns[0, 0])
-    return reached, known.learned(rows) if len(rows[0]) else known
+    if found.returns is None or not len(rows[0]):
+        return -torch.inf, torch.inf, known
+    here = replace(known, first=rows[0][:1]).model(SURE, most_steps, generator)
+    reached, said = float(found.returns[0, 0]), float(imagined(graphs, actions, here).mean())
+    return reached, said - reached, known.learned(rows)

@@ -68,9 +68,7 @@ class Given:
 
     def valid(self, percept: Tensor) -> Tensor:
         """The percepts (n, D), in which sines and cosines are those of an angle."""
-        if not self.circles:
-            return percept
-        percept = percept.clone()
+        percept = percept.clamp(*self.bounds)
         for place in self.circles:
             pair = percept[:, place : place + 2]
             percept[:, place : place + 2] = pair / pair.norm(dim=1, keepdim=True).clamp_min(1e-6)
@@ -80,7 +78,7 @@ class Given:
 GIVEN: dict[str, Given] = {
     "cartpole": Given(cartpole),
     "acrobot": Given(acrobot, (-1, 1), (0, 2)),
-    "mountain_car_continuous": Given(mountain_car_continuous),
+    "mountain_car_continuous": Given(mountain_car_continuous, (-1, 1)),
     "pendulum": Given(pendulum, (-1, 1), (0,)),
     "double_pole": Given(double_pole),
 }

@@ -7,10 +7,14 @@ from typing import Any, TypeAlias
 from standard.measure import Result
 from standard.tasks import TASKS
 
-SHOWN = ("evaluations", "episodes", "cpu_seconds")
-"""Costs that the figure of the documentation has."""
-COSTS = ("evaluations", "episodes", "world_steps", "cpu_seconds")
-HEADINGS = ("task", "library", "solved", "evaluations", "episodes", "world steps", "CPU s", "note")
+COSTS = {
+    "evaluations": "evaluations",
+    "episodes": "episodes",
+    "world_steps": "world steps",
+    "cpu_seconds": "CPU s",
+}
+"""The costs of a search, and their headings."""
+HEADINGS = ("task", "library", "solved", *COSTS.values(), "note")
 
 Summary: TypeAlias = dict[str, dict[str, dict[str, Any]]]
 """What has come out, by task and library."""
@@ -62,10 +66,11 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, Any]:
     return {f"{name}_median": median(values), f"{name}_range": [min(values), max(values)]}
 
 
-def figure_rows(about: Summary) -> list[list[str]]:
-    """The table without what was not tried, world steps and notes, as `docs/figures` has it."""
+def figure_rows(about: Summary, columns: Sequence[str]) -> list[list[str]]:
+    """The table without what was not tried, with the costs that a figure has columns for."""
+    shown = [name for name, heading in COSTS.items() if heading in columns]
     return [
-        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in SHOWN)]
+        [TASKS[task].title, library, _solved(each), *(_costs(each, name) for name in shown)]
         for task, found in about.items()
         for library, each in found.items()
         if each["seeds"]

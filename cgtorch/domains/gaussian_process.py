@@ -1,0 +1,195 @@
+"""Γ as a Gaussian process: what happens in a step, and how sure that is.
+
+The changes of all numbers of a percept have one kernel: a squared exponential one with a length for
+each feature, and a linear one, by which straight lines go on beyond the data. Its numbers are those
+that make the data most likely (Rasmussen and Williams, Gaussian Processes for Machine Learning,
+2006, sections 2.2, 5.1 and 5.4.1), as in PILCO (Deisenroth and Rasmussen, ICML 2011).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from cgtorch.domains.learned_model import mean_and_spread
+from cgtorch.ground.errors import DataError
+from cgtorch.svm import inputs
+
+MOST_PIVOTS = 200
+"""Rows by which it is told how sure Γ is: those of which the rest tell the least."""
+MOST_ROWS = 300
+"""Rows by which the kernel is chosen at most."""
+STEPS, AGAIN = 60, 20
+"""Steps of that choice from nothing, and from the last choice."""
+LEAST_NOISE = 1e-3
+"""Standard deviation of the noise at least, in units of that of the changes."""
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Kernel:
+    """The covariance of changes between standardised features.
+
+    Attributes:
+        length: (F,) by how much a feature has to differ to tell nothing.
+        amplitude: variance of the squared exponential part.
+        slope: variance of the linear part, in each feature.
+        noise: variance of the noise.
+    """
+
+    length: Tensor
+    amplitude: Tensor
+    slope: Tensor
+    noise: Tensor
+
+    @classmethod
+    def of(cls, free: Tensor) -> Self:
+        """The kernel of free numbers (F + 3,), any of which will do."""
+        amplitude, slope, noise = free[-3:].exp().unbind()
+        return cls(free[:-3].exp(), amplitude, slope, noise + LEAST_NOISE**2)
+
+    def __call__(self, x: Tensor, other: Tensor) -> Tensor:
+        """Covariances (n, m) of features (n, F) with others (m, F)."""
+        a, b = x / self.length, other / self.length
+        square = (b * b).sum(1) + (a * a).sum(1, keepdim=True) - 2 * a @ b.T
+        smooth = self.amplitude * (-0.5 * square.clamp_min(0)).exp()
+        return smooth + self.slope * (1 + x @ other.T)
+
+    def alone(self, x: Tensor) -> Tensor:
+        """Variances (n,) of features (n, F) of which nothing is known."""
+        return self.amplitude + self.slope * (1 + x.square().sum(1))
+
+
+def first_guess(features: int) -> Tensor:
+    """Free numbers (F + 3,) to begin with."""
+    free = torch.full((features + 3,), math.log(3.0), dtype=torch.float64)
+    free[-3:] = torch.tensor([1.0, 1.0, 1e-4]).log()
+    return free
+
+
+def likely(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
+    """Free numbers (F + 3,) that make changes y (n, D) of features x (n, F) more likely."""
+    free = free.clone().requires_grad_()
+    guess, eye = first_guess(x.shape[1]), torch.eye(len(x), dtype=x.dtype)
+    best = torch.optim.LBFGS(
+        [free], lr=1, max_iter=steps, history_size=20, line_search_fn="strong_wolfe"
+    )
+
+    def loss() -> Tensor:
+        best.zero_grad()
+        kernel = Kernel.of(free)
+        factor = torch.linalg.cholesky(kernel(x, x) + kernel.noise * eye)
+        white = torch.linalg.solve_triangular(factor, y, upper=False)
+        unlikely = 0.5 * white.square().sum() + y.shape[1] * factor.diagonal().log().sum()
+        odd = ((free - guess) / 3).square().sum()  # what the data do not tell stays as guessed
+        value = (unlikely + odd) / len(x)
+        value.backward()
+        return value
+
+    best.step(loss)
+    return free.detach()
+
+
+def telling_rows(kernel: Kernel, x: Tensor) -> Tensor:
+    """(m,) long rows of features (n, F), `MOST_PIVOTS` at most, by which the rest are known.
+
+    Each next one is that of which those before tell the least (a pivoted Cholesky decomposition);
+    there are no more once they tell all others but for noise.
+    """
+    left, columns, rows = kernel.alone(x), x.new_empty(len(x), 0), []
+    for _ in range(min(MOST_PIVOTS, len(x))):
+        row = int(left.argmax())
+        if left[row] < kernel.noise:
+            break
+        column = kernel(x, x[row : row + 1])[:, 0] - columns @ columns[row]
+        column /= left[row].sqrt()
+        columns = torch.cat([columns, column[:, None]], 1)
+        left = left - column.square()
+        rows.append(row)
+    return torch.tensor(rows)
+
+
+def projected(kernel: Kernel, pivots: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """What pivots (m, F) say of changes y (n, D) of features x (n, F).
+
+    With covariances k (m,) of a feature with the pivots, weights w (m, D) and columns v (m, m),
+    its change has the mean k w, and its variance is less by |k v|² than if nothing were known.
+    """
+    deviation, one = kernel.noise.sqrt(), torch.eye(len(pivots), dtype=x.dtype)
+    gram = kernel(pivots, pivots) + 1e-3 * kernel.noise * one
+    factor = torch.linalg.cholesky(gram)
+    white = torch.linalg.solve_triangular(factor.T, one, upper=True)  # gram⁻¹ = white whiteᵀ
+    q, r = torch.linalg.qr(torch.cat([kernel(x, pivots) @ white / deviation, one]))
+    inverse = torch.linalg.solve_triangular(r, one, upper=True)
+    weights = white @ (inverse @ (q[: len(x)].T @ (y / deviation)))
+    share, turned = torch.linalg.eigh(one - inverse @ inverse.T)
+    return weights, white @ turned * share.clamp_min(0).sqrt()
+
+
+class GaussianProcess:
+    """Γ: percepts (n, D) and controls (n, U) to next percepts, and how sure these are.
+
+    All rows tell what happens, by the way of a few of them, the pivots (the projected process of
+    section 8.3.4). These are the rows of which the rest tell the least.
+    """
+
+    def __init__(
+        self, percept: Tensor, control: Tensor, after: Tensor, free: Tensor | None = None
+    ) -> None:
+        """Fit on transitions (n, D), (n, U) and (n, D); from the last choice `free`, if given.
+
+        DataError for wrong shapes, NaN, or no rows.
+        """
+        p, u, q = (inputs.as_rows(rows, "transitions") for rows in (percept, control, after))
+        if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
+            raise DataError(
+                f"percept, control and next percept are {tuple(p.shape)}, {tuple(u.shape)} and "
+                f"{tuple(q.shape)}; pass (n, D), (n, U) and (n, D)"
+            )
+        self.control_size = u.shape[1]
+        raw = torch.cat([p, u], 1)
+        self.mean, self.scale = mean_and_spread(raw)
+        self.shift, self.spread = mean_and_spread(q - p)
+        x, y = (raw - self.mean) / self.scale, (q - p - self.shift) / self.spread
+        generator = torch.Generator().manual_seed(len(x))
+        some = torch.randperm(len(x), generator=generator)[:MOST_ROWS]
+        steps = STEPS if free is None else AGAIN
+        guess = first_guess(x.shape[1]) if free is None else free
+        self.free = likely(guess, x[some], y[some], steps)
+        self.kernel = Kernel.of(self.free)
+        self.pivots = x[telling_rows(self.kernel, x)]
+        weights, told = projected(self.kernel, self.pivots, x, y)
+        self._columns = torch.cat([weights * self.spread, told], 1)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Fold scales and the linear part into few products, which is what a step costs."""
+        kernel, c = self.kernel, self.pivots
+        (m, f), d = c.shape, len(self.shift)
+        # All that is linear in percepts and controls, with a 1 behind them.
+        unit = torch.cat([torch.diag(1 / self.scale), -(self.mean / self.scale)[None]])
+        unit = torch.cat([unit, torch.eye(f + 1, dtype=c.dtype)[:, -1:]], 1)
+        ones = torch.ones(m, 1, dtype=c.dtype)
+        self._straight = unit @ (kernel.slope * torch.cat([c, ones], 1).T @ self._columns)
+        self._straight[:d, :d] += torch.eye(d, dtype=c.dtype)
+        self._straight[-1, :d] += self.shift
+        self._unit, self._one = unit * kernel.slope.sqrt(), ones[:1]
+        scaled = c / kernel.length
+        self._near, self._centres = unit[:, :-1] / kernel.length, scaled.T.contiguous()
+        self._about = -0.5 * (scaled * scaled).sum(1) + kernel.amplitude.log()
+
+    def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """Next percepts (n, D), and standard deviations (n,) in units of `spread`.
+
+        Both are float64, as is what is given.
+        """
+        d = len(self.shift)
+        x = torch.cat([percept, control, self._one.expand(len(percept), 1)], 1)
+        near, slope = x @ self._near, x @ self._unit
+        exponent = torch.addmm(self._about, near, self._centres)
+        exponent -= 0.5 * (near * near).sum(1, keepdim=True)
+        said = torch.addmm(x @ self._straight, exponent.exp_(), self._columns)
+        after, told = said[:, :d], said[:, d:]
+        variance = self.kernel.amplitude + (slope * slope).sum(1) - (told * told).sum(1)
+        return after, variance.clamp_min(0).sqrt()
