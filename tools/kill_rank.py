@@ -33,7 +33,7 @@ def command(folder: Path, kills: int, ranks: int, stage: str, seed: int) -> None
     draw = random.Random(seed)  # noqa: S311  of moments, not of secrets
     shutil.rmtree(folder / "alone", ignore_errors=True)
     began = time.monotonic()
-    train(folder / "alone", stage, seed)
+    train(folder / "alone", ["--stage", stage, "--seed", str(seed), *SMALL])
     usual = time.monotonic() - began
     wanted, survived = results_of(folder / "alone"), 0
     while survived < kills:

@@ -108,7 +108,9 @@ def test_plain_python_is_enough(tmp_path: Path) -> None:
         "    def move(self, userdata, dx, dy, dtheta): return True\n"
         "class Miss(skill.Grasp):\n"
         "    def grasp(self, userdata): return False\n"
-        "mine = {'MoveBase': Stay, 'Grasp': Miss}\n"
+        "class See(skill.Detect):\n"
+        "    def detect(self, userdata): return userdata.percept\n"
+        "mine = {'MoveBase': Stay, 'Grasp': Miss, 'Detect': See}\n"
         "print(skill.run([0.5, 1.5, -0.5, 0.5, 0.7, 0.1, 0.75], mine))\n"
         "print(sorted(m for m in ('cgtorch', 'torch', 'numpy') if m in sys.modules))\n"
     )
