@@ -122,6 +122,8 @@ def test_play_pause_and_scrub(opened: Visit) -> None:
     # Which step is seen first depends on how busy the machine is.
     expect(headline(page)).to_contain_text(re.compile(r"step ([3-9]|1\d) of"))
     page.get_by_role("button", name="Pause").click()
+    # The server has heard of the click once the button is the other one.
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
     at = headline(page).inner_text()
     page.wait_for_timeout(1500)
     assert headline(page).inner_text() == at
