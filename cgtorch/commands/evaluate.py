@@ -88,14 +88,14 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         measures[name] = _share(again.successes, again.tried)
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
-    own, promised, noise = _share(score.successes, score.tried), None, None
+    own, predicted, noise = _share(score.successes, score.tried), None, None
     if stage is not None and chosen.run is not None:
         # A run may be passed on without its models.
         if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
             knowledge = load_knowledge(stage, domain.unfitted())
             with options.waiting(f"predicting robust successes of {skill.name}", quiet):
                 kept = robust_successes(score, skill, knowledge, domain, seed)
-            promised = None if kept is None else _share(kept.successes, kept.tried)
+            predicted = None if kept is None else _share(kept.successes, kept.tried)
         index = {line["name"]: line for line in read_index(chosen.run.folder)}
         met = index.get(skill.name, {}).get("w_other_noise")
         noise = met and _share(met["succeeded"], met["tried"])
@@ -106,7 +106,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
             "seed": seed,
             **own,
             "mean_return": score.mean_return,
-            "promised": promised,
+            "predicted": predicted,
             "w_other_noise": noise,
             **({"other_measures": measures} if measures else {}),
         }
@@ -117,10 +117,10 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         click.echo(f"{name}: {_as_text(share)}")
     if score.returns is not None:
         click.echo(_returns_as_text(score, domain.target_return))
-    if promised is not None:
+    if predicted is not None:
         click.echo(
-            f"the models predicted robust success on {promised['tried']} of {score.tried}, "
-            f"of which {promised['succeeded']} succeeded in the world, {_confidence(promised)}"
+            f"the models predicted robust success on {predicted['tried']} of {score.tried}, "
+            f"of which {predicted['succeeded']} succeeded in the world, {_confidence(predicted)}"
         )
     if noise is not None:
         click.echo(f"W under other noise, when it was accepted: {_as_text(noise)}")

@@ -170,7 +170,7 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
             with display.working("compiling the engine for this CPU (once)"):
                 native.available()
         missing = [s for s in run.domain.stages if s not in run.stages]
-        if not auto and stage in missing[1:]:
+        if not (plan.new or auto) and stage in missing[1:]:
             earlier = ", ".join(missing[: missing.index(stage)])
             display.say(
                 f"{stage} builds on {earlier}, which {run.folder} lacks; they are made first"

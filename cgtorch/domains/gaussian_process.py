@@ -1,9 +1,10 @@
-"""Γ as a Gaussian process: what happens in a step, and how sure that is.
+"""Γ as a Gaussian process: the next percept of a step, with a standard deviation.
 
-The changes of all numbers of a percept have one kernel: a squared exponential one with a length for
-each feature, and a linear one, by which straight lines go on beyond the data. Its numbers are those
-that make the data most likely (Rasmussen and Williams, Gaussian Processes for Machine Learning,
-2006, sections 2.2, 5.1 and 5.4.1), as in PILCO (Deisenroth and Rasmussen, ICML 2011).
+The process predicts how a percept changes. All numbers of the percept share one kernel, which is
+the sum of two: a squared exponential kernel with a length scale for each feature, and a linear
+kernel, which extrapolates straight lines. The hyperparameters maximise the likelihood of the data
+(Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, sections 2.2, 5.1 and
+5.4.1), as in PILCO (Deisenroth and Rasmussen, ICML 2011).
 """
 
 import math
@@ -18,13 +19,13 @@ from cgtorch.ground.errors import DataError
 from cgtorch.svm import inputs
 
 MOST_PIVOTS = 200
-"""Rows by which it is told how sure Γ is: those of which the rest tell the least."""
+"""The maximum number of inducing rows, from which predictions are computed."""
 MOST_ROWS = 300
-"""Rows by which the kernel is chosen at most."""
+"""The maximum number of rows on which the hyperparameters are fitted."""
 STEPS, AGAIN = 60, 20
-"""Steps of that choice from nothing, and from the last choice."""
+"""Steps of L-BFGS for the first fit, and for one that continues from an earlier fit."""
 LEAST_NOISE = 1e-3
-"""Standard deviation of the noise at least, in units of that of the changes."""
+"""The smallest standard deviation of the noise, in units of that of the changes."""
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
@@ -32,10 +33,10 @@ class Kernel:
     """The covariance of changes between standardised features.
 
     Attributes:
-        length: (F,) by how much a feature has to differ to tell nothing.
-        amplitude: variance of the squared exponential part.
-        slope: variance of the linear part, in each feature.
-        noise: variance of the noise.
+        length: (F,) length scales of the features.
+        amplitude: Variance of the squared exponential part.
+        slope: Variance of the linear part's weights.
+        noise: Variance of the noise.
     """
 
     length: Tensor
@@ -45,7 +46,7 @@ class Kernel:
 
     @classmethod
     def of(cls, free: Tensor) -> Self:
-        """The kernel of free numbers (F + 3,), any of which will do."""
+        """The kernel of unconstrained parameters (F + 3,): logarithms of its attributes."""
         amplitude, slope, noise = free[-3:].exp().unbind()
         return cls(free[:-3].exp(), amplitude, slope, noise + LEAST_NOISE**2)
 
@@ -57,19 +58,23 @@ class Kernel:
         return smooth + self.slope * (1 + x @ other.T)
 
     def alone(self, x: Tensor) -> Tensor:
-        """Variances (n,) of features (n, F) of which nothing is known."""
+        """Prior variances (n,) at features (n, F)."""
         return self.amplitude + self.slope * (1 + x.square().sum(1))
 
 
 def first_guess(features: int) -> Tensor:
-    """Free numbers (F + 3,) to begin with."""
+    """Unconstrained parameters (F + 3,) at which the first fit begins."""
     free = torch.full((features + 3,), math.log(3.0), dtype=torch.float64)
     free[-3:] = torch.tensor([1.0, 1.0, 1e-4]).log()
     return free
 
 
-def likely(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
-    """Free numbers (F + 3,) that make changes y (n, D) of features x (n, F) more likely."""
+def fitted_parameters(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
+    """Unconstrained parameters (F + 3,), fitted to changes y (n, D) at features x (n, F).
+
+    The fit maximises the marginal likelihood (Rasmussen and Williams, eq. 5.8) by L-BFGS. A weak
+    Gaussian prior around `first_guess` keeps what the data do not determine.
+    """
     free = free.clone().requires_grad_()
     guess, eye = first_guess(x.shape[1]), torch.eye(len(x), dtype=x.dtype)
     best = torch.optim.LBFGS(
@@ -82,8 +87,8 @@ def likely(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
         factor = torch.linalg.cholesky(kernel(x, x) + kernel.noise * eye)
         white = torch.linalg.solve_triangular(factor, y, upper=False)
         unlikely = 0.5 * white.square().sum() + y.shape[1] * factor.diagonal().log().sum()
-        odd = ((free - guess) / 3).square().sum()  # what the data do not tell stays as guessed
-        value = (unlikely + odd) / len(x)
+        prior = ((free - guess) / 3).square().sum()
+        value = (unlikely + prior) / len(x)
         value.backward()
         return value
 
@@ -91,11 +96,11 @@ def likely(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
     return free.detach()
 
 
-def telling_rows(kernel: Kernel, x: Tensor) -> Tensor:
-    """(m,) long rows of features (n, F), `MOST_PIVOTS` at most, by which the rest are known.
+def inducing_rows(kernel: Kernel, x: Tensor) -> Tensor:
+    """(m,) long, the inducing rows of features (n, F), at most `MOST_PIVOTS`.
 
-    Each next one is that of which those before tell the least (a pivoted Cholesky decomposition);
-    there are no more once they tell all others but for noise.
+    They are chosen greedily by a pivoted Cholesky decomposition: each next row has the largest
+    variance given those before. The choice ends when no variance is larger than the noise.
     """
     left, columns, rows = kernel.alone(x), x.new_empty(len(x), 0), []
     for _ in range(min(MOST_PIVOTS, len(x))):
@@ -111,10 +116,10 @@ def telling_rows(kernel: Kernel, x: Tensor) -> Tensor:
 
 
 def projected(kernel: Kernel, pivots: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    """What pivots (m, F) say of changes y (n, D) of features x (n, F).
+    """Weights w (m, D) and v (m, m) that predict changes from inducing rows `pivots` (m, F).
 
-    With covariances k (m,) of a feature with the pivots, weights w (m, D) and columns v (m, m),
-    its change has the mean k w, and its variance is less by |k v|² than if nothing were known.
+    They are fitted to changes y (n, D) at features x (n, F). A feature with covariances k (m,) to
+    the inducing rows changes by k w in the mean, and its variance is the prior one less |k v|².
     """
     deviation, one = kernel.noise.sqrt(), torch.eye(len(pivots), dtype=x.dtype)
     gram = kernel(pivots, pivots) + 1e-3 * kernel.noise * one
@@ -128,18 +133,19 @@ def projected(kernel: Kernel, pivots: Tensor, x: Tensor, y: Tensor) -> tuple[Ten
 
 
 class GaussianProcess:
-    """Γ: percepts (n, D) and controls (n, U) to next percepts, and how sure these are.
+    """Γ from percepts (n, D) and controls (n, U) to next percepts and their standard deviations.
 
-    All rows tell what happens, by the way of a few of them, the pivots (the projected process of
-    section 8.3.4). These are the rows of which the rest tell the least.
+    All rows are fitted, and predictions are computed from few of them, the inducing rows (projected
+    process approximation; Rasmussen and Williams, section 8.3.4).
     """
 
     def __init__(
         self, percept: Tensor, control: Tensor, after: Tensor, free: Tensor | None = None
     ) -> None:
-        """Fit on transitions (n, D), (n, U) and (n, D); from the last choice `free`, if given.
+        """Fit transitions (n, D), (n, U) and (n, D).
 
-        DataError for wrong shapes, NaN, or no rows.
+        The hyperparameters continue from `free`, if it is given. Raises DataError for wrong shapes,
+        NaN, or no rows.
         """
         p, u, q = (inputs.as_rows(rows, "transitions") for rows in (percept, control, after))
         if not len(p) == len(u) == len(q) or q.shape[1] != p.shape[1]:
@@ -156,18 +162,18 @@ class GaussianProcess:
         some = torch.randperm(len(x), generator=generator)[:MOST_ROWS]
         steps = STEPS if free is None else AGAIN
         guess = first_guess(x.shape[1]) if free is None else free
-        self.free = likely(guess, x[some], y[some], steps)
+        self.free = fitted_parameters(guess, x[some], y[some], steps)
         self.kernel = Kernel.of(self.free)
-        self.pivots = x[telling_rows(self.kernel, x)]
-        weights, told = projected(self.kernel, self.pivots, x, y)
-        self._columns = torch.cat([weights * self.spread, told], 1)
+        self.pivots = x[inducing_rows(self.kernel, x)]
+        weights, known = projected(self.kernel, self.pivots, x, y)
+        self._columns = torch.cat([weights * self.spread, known], 1)
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Fold scales and the linear part into few products, which is what a step costs."""
+        """Fold scaling and the linear part into few products, since these are what a step costs."""
         kernel, c = self.kernel, self.pivots
         (m, f), d = c.shape, len(self.shift)
-        # All that is linear in percepts and controls, with a 1 behind them.
+        # Standardised features, and a 1, from percepts, controls and a 1.
         unit = torch.cat([torch.diag(1 / self.scale), -(self.mean / self.scale)[None]])
         unit = torch.cat([unit, torch.eye(f + 1, dtype=c.dtype)[:, -1:]], 1)
         ones = torch.ones(m, 1, dtype=c.dtype)
@@ -180,16 +186,13 @@ class GaussianProcess:
         self._about = -0.5 * (scaled * scaled).sum(1) + kernel.amplitude.log()
 
     def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        """Next percepts (n, D), and standard deviations (n,) in units of `spread`.
-
-        Both are float64, as is what is given.
-        """
+        """Next percepts (n, D), and standard deviations (n,) in units of `spread`, all float64."""
         d = len(self.shift)
         x = torch.cat([percept, control, self._one.expand(len(percept), 1)], 1)
         near, slope = x @ self._near, x @ self._unit
         exponent = torch.addmm(self._about, near, self._centres)
         exponent -= 0.5 * (near * near).sum(1, keepdim=True)
-        said = torch.addmm(x @ self._straight, exponent.exp_(), self._columns)
-        after, told = said[:, :d], said[:, d:]
-        variance = self.kernel.amplitude + (slope * slope).sum(1) - (told * told).sum(1)
+        out = torch.addmm(x @ self._straight, exponent.exp_(), self._columns)
+        after, known = out[:, :d], out[:, d:]
+        variance = self.kernel.amplitude + (slope * slope).sum(1) - (known * known).sum(1)
         return after, variance.clamp_min(0).sqrt()

@@ -12,6 +12,9 @@ from cgtorch.ground.numerics import sigmoid
 
 RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
 SHARPNESS = 4.0
+COPIES, MARGIN = 20, 0.04
+"""The noisy copies of each percept on which restarts are compared, and the standard deviation of
+the noise, in units of that of the percepts."""
 
 
 def train_gating(
@@ -32,16 +35,44 @@ def train_gating(
     """
     if solves.shape[1] == 1:
         empty = percepts.new_zeros(0, branch.num_parameters)
-        return empty, torch.zeros(len(percepts), dtype=torch.long)
+        return empty, sent_to(branch, empty, percepts)
     x = branch.sees(percepts)
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
     weight = weight * (solves.amax(1) > 0)
     tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
     ends = [_unscaled(branch, parameters, centre, scale) for parameters in tries]
-    sent = [sent_to(branch, parameters, percepts) for parameters in ends]
-    wrong = [float((weight * (1 - solves.gather(1, s[:, None])[:, 0])).sum()) for s in sent]
-    best = wrong.index(min(wrong))
-    return ends[best], sent[best]
+    best = _best(branch, ends, percepts, solves, weight, generator)
+    return ends[best], sent_to(branch, ends[best], percepts)
+
+
+def _best(
+    branch: BranchingNN,
+    tries: list[Tensor],
+    percepts: Tensor,
+    solves: Tensor,
+    weight: Tensor,
+    generator: Generator,
+) -> int:
+    """The index of the try that sends the least weight of scenarios to members that fail.
+
+    Several tries often send none to a member that always fails. Of these, the one is best that errs
+    least on noisy copies of the percepts, since its borders are far from the scenarios.
+    """
+    rows = weight.nonzero()[:, 0]
+    copies = rows.repeat(COPIES)
+    noise = torch.randn(len(copies), percepts.shape[1], generator=generator)
+    noisy = percepts[copies] + MARGIN * percepts[rows].std(0, correction=0) * noise
+
+    def rates(parameters: Tensor, x: Tensor, rows: Tensor) -> Tensor:
+        return solves[rows].gather(1, sent_to(branch, parameters, x)[:, None])[:, 0]
+
+    def score(parameters: Tensor) -> tuple[float, float]:
+        hopeless = rates(parameters, percepts[rows], rows) == 0
+        failing = 1 - rates(parameters, noisy, copies)
+        return float((weight[rows] * hopeless).sum()), float((weight[copies] * failing).sum())
+
+    scores = [score(parameters) for parameters in tries]
+    return scores.index(min(scores))
 
 
 def _descend(
@@ -94,12 +125,12 @@ def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
 
 
 def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
-    """(B,) long, the member to which each percept is sent."""
+    """(B,) long, the member to which each percept is sent, by parameters (M - 1, K)."""
     x = branch.sees(percepts)
     # As in the running skill, where the sigmoid rounds large outputs to the same number.
-    out = torch.stack([sigmoid(one_hidden_layer(x, p, branch.hidden, 2)) for p in parameters])
-    takes = out[..., 0] >= out[..., 1]
-    return torch.cat([takes, torch.ones_like(takes[:1])]).long().argmax(0)
+    out = [sigmoid(one_hidden_layer(x, p, branch.hidden, 2)) for p in parameters]
+    last = torch.ones(len(x), dtype=torch.bool)
+    return torch.stack([*(o[:, 0] >= o[:, 1] for o in out), last]).long().argmax(0)
 
 
 def _unscaled(branch: BranchingNN, parameters: Tensor, centre: Tensor, scale: Tensor) -> Tensor:

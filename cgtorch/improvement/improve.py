@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
 from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
@@ -122,10 +122,17 @@ def _compose(
         held = attempt(stage.setup, composed[0], state.rest).succeeded
         if held.all():
             return state, composed
+        _report_lost(stage, state, composed[1], held)
         keep = torch.cat([state.keep, torch.ones(int((~held).sum()), dtype=torch.bool)])
         state = with_fresh(stage.setup, state, keep, state.rest[~held])
         state = replace(state, rest=state.rest[held])
     return state, None
+
+
+def _report_lost(stage: Stage[S], state: StageState[S], succeeded: Tensor, held: Tensor) -> None:
+    """Report a composed skill that loses some of the rest of W, of which it solves `held` (R,)."""
+    solved, keep = torch.cat([succeeded, held]), torch.cat([state.keep, torch.ones_like(held)])
+    stage.watch(WorldTested(stage.name, stage.name, *solved_of(solved, keep)))
 
 
 def _recruit_all(stage: Stage[S], state: StageState[S]) -> StageState[S]:

@@ -53,6 +53,8 @@ def _world_tested(event: events.WorldTested) -> str:
     )
     if event.kept is not None and event.predicted is not None:
         text += f"; its group: {event.predicted} solved in the search, {event.kept} in the world"
+    elif event.solved_w < event.size_w:
+        text += "; not accepted, as it loses some of W"
     return text
 
 

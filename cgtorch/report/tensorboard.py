@@ -95,7 +95,7 @@ class TensorBoardWatch:
                     "world/solved_W": event.solved_w,
                     "world/solved_M": event.solved_m,
                     "world/kept": event.kept,
-                    "world/promised": event.predicted,
+                    "world/predicted": event.predicted,
                 }
                 self._scalars({tag: value for tag, value in values.items() if value is not None})
             case events.SkillAccepted():

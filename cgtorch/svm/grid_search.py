@@ -193,6 +193,8 @@ def _best(task: _Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice,
     """The best grid point of each output by scores (G, E, N, K, F)."""
     choices = []
     for mean in scores.mean(-1).unbind(-1):
-        g, e, n = (int(i) for i in torch.unravel_index(mean.argmax(), mean.shape))
+        # torch.unravel_index imports sympy, which takes a second.
+        rest, n = divmod(int(mean.argmax()), mean.shape[2])
+        g, e = divmod(rest, mean.shape[1])
         choices.append(Choice(task.costs[n], widths[g], task.tubes[e], float(mean[g, e, n])))
     return tuple(choices)

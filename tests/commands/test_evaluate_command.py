@@ -56,7 +56,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
         "rate": score.successes / 12,
         "interval": list(wilson(score.successes, 12, 0.95)),
         "mean_return": None,
-        "promised": {
+        "predicted": {
             "tried": kept.tried,
             "succeeded": kept.successes,
             "rate": kept.successes / max(1, kept.tried),
@@ -94,7 +94,7 @@ def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> N
     )
     assert alone.code == 0
     one, other = json.loads(alone.out), json.loads(in_run.out)
-    for name in ("promised", "w_other_noise"):  # a file has neither models nor a ledger
+    for name in ("predicted", "w_other_noise"):  # a file has neither models nor a ledger
         assert one.pop(name) is None
         assert other.pop(name) is not None
     assert one == other  # the run has the built-in robot and noise, too
@@ -163,7 +163,7 @@ def test_a_run_that_was_passed_on_without_its_models(
     folder = copied(trained, tmp_path / "run")
     words = (folder, "--count", 3, "--json")
     whole = json.loads(shell(EVALUATE, *words).out)
-    assert whole["promised"] is not None
+    assert whole["predicted"] is not None
     for path in folder.glob("*/*.safetensors"):
         path.unlink()
-    assert json.loads(shell(EVALUATE, *words).out) == {**whole, "promised": None}
+    assert json.loads(shell(EVALUATE, *words).out) == {**whole, "predicted": None}

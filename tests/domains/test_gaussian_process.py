@@ -12,8 +12,8 @@ from cgtorch.domains.gaussian_process import (
     GaussianProcess,
     Kernel,
     first_guess,
-    likely,
-    telling_rows,
+    fitted_parameters,
+    inducing_rows,
 )
 from cgtorch.ground.errors import DataError
 
@@ -90,7 +90,7 @@ def test_the_choice_makes_the_data_more_likely() -> None:
         normal = torch.distributions.MultivariateNormal(torch.zeros(len(x)).double(), gram)
         return float(normal.log_prob(y.T).sum())
 
-    found = likely(guess, x, y, 30)
+    found = fitted_parameters(guess, x, y, 30)
     assert log_likelihood(found) > log_likelihood(guess) + 10
     assert float(Kernel.of(found).noise) >= LEAST_NOISE**2
 
@@ -98,7 +98,7 @@ def test_the_choice_makes_the_data_more_likely() -> None:
 def test_rows_that_are_told_by_others_are_no_pivots() -> None:
     x = torch.rand(10, 2, generator=seeded(6)).double()
     kernel = Kernel.of(first_guess(2))
-    rows = telling_rows(kernel, torch.cat([x, x]))
+    rows = inducing_rows(kernel, torch.cat([x, x]))
     assert len(rows) <= 10
     assert len({int(row) % 10 for row in rows}) == len(rows)
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from cgtorch.actions import BranchingNN
 from cgtorch.environment import start_lanes
 from cgtorch.improvement import gating as gate
-from cgtorch.improvement.gating import _unscaled, sent_to, train_gating
+from cgtorch.improvement.gating import _best, _unscaled, sent_to, train_gating
 
 BRANCH = BranchingNN()
 
@@ -133,3 +133,27 @@ def test_the_descent_is_that_of_the_optimiser() -> None:
         optimiser.step()
         schedule.step()
     assert torch.equal(found, parameters.detach())
+
+
+def test_of_equally_right_tries_the_one_with_the_widest_margin_is_chosen() -> None:
+    """Three borders at one number of the percept, two of them between the two groups."""
+    seen = torch.zeros(40, 7)
+    seen[:20, 0], seen[20:, 0] = -1.0, 1.0
+    solves = torch.zeros(40, 2)
+    solves[:20, 0] = solves[20:, 1] = 1
+
+    def border(at: float) -> Tensor:
+        """A node that takes what lies below, by its first hidden unit."""
+        parameters = torch.zeros(1, BRANCH.num_parameters)
+        size, hidden = BRANCH.hidden * BRANCH.inputs, BRANCH.hidden
+        parameters[0, 0], parameters[0, size] = 50.0, -50.0 * at
+        parameters[0, size + hidden : size + 3 * hidden : hidden] = torch.tensor([-8.0, 8.0])
+        parameters[0, size + 3 * hidden :] = torch.tensor([4.0, -4.0])
+        return parameters
+
+    tries = [border(at) for at in (2.0, 0.97, 0.0)]
+    sent = [sent_to(BRANCH, parameters, seen) for parameters in tries]
+    right = (torch.arange(40) >= 20).long()
+    assert [torch.equal(each, right) for each in sent] == [False, True, True]
+    assert _best(BRANCH, tries, seen, solves, torch.ones(40), seeded(0)) == 2
+    assert _best(BRANCH, tries[:2], seen, solves, torch.ones(40), seeded(0)) == 1

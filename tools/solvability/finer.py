@@ -6,8 +6,9 @@ from unittest.mock import patch
 
 from cgtorch.tabletop.kinematics import grasp_lines, rrt_connect, way_search
 from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES
 
-FINER = 4
+SAMPLES = 4 * PAN_SAMPLES
 
 
 @contextmanager
@@ -19,8 +20,8 @@ def finer_search() -> Iterator[None]:
     """
     usual = ArmModel.candidates
     with (
-        patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, 36 * FINER)),
-        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=36 * FINER),
+        patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, SAMPLES)),
+        patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=SAMPLES),
         patch.object(way_search, "PLANNED", 20),
         patch.object(rrt_connect, "ROUNDS", 1000),
     ):

@@ -23,15 +23,11 @@ static inline void turned(real cosine, real sine, real *a, real *b) {
   *b = sine * *a + cosine * *b, *a = first;
 }
 
-/* Whether the limits hold; each angle is brought within a turn of their middle. */
-static int within_limits(const ClosedForm *form, real *q) {
-  for (int j = 0; j < FORM_JOINTS; j++) {
-    real low = form->lower[j], high = form->upper[j];
-    q[j] += FULL_TURN * FN(rint)(((low + high) / 2 - q[j]) / FULL_TURN);
-    if (!(q[j] >= low - FORM_TOLERANCE && q[j] <= high + FORM_TOLERANCE)) return 0;
-    q[j] *= form->signs[j];
-  }
-  return 1;
+/* Whether joint j's limits hold; its angle is brought within a turn of their middle. */
+static inline int within_limits(const ClosedForm *form, int j, real *q) {
+  const real low = form->lower[j], high = form->upper[j];
+  q[j] += FULL_TURN * FN(rint)(((low + high) / 2 - q[j]) / FULL_TURN);
+  return q[j] >= low - FORM_TOLERANCE && q[j] <= high + FORM_TOLERANCE;
 }
 
 /* The cosine of the elbow; and where the wrist's centre is, seen from the lift axis. */
@@ -43,31 +39,48 @@ static real elbow_of(const ClosedForm *form, real cosine, real sine, const real 
   return (dot(at, at) - (a * a + b * b)) / (2 * a * b);
 }
 
+typedef struct {
+  real angle, cosine, sine;
+} Pan;
+
 /* Whether there is a solution at a pan angle for a pose of the wrist's last frame (3, 4) in the pan frame;
-   writes it. */
-static int solved(const ClosedForm *form, const real *branch, real pan, const real *wrist, real *q) {
+   writes it. Most fail at a limit, so each angle is checked before the next is computed. */
+static int solved(const ClosedForm *form, const real *branch, const Pan *pan, const real *wrist, real *q) {
   const real a = (real)form->upper_arm, b = (real)form->forearm;
-  real cos1 = FN(cos)(pan), sin1 = FN(sin)(pan), at[3];
+  real cos1 = pan->cosine, sin1 = pan->sine, at[3];
   real cos4 = elbow_of(form, cos1, sin1, wrist, at), x = at[0], y = at[1], z = at[2];
   if (!(FN(fabs)(cos4) <= 1)) return 0;
   real sin4 = branch[0] * FN(sqrt)(1 - cos4 * cos4), along = a + b * cos4, drop = -b * sin4;
   real sin3 = -y / drop;
   if (!(FN(fabs)(sin3) <= 1)) return 0;
-  real cos3 = branch[1] * FN(sqrt)(1 - sin3 * sin3), down = cos3 * drop, reach = x * x + z * z;
-  if (reach < (real)1e-12) reach = (real)1e-12;
-  real cos2 = (along * x + down * z) / reach, sin2 = (down * x - along * z) / reach;
+  real cos3 = branch[1] * FN(sqrt)(1 - sin3 * sin3), down = cos3 * drop;
+  real cos2 = along * x + down * z, sin2 = down * x - along * z;
+  real length = FN(sqrt)(cos2 * cos2 + sin2 * sin2);
+  if (!(length > 0)) return 0;
+  cos2 /= length, sin2 /= length;
+  q[0] = pan->angle, q[1] = FN(atan2)(sin2, cos2);
+  if (!within_limits(form, 0, q) || !within_limits(form, 1, q)) return 0;
+  q[2] = FN(atan2)(sin3, cos3);
+  if (!within_limits(form, 2, q)) return 0;
+  q[3] = FN(atan2)(sin4, cos4);
+  if (!within_limits(form, 3, q)) return 0;
 
-  real dx = wrist[0], dy = wrist[4], dz = wrist[8];
-  turned(cos1, -sin1, &dx, &dy), turned(cos2, sin2, &dx, &dz);
-  turned(cos3, -sin3, &dy, &dz), turned(cos4, sin4, &dx, &dz);
-  real fx = cos4, fy = sin3 * sin4, fz = -cos3 * sin4;
-  turned(cos2, -sin2, &fx, &fz), turned(cos1, sin1, &fx, &fy);
-  real row[2];
-  for (int i = 0; i < 2; i++)
-    row[i] = wrist[1 + i] * fx + wrist[5 + i] * fy + wrist[9 + i] * fz;
-  q[0] = pan, q[1] = FN(atan2)(sin2, cos2), q[2] = FN(atan2)(sin3, cos3);
-  q[3] = FN(atan2)(sin4, cos4), q[4] = FN(atan2)(branch[2] * dy, -branch[2] * dz);
-  q[5] = FN(atan2)(branch[2] * FN(sqrt)(dy * dy + dz * dz), dx);
-  q[6] = FN(atan2)(branch[2] * row[0], branch[2] * row[1]);
-  return within_limits(form, q);
+  real d[3], e[3]; /* the first two columns, seen from the forearm */
+  for (int i = 0; i < 3; i++) d[i] = wrist[4 * i], e[i] = wrist[4 * i + 1];
+  for (int i = 0; i < 2; i++) {
+    real *c = i ? e : d;
+    turned(cos1, -sin1, c, c + 1), turned(cos2, sin2, c, c + 2);
+    turned(cos3, -sin3, c + 1, c + 2), turned(cos4, sin4, c, c + 2);
+  }
+  real away = FN(sqrt)(d[1] * d[1] + d[2] * d[2]), cos5 = 1, sin5 = 0, sin6 = branch[2] * away;
+  q[5] = FN(atan2)(sin6, d[0]);
+  if (!within_limits(form, 5, q)) return 0;
+  if (away >= (real)1e-9) cos5 = -branch[2] * d[2] / away, sin5 = branch[2] * d[1] / away;
+  q[4] = FN(atan2)(sin5, cos5);
+  if (!within_limits(form, 4, q)) return 0;
+  turned(cos5, -sin5, e + 1, e + 2);
+  q[6] = FN(atan2)(sin6 * e[0] + d[0] * e[2], e[1]);
+  if (!within_limits(form, 6, q)) return 0;
+  for (int j = 0; j < FORM_JOINTS; j++) q[j] *= form->signs[j];
+  return 1;
 }

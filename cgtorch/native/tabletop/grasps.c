@@ -33,7 +33,8 @@ EXPORT_CONSTANTS(grasp_limits, MOST_POSTURES, MOST_LINE, FORM_JOINTS)
 
 typedef struct {
   const real *branch;
-  real pan, away;  /* from home at the pre-grasp */
+  const Pan *pan;
+  real away;       /* from home at the pre-grasp */
   real q[FORM_JOINTS];
 } Posture;
 
@@ -41,6 +42,7 @@ typedef struct {
   const Grasps *grasps;
   int64_t line, count;
   real wrist[PLACES][12], held[12];
+  Pan pans[MOST_POSTURES];
   Posture postures[MOST_POSTURES], *chosen[MOST_POSTURES];
   Way way;
 } Search;
@@ -77,13 +79,20 @@ static void begin_line(Search *s, int64_t line) {
     }
 }
 
+static void find_pans(Search *s) {
+  const ClosedForm *form = &s->grasps->form;
+  for (int64_t i = 0; i < form->samples; i++)
+    s->pans[i] = (Pan){form->pans[i], FN(cos)(form->pans[i]), FN(sin)(form->pans[i])};
+}
+
 /* The postures at the grasp, at all pan angles and in all branches. */
 static void find_postures(Search *s) {
   const ClosedForm *form = &s->grasps->form;
   const real *grasp = s->wrist[2];
   s->count = 0;
   for (int64_t i = 0; i < form->samples; i++) {
-    real pan = form->pans[i], at[3], elbow = elbow_of(form, FN(cos)(pan), FN(sin)(pan), grasp, at);
+    const Pan *pan = s->pans + i;
+    real at[3], elbow = elbow_of(form, pan->cosine, pan->sine, grasp, at);
     if (elbow < (real)form->least || elbow > (real)form->most) continue;
     for (int64_t k = 0; k < form->count; k++) {
       Posture *next = s->postures + s->count;
@@ -186,10 +195,10 @@ static int64_t tried(Search *s, int soon, int64_t state) {
 static void some_lines(void *what, int64_t begin, int64_t end) {
   const Grasps *g = what;
   Search *s = malloc(sizeof *s);
+  if (s) s->grasps = g, find_pans(s);
   for (int64_t line = begin; line < end; line++) {
     g->state[line] = s ? NONE : -1;
     if (!s) continue;
-    s->grasps = g;
     begin_line(s, line), find_postures(s);
     if (!s->count) continue;
     placed_in_scene(&g->ways, g->at[line], &s->way);

@@ -30,10 +30,10 @@ from cgtorch.tabletop.kinematics.touching import touch_task
 LINE = 41
 """Waypoints from the pre-grasp over the grasp to where the object is lifted, 5 mm apart."""
 HALF = LINE // 2
-MAX_TURN = 0.15
+MAX_TURN = 0.14
 """The largest motion of a joint (rad or m) between two waypoints, so that the tool stays on its
 line."""
-NEAR, TRIED = 4, 2
+NEAR, TRIED = 12, 6
 """The number of postures of each arm and approach that are tested closely, those nearest to home;
 and of these, the number whose ways are tested."""
 WORTH_SHARING = 64  # lines that are worth one more thread

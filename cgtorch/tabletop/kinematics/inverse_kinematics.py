@@ -18,7 +18,7 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics.collision import Tensors
 
-PAN_SAMPLES = 36
+PAN_SAMPLES = 48
 _AXES = (2, 1, 0, 1, 0, 1, 0)
 _TOLERANCE = 1e-6
 
@@ -205,40 +205,56 @@ def _solve(
     sin3 = sin3.clamp(-1, 1)
     cos3 = roll_sign * (1 - sin3 * sin3).sqrt()
     down = cos3 * drop
-    reach = (x * x + z * z).clamp_min(1e-12)
-    cos2 = (along * x + down * z) / reach
-    sin2 = (down * x - along * z) / reach
+    cos2, sin2 = along * x + down * z, down * x - along * z
+    length = (cos2 * cos2 + sin2 * sin2).sqrt()
+    sound = sound & (length > 0)
+    cos2, sin2 = cos2 / length, sin2 / length
 
     # Wrist: what rotation is left, as forearm roll (x), flex (y) and wrist roll (x). Its first
-    # column is the tool's direction seen from the forearm, its first row the forearm's direction
-    # seen from the tool.
-    dx, dy, dz = (rotation[..., i, 0][..., None] for i in range(3))
-    dx, dy = cos1 * dx + sin1 * dy, cos1 * dy - sin1 * dx
-    dx, dz = cos2 * dx - sin2 * dz, sin2 * dx + cos2 * dz
-    dy, dz = cos3 * dy + sin3 * dz, cos3 * dz - sin3 * dy
-    dx, dz = cos4 * dx - sin4 * dz, sin4 * dx + cos4 * dz
-    fx, fy, fz = cos4, sin3 * sin4, -cos3 * sin4
-    fx, fz = cos2 * fx + sin2 * fz, cos2 * fz - sin2 * fx
-    fx, fy = cos1 * fx - sin1 * fy, sin1 * fx + cos1 * fy
-    row = [
-        rotation[..., 0, i][..., None] * fx
-        + rotation[..., 1, i][..., None] * fy
-        + rotation[..., 2, i][..., None] * fz
-        for i in (1, 2)
-    ]
-    sin6 = wrist_sign * (dy * dy + dz * dz).sqrt()
+    # column is the tool's direction seen from the forearm and gives the first two. Undone, they
+    # leave a second column that gives the last. So the three fit one another even where the wrist
+    # is straight, and only the sum of the rolls is determined.
+    turns = (cos1, sin1), (cos2, sin2), (cos3, sin3), (cos4, sin4)
+    dx, dy, dz = _seen_from_forearm(rotation[..., :, 0], *turns)
+    ex, ey, ez = _seen_from_forearm(rotation[..., :, 1], *turns)
+    away = (dy * dy + dz * dz).sqrt()
+    straight = away < 1e-9
+    cos5 = torch.where(straight, 1.0, -wrist_sign * dz / away)
+    sin5 = torch.where(straight, 0.0, wrist_sign * dy / away)
+    sin6 = wrist_sign * away
+    ey, ez = _turned(cos5, -sin5, ey, ez)
+    sin7 = sin6 * ex + dx * ez
 
     angles = [
         pan[..., None].expand_as(sin6),
         torch.atan2(sin2, cos2),
         torch.atan2(sin3, cos3),
         torch.atan2(sin4, cos4),
-        torch.atan2(wrist_sign * dy, -wrist_sign * dz),
+        torch.atan2(sin5, cos5),
         torch.atan2(sin6, dx),
-        torch.atan2(wrist_sign * row[0], wrist_sign * row[1]),
+        torch.atan2(sin7, ey),
     ]
     q = torch.stack([angle.expand_as(sin6) for angle in angles], dim=-1)
     middle = (arm.lower + arm.upper) / 2
     q = q + math.tau * ((middle - q) / math.tau).round()
     within = (q >= arm.lower - _TOLERANCE) & (q <= arm.upper + _TOLERANCE)
     return q * arm.signs, sound & within.all(dim=-1)
+
+
+def _seen_from_forearm(column: Tensor, *turns: tuple[Tensor, Tensor]) -> tuple[Tensor, ...]:
+    """The parts of a direction (..., 3) in the pan frame, in the forearm's.
+
+    The turns are cosine and sine of the pan, the lift, the shoulder's roll and the elbow.
+    """
+    (cos1, sin1), (cos2, sin2), (cos3, sin3), (cos4, sin4) = turns
+    x, y, z = (column[..., i, None] for i in range(3))
+    x, y = _turned(cos1, -sin1, x, y)
+    x, z = _turned(cos2, sin2, x, z)
+    y, z = _turned(cos3, -sin3, y, z)
+    x, z = _turned(cos4, sin4, x, z)
+    return x, y, z
+
+
+def _turned(cos: Tensor, sin: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Two coordinates after a turn from the first to the second."""
+    return cos * a - sin * b, sin * a + cos * b
