@@ -68,15 +68,10 @@ def improve(
             time.perf_counter() - began,
         )
         stage.watch(event)
-        fresh = draw(stage.generator)
-        # Members are tried on what failed only: what the skill solves joins the rest of W.
-        held = attempt(setup, skill, fresh).succeeded
-        solved = torch.cat([succeeded, torch.zeros(int((~held).sum()), dtype=torch.bool)])
-        state = with_fresh(setup, state, solved, fresh[~held])
-        state = replace(state, rest=state.rest.joined(fresh[held]))
+        state, tested = _tested(stage, state, draw, skill, succeeded)
         # A further try that fails moves parts of the rest of W into its scenarios.
         accepted = skill, state
-        if solved.all() or not len(fresh):
+        if state.keep.all() or not tested:
             break
     progress = replace(progress, knowledge=state.knowledge, specialists=state.population)
     if accepted is None:
@@ -88,6 +83,29 @@ def improve(
         solved=state.scenarios[state.keep].joined(state.rest),
         missed=state.scenarios[~state.keep],
     )
+
+
+def _tested(
+    stage: Stage[S], state: StageState[S], draw: Draw[S], skill: Skill, succeeded: Tensor
+) -> tuple[StageState[S], int]:
+    """The state after a skill was tried on fresh scenarios, and their number.
+
+    They are drawn in batches until the skill fails in one, or until it has solved all of
+    `Setup.clean` batches. Members are tried on what failed only: what the skill solves joins the
+    rest of W.
+    """
+    setup, state, tested = stage.setup, replace(state, keep=succeeded), 0
+    for _ in range(setup.clean):
+        fresh = draw(stage.generator)
+        held = attempt(setup, skill, fresh).succeeded
+        state, tested = replace(state, rest=state.rest.joined(fresh[held])), tested + len(fresh)
+        if not held.all():
+            failed = torch.zeros(int((~held).sum()), dtype=torch.bool)
+            keep = torch.cat([state.keep, failed])
+            return with_fresh(setup, state, keep, fresh[~held]), tested
+        if not tested:
+            break
+    return state, tested
 
 
 def _begun(stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor) -> StageState[S]:

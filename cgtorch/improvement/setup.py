@@ -28,9 +28,13 @@ class Setup(Generic[S]):
         learn: Trains the models on new experience; None without models.
         describe: Summarises models after learning.
         evolution: The settings of each evolution, which ends by its `budget`.
-        attempts: Maximum number of evolutions in one stage.
+        searches: Evolutions of a specialist, of which the best result is kept, as long as none
+            solves its whole group.
+        attempts: Maximum number of specialists that are evolved in one stage.
         idle: Number of evolutions without a new member after which a stage stops.
         rounds: How often at most a stage's skill is tried on fresh scenarios and improved again.
+        clean: Number of batches of fresh scenarios, all of which it has to solve to be left as it
+            is.
         group_of: Chooses the scenarios on which a specialist is evolved.
         group: Number of these scenarios.
         widest: Number to which they grow, by doubling, for a specialist with a fitness of
@@ -53,9 +57,11 @@ class Setup(Generic[S]):
     describe: Callable[[Models], ModelSummary] = lambda _: ModelSummary("the models have learned")
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
     budget: Budget = field(default_factory=Budget)
+    searches: int = 1
     attempts: int = 24
     idle: int = 4
-    rounds: int = 3
+    rounds: int = 6
+    clean: int = 3
     group_of: Grouping = local_group
     group: int = 12
     widest: int = 32

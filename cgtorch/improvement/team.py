@@ -7,7 +7,7 @@ from typing import Any, Generic
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Dataset
+from cgtorch.environment import Dataset, Environment
 from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
@@ -18,6 +18,7 @@ from cgtorch.improvement.interfaces import Models, S
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.stopping import Found
 from cgtorch.improvement.trial import attempt, first_percepts
 
 FEW = 8  # members of a team: 15 nodes with the branches to them
@@ -152,11 +153,28 @@ def _evolved(
         about = state.knowledge, state.scenarios[group], state.percepts[group], replicas
         environment = setup.imagine(*about, stage.generator, setup.device)
         step = name if size == setup.group else f"{name} on {size}"
-        found = evolve_candidate(stage, step, environment, seeds=seeds)
+        found = _best_of_searches(stage, step, environment, seeds)
         if size >= len(rows) or found.best < setup.budget.satisfied:
             champion = shrunk(found.champion, setup.actions, environment, *how)
             return group, champion, found.solved
         size, seeds = 2 * size, found.champion
+
+
+def _best_of_searches(
+    stage: Stage[S], name: str, environment: Environment, seeds: Population | None
+) -> Found:
+    """The best result of some evolutions, up to one that solves everything.
+
+    Every second one begins without `seeds`, which may have led the first to where it got stuck.
+    """
+    budget, best = stage.setup.budget, evolve_candidate(stage, name, environment, seeds=seeds)
+    for number in range(2, stage.setup.searches + 1):
+        if best.solved.all() or best.best >= budget.satisfied:
+            break
+        start = None if number % 2 == 0 else seeds
+        found = evolve_candidate(stage, f"{name} search {number}", environment, seeds=start)
+        best = max(best, found, key=lambda each: each.best)
+    return best
 
 
 def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:

@@ -38,6 +38,11 @@ Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 OWN = 40  # the generator of what C is judged by, derived like an island's
 
 
+SEARCHES = 4
+"""Evolutions of a specialist in the models, which take a second where a trial in the world of what
+they find takes ten."""
+
+
 @dataclass(frozen=True)
 class Training:
     """The inputs of a training.
@@ -78,6 +83,7 @@ class Training:
             group=specialists.group,
             replicas=replicas,
             trials=3 if domain.noisy_world else 1,
+            searches=SEARCHES if run.learns else 1,  # in the world itself they are not cheap
             attempts=s.attempts,
             max_transitions=s.max_transitions,
             device=self.device,
