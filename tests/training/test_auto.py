@@ -20,7 +20,7 @@ from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_progress, load_result
-from cgtorch.training.auto import act, reached, train_until
+from cgtorch.training.auto import BATCH, act, reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import check_percepts
 from cgtorch.training.train import NotImprovedError, train
@@ -73,7 +73,7 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
 def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
     """Eq. 1 over the rounds; whatever was met is in W or in M."""
     run, _, results = made
-    before, missed, met = 0, GOAL.screening, GOAL.screening
+    before, missed, met = 0, BATCH, BATCH
     for result in results:
         progress = load_progress(run, run.folder / result["stage"])
         assert progress.skill is not None
