@@ -7,7 +7,7 @@ import pytest
 import torch
 from members import nearly
 from support import FOOTPRINT, seeded
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.environment import Dataset
 from cgtorch.improvement.compose import branching_action, compose
@@ -286,3 +286,46 @@ def test_where_members_would_lose_something_the_earlier_skill_stays(
     assert found is not None
     assert "S0" in found[0].sub_skills
     assert found[1][results[0]].all()
+
+
+def test_a_specialist_is_the_best_of_several_searches(setup: Setup, nothing_yet: Progress) -> None:
+    """They end with the first that solves all, and every second one begins without seeds."""
+    short = Budget(generations=2)
+    several = replace(setup, attempts=1, searches=4, rounds=1, budget=short)
+    first, _ = stage("compose", replace(setup, budget=short), nothing_yet, "S0", "near", 1)
+    assert first.specialists is not None
+    after, told = stage("compose", several, first, "S1", "far", 2)
+    done = [e for e in told if isinstance(e, GenerationDone)]
+    names = list(dict.fromkeys(e.candidate for e in done))
+    assert names == ["S1.1", *(f"S1.1 search {n}" for n in range(2, len(names) + 1))]
+    best = [max(e.generation.best for e in done if e.candidate == name) for name in names]
+    everything = [
+        any(e.generation.succeeded.all() for e in done if e.candidate == n) for n in names
+    ]
+    assert everything.index(True) == len(names) - 1 if any(everything) else len(names) == 4
+    assert len(set(best)) > 1
+    alone, told = stage("compose", replace(several, searches=1), first, "S1", "far", 2)
+    assert {e.candidate for e in told if isinstance(e, GenerationDone)} == {"S1.1"}
+    assert after.knowledge is not None
+    assert alone.knowledge is not None
+
+
+@pytest.mark.parametrize("clean", [1, 3])
+def test_a_stage_ends_after_so_many_clean_batches(
+    setup: Setup, nothing_yet: Progress, clean: int
+) -> None:
+    """All placements are the same one, so each batch is clean once the skill solves it."""
+    careful, drawn = replace(setup, clean=clean), []
+    first, _ = stage("compose", setup, nothing_yet, "S0", "near", 1)
+    same = first.solved[torch.tensor([1, 1, 1])]  # within reach from the start
+
+    def draw(generator: Generator) -> Scenarios:
+        drawn.append(1)
+        return same
+
+    everything = torch.ones(3, dtype=torch.bool)
+    after = improve(unwatched(careful), nothing_yet, same, everything, draw)
+    assert after.skill is not None
+    assert len(drawn) == clean
+    assert len(after.solved) == 3 + 3 * clean
+    assert not len(after.missed)
