@@ -51,7 +51,7 @@ def in_pages() -> Iterator[str]:
             continue  # it quotes what is wrong
         history = "decisions" in where.parts
         prose = re.sub(r"```.*?```|<!--.*?-->|^(?:    .*|\|.*)$", "\n", text, flags=re.S | re.M)
-        yield from in_prose(str(where), prose, LONGEST if not history else 10 * LONGEST)
+        yield from in_prose(str(where), prose, LONGEST)
         if "docs" in where.parts and page.name not in NO_OPENING:
             beginning = text.partition("\n## ")[0]
             if not history and not OPENING.search(beginning):
