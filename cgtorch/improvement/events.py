@@ -21,7 +21,7 @@ class Event:
 class StageStarted(Event):
     """A stage begins, with `size_w` scenarios in W and `size_m` to solve.
 
-    `stages` are all stages of the run, in order; `attempts` is the maximum number of evolutions per
+    `stages` are all stages of the run, in order; `attempts` is the maximum number of candidates per
     stage.
     """
 

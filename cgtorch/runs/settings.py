@@ -70,7 +70,7 @@ class RunSettings:
     )
     attempts: int = option(
         24,
-        "Maximum number of evolutions in one stage.",
+        "Maximum number of specialists evolved in one stage.",
         when="Raise it if a stage ends without an accepted skill.",
     )
     tournament: int = option(
