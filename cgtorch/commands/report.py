@@ -8,6 +8,7 @@ import click
 from cgtorch.commands import options
 from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import runs_or_skills
+from cgtorch.ground.headless import draw_without_display
 
 EXAMPLES = """\b
 Examples:
@@ -36,14 +37,13 @@ def command(
     unfinished run, the page says which parts are missing.
     """
     options.check_output(output, force)
+    draw_without_display()
     import torch
 
     from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
-    from cgtorch.tabletop.physics.engine import draw_without_display
 
     torch.set_num_threads(1)
-    draw_without_display()
     with options.waiting(f"drawing {run}", quiet):
         page = report_page(run, actions, domain)
     write_bytes(output, page)

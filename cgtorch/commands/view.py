@@ -12,6 +12,7 @@ from cgtorch.commands import options
 from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.headless import draw_without_display
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen
@@ -109,16 +110,15 @@ def _film(
     """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
+    draw_without_display()
     with importing():
         import torch
 
         from cgtorch.ground.files import write_bytes
-        from cgtorch.tabletop.physics.engine import draw_without_display
         from cgtorch.tabletop.physics.film import film_of
         from cgtorch.tabletop.viewer.choice import scenario_of
 
     torch.set_num_threads(1)
-    draw_without_display()
     chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, "mujoco")
     scenario = scenario_of(chosen.kind, count, seed, 0)
     with options.waiting(f"filming {chosen.skill.name}", rest["quiet"]):

@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 480, 360  # px
 EVERY = 0.16  # s of the simulation between two pictures
 LASTS = 80  # ms that each is shown
 END = 1200  # ms that the last one is
-DISTANCE, BEHIND, DOWN = 3.5, 35.0, -35.0  # m, and degrees, of the camera
+DISTANCE, BEHIND, DOWN = 5.0, 35.0, -35.0  # m, and degrees, of the camera
 CONTACT = 0.02  # m, about the size of the mark of a contact
 
 
@@ -68,8 +68,7 @@ def _renderer(model: Model) -> Any:
         return mujoco().Renderer(model.model, HEIGHT, WIDTH)
     except Exception as e:  # whatever a graphics library raises
         raise SettingsError(
-            f"MuJoCo cannot draw here ({type(e).__name__}); install libegl1, or libosmesa6 with "
-            "MUJOCO_GL=osmesa"
+            f"MuJoCo cannot draw here ({type(e).__name__}); install libegl1 or libosmesa6"
         ) from e
 
 
