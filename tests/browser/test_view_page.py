@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 EYE, LOOKED_AT = np.array([-2.6, -4.4, 3.6]), np.array([-0.3, -0.2, 0.3])  # as the page begins
+FAR_DOWN = str(REFERENCE / "S2"), "--scenarios", "near"
 FIRST = re.compile(r"^step 1 of \d+: S3 · EdgeBranchingNN_0")
 
 Array = npt.NDArray[np.float64]
@@ -96,10 +97,21 @@ def test_the_robot_moves_while_the_skill_runs(opened: Visit) -> None:
     assert changed(start, picture(page)) < 0.002
 
 
-def test_the_active_node_is_lit_on_every_level(opened: Visit) -> None:
-    page = opened.page
+@pytest.fixture
+def far_down(chromium: Browser) -> Iterator[Visit]:
+    """A placement of which a skill two levels below is in charge."""
+    with (
+        served("cgtorch.commands.view", *FAR_DOWN, "--port", "0") as at,
+        visit(chromium, at, 1600, 900) as opened,
+    ):
+        expect(headline(opened.page)).to_contain_text("step 1 of")
+        yield opened
+
+
+def test_the_active_node_is_lit_on_every_level(far_down: Visit) -> None:
+    page = far_down.page
     levels = page.locator(".graph-levels svg")
-    for step in range(2, 12):  # until a node of a sub-skill in a sub-skill is active
+    for step in range(2, 7):  # until a node of a sub-skill in a sub-skill is active
         page.get_by_role("button", name="next").click()
         expect(headline(page)).to_contain_text(f"step {step} of")
         if levels.count() >= 3:

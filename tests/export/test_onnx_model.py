@@ -66,7 +66,7 @@ def replayed(data: bytes, runs: list[Execution]) -> None:
 
 def test_a_thousand_percepts() -> None:
     _, skill = reference()
-    runs, _ = by_the_library(skill, world(12, 70))
+    runs, _ = by_the_library(skill, world(12, 170))
     assert sum(len(run.percepts) for run in runs) >= 1000
     replayed(reference_onnx(), runs)
 

@@ -23,6 +23,12 @@ from cgtorch.training.evaluate import under_other_noise
 W, M, NEW = range(len(WAS))
 
 
+def last_accepted(trained: Trained, name: str) -> SkillAccepted[Any]:
+    """The last skill that a stage accepted, which is the one in the ledger."""
+    found = [e for e in trained.events if isinstance(e, SkillAccepted) and e.stage == name]
+    return found[-1]
+
+
 def test_the_whole_history_can_be_read(trained: Trained) -> None:
     index = read_index(trained.folder)
     assert [(s["name"], s["parent"]) for s in index] == [("S0", None), ("S1", "S0")]
@@ -31,7 +37,9 @@ def test_the_whole_history_can_be_read(trained: Trained) -> None:
         entry = read_entry(trained.folder, line["name"], run.actions, run.like())
         assert entry.summary == line
         assert line["members"] == list(entry.skill.sub_skills)
-        assert (line["w_before"], line["w_lost"]) == (result["w_size"], 0)
+        kept = last_accepted(trained, line["name"]).keep  # the stage's W, and what it solved
+        assert (line["w_before"], line["w_lost"]) == (int(kept.sum()), 0)
+        assert line["w_before"] >= result["w_size"]
         assert line["m_solved"] > 0
         assert (line["nodes"], line["depth"]) == (result["nodes"], result["depth"])
 
@@ -94,14 +102,13 @@ def test_w_and_m_before_and_after(trained: Trained) -> None:
     for name in ("S0", "S1"):
         entry = read_entry(run.folder, name, run.actions, run.like())
         progress = load_progress(run, run.folder / name)
-        assert seeds(entry.scenarios[entry.was == W]) == before
+        was = seeds(entry.scenarios[entry.was == W])
+        assert all(each in was for each in before)
         assert seeds(entry.scenarios[entry.succeeded]) == seeds(progress.solved)
         assert seeds(entry.scenarios[~entry.succeeded]) == seeds(progress.missed)
-        accepted = next(
-            e for e in trained.events if isinstance(e, SkillAccepted) and e.stage == name
-        )
-        assert int((entry.was != NEW).sum()) == len(accepted.scenarios)
-        assert int((entry.was == NEW).sum()) == 4  # the practice that SMALL draws at the end
+        assert int((entry.was != NEW).sum()) == len(last_accepted(trained, name).scenarios)
+        # Batches as large as the practice of SMALL, up to one with a failure.
+        assert int((entry.was == NEW).sum()) in (4, 8, 12)
         before = seeds(progress.solved)
 
 
