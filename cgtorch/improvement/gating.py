@@ -9,9 +9,9 @@ from torch.optim.adam import adam  # the class imports a compiler, which takes 2
 from cgtorch.actions import BranchingNN
 from cgtorch.actions.networks import one_hidden_layer
 from cgtorch.ground.numerics import sigmoid
+from cgtorch.improvement.gating_gradient import gradient_of
 
 RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
-SHARPNESS = 4.0
 COPIES, MARGIN = 20, 0.04
 """The noisy copies of each percept on which restarts are compared, and the standard deviation of
 the noise, in units of that of the percepts."""
@@ -35,17 +35,17 @@ def train_gating(
     """
     if solves.shape[1] == 1:
         empty = percepts.new_zeros(0, branch.num_parameters)
-        return empty, sent_to(branch, empty, percepts)
+        return empty, selected_members(branch, empty, percepts)
     x = branch.sees(percepts)
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
     weight = weight * (solves.amax(1) > 0)
     tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
     ends = [_unscaled(branch, parameters, centre, scale) for parameters in tries]
-    best = _best(branch, ends, percepts, solves, weight, generator)
-    return ends[best], sent_to(branch, ends[best], percepts)
+    best = _most_reliable(branch, ends, percepts, solves, weight, generator)
+    return ends[best], selected_members(branch, ends[best], percepts)
 
 
-def _best(
+def _most_reliable(
     branch: BranchingNN,
     tries: list[Tensor],
     percepts: Tensor,
@@ -64,7 +64,7 @@ def _best(
     noisy = percepts[copies] + MARGIN * percepts[rows].std(0, correction=0) * noise
 
     def rates(parameters: Tensor, x: Tensor, rows: Tensor) -> Tensor:
-        return solves[rows].gather(1, sent_to(branch, parameters, x)[:, None])[:, 0]
+        return solves[rows].gather(1, selected_members(branch, parameters, x)[:, None])[:, 0]
 
     def score(parameters: Tensor) -> tuple[float, float]:
         hopeless = rates(parameters, percepts[rows], rows) == 0
@@ -88,43 +88,22 @@ def _descend(
     The learning rate follows half a cosine (Loshchilov & Hutter, "SGDR", ICLR 2017).
     """
     shape = (RESTARTS, solves.shape[1] - 1, branch.num_parameters)
-    parameters = torch.randn(shape, generator=generator).requires_grad_()
+    parameters, rate = torch.randn(shape, generator=generator), RATE
     mean, square, steps = torch.zeros(shape), torch.zeros(shape), torch.zeros(())
-    log_solves, rate = solves.clamp_min(1e-6).log(), RATE
+    gradient = gradient_of(branch, solves, weight, RESTARTS)
     for epoch in range(EPOCHS):
         noisy = x + torch.randn(x.shape, generator=generator) * blur
-        chosen = _log_chosen(branch, parameters, noisy)
-        reached = torch.logsumexp(chosen + log_solves, -1)
-        loss = -(weight * reached).sum() / weight.sum().clamp_min(1)
-        gradient = torch.autograd.grad(loss, parameters)
-        with torch.no_grad():
-            adam(
-                [parameters], list(gradient), [mean], [square], [], [steps], foreach=False,
-                amsgrad=False, beta1=0.9, beta2=0.999, lr=rate, weight_decay=0, eps=1e-8,
-                maximize=False,
-            )  # fmt: skip
+        adam(
+            [parameters], [gradient(parameters, noisy)], [mean], [square], [], [steps],
+            foreach=False, amsgrad=False, beta1=0.9, beta2=0.999, lr=rate, weight_decay=0, eps=1e-8,
+            maximize=False,
+        )  # fmt: skip
         turn = math.pi / EPOCHS
         rate *= (1 + math.cos(turn * (epoch + 1))) / (1 + math.cos(turn * epoch))
-    return parameters.detach()
+    return parameters
 
 
-def _outputs(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(..., M - 1, B, 2) outputs of all branching nodes (..., M - 1, K) before the last sigmoid."""
-    size, hidden = branch.hidden * branch.inputs, branch.hidden
-    w1, b1, w2, b2 = parameters.tensor_split([size, size + hidden, size + 3 * hidden], -1)
-    h = torch.sigmoid(x @ w1.unflatten(-1, (hidden, branch.inputs)).mT + b1[..., None, :])
-    return h @ w2.unflatten(-1, (2, hidden)).mT + b2[..., None, :]
-
-
-def _log_chosen(branch: BranchingNN, parameters: Tensor, x: Tensor) -> Tensor:
-    """(..., B, M) log-probability that each member is selected."""
-    out = (SHARPNESS * _outputs(branch, parameters, x)).log_softmax(-1)
-    first, second = out.movedim(-3, -1).unbind(-2)
-    passed = torch.nn.functional.pad(second.cumsum(-1), (1, 0))
-    return passed + torch.nn.functional.pad(first, (0, 1))
-
-
-def sent_to(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
+def selected_members(branch: BranchingNN, parameters: Tensor, percepts: Tensor) -> Tensor:
     """(B,) long, the member to which each percept is sent, by parameters (M - 1, K)."""
     x = branch.sees(percepts)
     # As in the running skill, where the sigmoid rounds large outputs to the same number.

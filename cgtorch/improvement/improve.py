@@ -57,18 +57,8 @@ def improve(
         if composed is None:
             break
         skill, succeeded = composed
-        yes = torch.ones(len(state.rest), dtype=torch.bool)
-        event = SkillAccepted(
-            stage.name,
-            skill,
-            state.scenarios.joined(state.rest),
-            torch.cat([succeeded, yes]),
-            torch.cat([state.keep, yes]),
-            torch.cat([state.targets, ~yes]),
-            time.perf_counter() - began,
-        )
-        stage.watch(event)
-        state, tested = _tested(stage, state, draw, skill, succeeded)
+        _report_accepted(stage, state, skill, succeeded, time.perf_counter() - began)
+        state, tested = _tested_on_fresh(stage, state, draw, skill, succeeded)
         # A further try that fails moves parts of the rest of W into its scenarios.
         accepted = skill, state
         if state.keep.all() or not tested:
@@ -85,17 +75,17 @@ def improve(
     )
 
 
-def _tested(
+def _tested_on_fresh(
     stage: Stage[S], state: StageState[S], draw: Draw[S], skill: Skill, succeeded: Tensor
 ) -> tuple[StageState[S], int]:
     """The state after a skill was tried on fresh scenarios, and their number.
 
     They are drawn in batches until the skill fails in one, or until it has solved all of
-    `Setup.clean` batches. Members are tried on what failed only: what the skill solves joins the
+    `Setup.clean_batches`. Members are tried on what failed only: what the skill solves joins the
     rest of W.
     """
     setup, state, tested = stage.setup, replace(state, keep=succeeded), 0
-    for _ in range(setup.clean):
+    for _ in range(setup.clean_batches):
         fresh = draw(stage.generator)
         held = attempt(setup, skill, fresh).succeeded
         state, tested = replace(state, rest=state.rest.joined(fresh[held])), tested + len(fresh)
@@ -145,6 +135,23 @@ def _compose(
         state = with_fresh(stage.setup, state, keep, state.rest[~held])
         state = replace(state, rest=state.rest[held])
     return state, None
+
+
+def _report_accepted(
+    stage: Stage[S], state: StageState[S], skill: Skill, succeeded: Tensor, seconds: float
+) -> None:
+    """Report a skill that solves `succeeded` (B,) of the state's scenarios, and all of the rest."""
+    yes = torch.ones(len(state.rest), dtype=torch.bool)
+    event = SkillAccepted(
+        stage.name,
+        skill,
+        state.scenarios.joined(state.rest),
+        torch.cat([succeeded, yes]),
+        torch.cat([state.keep, yes]),
+        torch.cat([state.targets, ~yes]),
+        seconds,
+    )
+    stage.watch(event)
 
 
 def _report_lost(stage: Stage[S], state: StageState[S], succeeded: Tensor, held: Tensor) -> None:

@@ -33,8 +33,8 @@ class Setup(Generic[S]):
         attempts: Maximum number of specialists that are evolved in one stage.
         idle: Number of evolutions without a new member after which a stage stops.
         rounds: How often at most a stage's skill is tried on fresh scenarios and improved again.
-        clean: Number of batches of fresh scenarios, all of which it has to solve to be left as it
-            is.
+        clean_batches: Number of batches of fresh scenarios, all of which it has to solve to be left
+            as it is.
         group_of: Chooses the scenarios on which a specialist is evolved.
         group: Number of these scenarios.
         widest: Number to which they grow, by doubling, for a specialist with a fitness of
@@ -61,7 +61,7 @@ class Setup(Generic[S]):
     attempts: int = 24
     idle: int = 4
     rounds: int = 6
-    clean: int = 3
+    clean_batches: int = 3
     group_of: Grouping = local_group
     group: int = 12
     widest: int = 32

@@ -18,7 +18,7 @@ from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, sav
 from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
-from cgtorch.improvement.gating import sent_to, train_gating
+from cgtorch.improvement.gating import selected_members, train_gating
 from cgtorch.simulation import rollout
 
 ACTIONS = paper_actions()
@@ -49,7 +49,7 @@ def test_each_scenario_is_run_by_the_member_it_is_sent_to(count: int) -> None:
     assert skill.num_nodes == 2 * count - 1
     assert skill.depth == 2
     place = world(0, COUNT)
-    member = sent_to(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
+    member = selected_members(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
     alone = [rollout(s.graph, s.actions, place, max_transitions=s.max_transitions) for s in team]
     whole = rollout(skill.graph, skill.actions, place, max_transitions=skill.max_transitions)
     compared = 0
@@ -94,7 +94,8 @@ def test_a_member_that_fails_hands_over_to_the_next() -> None:
     team = [Skill(f"member {n}", looker().graph, ACTIONS, n) for n in limits]
     parameters = branches(3, 3)
     skill = compose("all", team, parameters, ACTIONS, max_transitions=6)
-    member = sent_to(BRANCH, parameters, world(0, COUNT).start(torch.arange(COUNT))[1]).tolist()
+    seen = world(0, COUNT).start(torch.arange(COUNT))[1]
+    member = selected_members(BRANCH, parameters, seen).tolist()
     assert set(member) == {0, 1, 2}
     for way, m in zip(visited(skill), member, strict=True):
         asked = list(range(min(m, 1) + 1))
@@ -147,7 +148,7 @@ def test_members_that_behave_the_same_are_one_node() -> None:
     assert large.num_nodes == 5
     once, all_three = (rollout(s.graph, s.actions, world(0, COUNT)) for s in (small, large))
     place = world(0, COUNT)
-    sent = sent_to(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
+    sent = selected_members(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
     alone = torch.stack([rollout(s.graph, s.actions, place).succeeded[0] for s in (one, two, one)])
     at_once = alone.gather(0, sent[None])[0]
     assert at_once.any()

@@ -12,7 +12,9 @@ from torch import Tensor
 from cgtorch.actions import BranchingNN
 from cgtorch.environment import start_lanes
 from cgtorch.improvement import gating as gate
-from cgtorch.improvement.gating import _best, _unscaled, sent_to, train_gating
+from cgtorch.improvement import gating_gradient
+from cgtorch.improvement.gating import _most_reliable, _unscaled, selected_members, train_gating
+from cgtorch.improvement.gating_gradient import gradient_of
 
 BRANCH = BranchingNN()
 
@@ -30,7 +32,12 @@ def test_sets_that_can_be_separated_are(members: int) -> None:
     parameters, member = train_gating(BRANCH, seen, solves, torch.ones(60), seeded(1))
     assert parameters.shape == (members - 1, BRANCH.num_parameters)
     assert float((member == zone).float().mean()) > 0.95
-    assert torch.equal(member, sent_to(BRANCH, parameters, seen))
+    assert torch.equal(member, selected_members(BRANCH, parameters, seen))
+
+
+def test_sets_are_separated_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gating_gradient, "function", lambda name, dtype: None)
+    test_sets_that_can_be_separated_are(3)
 
 
 def test_members_that_solve_are_preferred_and_hopeless_scenarios_ignored() -> None:
@@ -102,7 +109,7 @@ def test_networks_are_the_same_in_metres(seed: int, count: int) -> None:
 
 @given(st.integers(0, 2**31), st.integers(1, 4), st.sampled_from([0.0, 1.0, 1e4]))
 @settings(max_examples=30)
-def test_sent_to_is_what_the_branches_say_in_turn(seed: int, count: int, size: float) -> None:
+def test_selected_members_follow_the_branches_in_turn(seed: int, count: int, size: float) -> None:
     """Also where the sigmoid of large outputs, or of zeros, cannot tell the two apart."""
     seen, everywhere = percepts(20), world(0, 20)
     parameters = size * torch.randn(count, BRANCH.num_parameters, generator=seeded(seed))
@@ -111,28 +118,26 @@ def test_sent_to_is_what_the_branches_say_in_turn(seed: int, count: int, size: f
     for i in reversed(range(count)):
         _, outcome = BRANCH(lanes, parameters[i].expand(20, -1), everywhere)
         expected = [i if o == 0 else e for o, e in zip(outcome.tolist(), expected, strict=True)]
-    assert sent_to(BRANCH, parameters, seen).tolist() == expected
+    assert selected_members(BRANCH, parameters, seen).tolist() == expected
 
 
 def test_the_descent_is_that_of_the_optimiser() -> None:
     """Step for step what `torch.optim.Adam` comes to, with its cosine schedule."""
     x, solves = percepts(30, 8), torch.rand(30, 3, generator=seeded(9))
     weight, blur = torch.ones(30), torch.full((7,), gate.BLUR)
+    gradient = gradient_of(BRANCH, solves, weight, gate.RESTARTS)
     found = gate._descend(BRANCH, x, solves, weight, blur, seeded(10))
     generator = seeded(10)
     shape = (gate.RESTARTS, 2, BRANCH.num_parameters)
-    parameters = torch.randn(shape, generator=generator).requires_grad_()
+    parameters = torch.randn(shape, generator=generator)
     optimiser = torch.optim.Adam([parameters], lr=gate.RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, gate.EPOCHS)
     for _ in range(gate.EPOCHS):
         noisy = x + torch.randn(x.shape, generator=generator) * blur
-        chosen = gate._log_chosen(BRANCH, parameters, noisy)
-        reached = torch.logsumexp(chosen + solves.clamp_min(1e-6).log(), -1)
-        optimiser.zero_grad()
-        (-(weight * reached).sum() / weight.sum()).backward()
+        parameters.grad = gradient(parameters, noisy)
         optimiser.step()
         schedule.step()
-    assert torch.equal(found, parameters.detach())
+    assert torch.equal(found, parameters)
 
 
 def test_of_equally_right_tries_the_one_with_the_widest_margin_is_chosen() -> None:
@@ -152,8 +157,8 @@ def test_of_equally_right_tries_the_one_with_the_widest_margin_is_chosen() -> No
         return parameters
 
     tries = [border(at) for at in (2.0, 0.97, 0.0)]
-    sent = [sent_to(BRANCH, parameters, seen) for parameters in tries]
+    sent = [selected_members(BRANCH, parameters, seen) for parameters in tries]
     right = (torch.arange(40) >= 20).long()
     assert [torch.equal(each, right) for each in sent] == [False, True, True]
-    assert _best(BRANCH, tries, seen, solves, torch.ones(40), seeded(0)) == 2
-    assert _best(BRANCH, tries[:2], seen, solves, torch.ones(40), seeded(0)) == 1
+    assert _most_reliable(BRANCH, tries, seen, solves, torch.ones(40), seeded(0)) == 2
+    assert _most_reliable(BRANCH, tries[:2], seen, solves, torch.ones(40), seeded(0)) == 1

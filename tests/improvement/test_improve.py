@@ -315,7 +315,7 @@ def test_a_stage_ends_after_so_many_clean_batches(
     setup: Setup, nothing_yet: Progress, clean: int
 ) -> None:
     """All placements are the same one, so each batch is clean once the skill solves it."""
-    careful, drawn = replace(setup, clean=clean), []
+    careful, drawn = replace(setup, clean_batches=clean), []
     first, _ = stage("compose", setup, nothing_yet, "S0", "near", 1)
     same = first.solved[torch.tensor([1, 1, 1])]  # within reach from the start
 

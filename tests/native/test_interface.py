@@ -84,5 +84,5 @@ def test_what_c_writes_to_must_be_contiguous() -> None:
 def test_sources_are_shipped() -> None:
     """Where Python finds them, however they are sorted into folders."""
     folders = {path.parent.name for path in compiler.SOURCES.rglob("*.c")}
-    assert folders == {"native", "engine", "svm", "tabletop"}
+    assert folders == {"native", "engine", "svm", "improvement", "tabletop"}
     assert all(Path(path).is_file() for path in compiler.SOURCES.rglob("*.h"))
