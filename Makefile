@@ -28,13 +28,13 @@ train: setup  ## Evolve a skill up to stage S2 (a minute)
 	$(BIN)/cgtorch-train --stage S2
 
 check: lint  ## Lint, then the fast tests: less than 90 seconds, for every change
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 $(FAST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(FAST)
 
 test: setup  ## Run all tests (at most 12 minutes on two cores)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 durations: setup  ## Run all tests, and print the 40 slowest
-	$(BIN)/python -m pytest -n auto --durations 40
+	$(BIN)/python -m pytest -n auto --dist worksteal --durations 40
 
 lint: setup types prose  ## Check style, types and prose
 	$(BIN)/ruff check

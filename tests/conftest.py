@@ -15,6 +15,13 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("cgtorch")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile before the processes that run tests start, as each of them would do it itself."""
+    if not hasattr(config, "workerinput"):
+        for dtype in (torch.float32, torch.float64):
+            native.function("rbf_values", dtype)
+
+
 @pytest.fixture(autouse=True)
 def threads_as_before() -> Iterator[None]:
     """A command that was called in this process keeps its threads until the process ends."""

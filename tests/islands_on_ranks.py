@@ -1,13 +1,10 @@
 """Evolutions of one to four islands, alone or as one of several ranks, broken off where asked.
 
-    torchrun … islands_on_ranks.py FOLDER STOP
-
-Prints for each count of islands what was told, and what it came to or was kept of it, as JSON.
+For each count of islands: what was told, and what it came to or what was kept of it.
 """
 
 import hashlib
 import json
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -60,9 +57,9 @@ def everything(folder: Path, stop: int) -> list[list[Any]]:
     return [evolved(folder / str(islands), islands, stop) for islands in COUNTS]
 
 
-if __name__ == "__main__":
-    torch.set_num_threads(1)
+def as_rank(folder: Path, stop: int) -> None:
+    """The same with other ranks, of which the first prints it as JSON."""
     with ranks.together():
-        result = everything(Path(sys.argv[1]), int(sys.argv[2]))
+        result = everything(folder, stop)
         if ranks.first():
             click.echo(json.dumps(result))

@@ -135,9 +135,9 @@ def _without_device(given: Sequence[Any], named: dict[str, Any]) -> tuple[Any, .
 def _tensors(value: Any) -> Iterator[Tensor]:
     if isinstance(value, Tensor):
         yield value
-    elif isinstance(value, Mapping):
+    elif isinstance(value, dict):
         yield from _tensors(tuple(value.values()))
-    elif isinstance(value, Sequence) and not isinstance(value, str):
+    elif isinstance(value, tuple | list):
         for each in value:
             yield from _tensors(each)
 

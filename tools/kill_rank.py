@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import click
-from kill_and_resume import SMALL, check_same, results_of, train
+from kill_and_resume import SIZES, SMALL, check_same, results_of, train
 
 PATIENCE = 20.0  # times what one process takes
 
@@ -33,7 +33,7 @@ def command(folder: Path, kills: int, ranks: int, stage: str, seed: int) -> None
     draw = random.Random(seed)  # noqa: S311  of moments, not of secrets
     shutil.rmtree(folder / "alone", ignore_errors=True)
     began = time.monotonic()
-    train(folder / "alone", ["--stage", stage, "--seed", str(seed), *SMALL])
+    train(folder / "alone", ["--stage", stage, "--seed", str(seed), *SIZES["kinematic"]])
     usual = time.monotonic() - began
     wanted, survived = results_of(folder / "alone"), 0
     while survived < kills:
@@ -72,6 +72,7 @@ def killed(
     """
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--max-restarts=3"]
     about = ["--stage", stage, "--seed", str(seed), "--run-dir", str(run), *SMALL]
+    about += SIZES["kinematic"]
     process = subprocess.Popen(
         [*torchrun, f"--nproc-per-node={ranks}", "-m", "cgtorch.commands.train", *about],
         env={**os.environ, "OMP_NUM_THREADS": "1"},

@@ -22,7 +22,7 @@ from cgtorch.runs.run import planned_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.settings import TabletopSettings
 
-OPTIONS = as_options(replace(SMALL, practice=0))
+OPTIONS = as_options(replace(SMALL, practice=0, generations=8, attempts=1))
 
 
 def test_a_skill_is_evolved_there(tmp_path: Path) -> None:

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from kill_and_resume import results_of  # the tool that compares runs
 
+from cgtorch.commands import export, report
 from cgtorch.environment import start_lanes
 from examples.cart import Cart
 from examples.mountain_car import HELD, SOLVED, MountainCar, Starts
@@ -104,15 +106,23 @@ def test_three_ranks_make_the_same_bits(trained: tuple[str, Path], tmp_path: Pat
     assert results_of(tmp_path / "run") == results_of(wanted)
 
 
-def test_it_is_reported_and_exported(trained: tuple[str, Path], tmp_path: Path) -> None:
+def test_it_is_reported_and_exported(
+    trained: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In this process, as each new one would load torch once more."""
     domain, run = trained
+    monkeypatch.chdir(ROOT)
     page = tmp_path / "page.html"
-    ended("cgtorch-report", str(run), "--domain", domain, "--output", str(page))
+    words = [str(run), "--domain", domain]
+    told = CliRunner().invoke(report.command, [*words, "--output", str(page)])
+    assert told.exit_code == 0, told.output
     assert domain in page.read_text()
     for form in ("json", "module", "onnx", "state-machine", "graphml"):
         output = tmp_path / ("skill.pt2" if form == "module" else f"skill.{form}")
-        words = ["--domain", domain, "--format", form, "--output", str(output)]
-        ended("cgtorch-export", str(run), *words)
+        told = CliRunner().invoke(
+            export.command, [*words, "--format", form, "--output", str(output)]
+        )
+        assert told.exit_code == 0, told.output
         assert output.stat().st_size > 100
     assert list(run.glob("events.out.*"))
 

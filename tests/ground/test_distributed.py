@@ -7,10 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import islands_on_ranks
+import click
 import pytest
 import torch
-from islands_on_ranks import everything
+from forked_ranks import on_ranks, train
+from islands_on_ranks import as_rank, everything
 from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
 
@@ -21,45 +22,43 @@ from measure_ranks import torchrun
 from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
 
-GATHER = """
-import torch
-from cgtorch.ground import distributed as ranks
 
-with ranks.together():
-    assert ranks.count() == 5
-    for rows in range(13):
-        for whole in (
-            torch.arange(rows),
-            torch.arange(rows * 3.0).view(rows, 3),
-            torch.arange(rows) % 2 == 0,
-        ):
-            part = whole[ranks.share(rows)]
-            assert torch.equal(ranks.all_gather(part, rows), whole)
-            assert ranks.all_gather(part, rows).dtype == whole.dtype
-    for parts in range(1, 12):
-        mine, group = ranks.held(parts), ranks.group_of(parts)
-        assert len(mine) == 1 or len(mine) <= -(-parts // 5)
-        own = torch.arange(parts * 6.0).view(parts, 2, 3)
-        every = ranks.all_gather_parts(own[mine.start : mine.stop], parts)
-        assert torch.equal(every, own)
-        before = [(part - 1) % parts for part in mine]
-        for whole in (own, own > 9):
-            found = ranks.ring_shift(whole[mine.start : mine.stop], parts)
-            assert torch.equal(found, whole[before])
-        rows = torch.arange(7) + 10 * mine.start
-        part = rows[ranks.share(7, group)]
-        assert torch.equal(ranks.all_gather(part, 7, group), rows)
-        for i in range(parts):
-            held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
-            found = ranks.gather_part(held, i, parts)
-            assert not ranks.first() or torch.equal(found["x"], own[i])
-            assert not ranks.first() or bool(found["y"])
-    assert ranks.broadcast(ranks.first())
-    assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
-    ranks.wait()
-    if ranks.first():
-        print("all gathered")
-"""
+def gather() -> None:
+    """Everything that ranks exchange, on five of them."""
+    with ranks.together():
+        assert ranks.count() == 5
+        for rows in range(13):
+            for whole in (
+                torch.arange(rows),
+                torch.arange(rows * 3.0).view(rows, 3),
+                torch.arange(rows) % 2 == 0,
+            ):
+                part = whole[ranks.share(rows)]
+                assert torch.equal(ranks.all_gather(part, rows), whole)
+                assert ranks.all_gather(part, rows).dtype == whole.dtype
+        for parts in range(1, 12):
+            mine, group = ranks.held(parts), ranks.group_of(parts)
+            assert len(mine) == 1 or len(mine) <= -(-parts // 5)
+            own = torch.arange(parts * 6.0).view(parts, 2, 3)
+            every = ranks.all_gather_parts(own[mine.start : mine.stop], parts)
+            assert torch.equal(every, own)
+            before = [(part - 1) % parts for part in mine]
+            for whole in (own, own > 9):
+                found = ranks.ring_shift(whole[mine.start : mine.stop], parts)
+                assert torch.equal(found, whole[before])
+            rows = torch.arange(7) + 10 * mine.start
+            part = rows[ranks.share(7, group)]
+            assert torch.equal(ranks.all_gather(part, 7, group), rows)
+            for i in range(parts):
+                held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
+                found = ranks.gather_part(held, i, parts)
+                assert not ranks.first() or torch.equal(found["x"], own[i])
+                assert not ranks.first() or bool(found["y"])
+        assert ranks.broadcast(ranks.first())
+        assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
+        ranks.wait()
+        if ranks.first():
+            click.echo("all gathered")
 
 
 RESTARTED = """
@@ -114,8 +113,7 @@ def test_alone_everything_is_ones_own() -> None:
 
 
 def test_uneven_parts_are_gathered_in_order(tmp_path: Path) -> None:
-    (tmp_path / "gather.py").write_text(GATHER)
-    assert "all gathered" in torchrun(5, [str(tmp_path / "gather.py")])
+    assert "all gathered" in on_ranks(5, gather, output=tmp_path / "printed.txt")
 
 
 def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
@@ -124,8 +122,9 @@ def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
     """Broken off after five generations on some ranks, and ended on others."""
 
     def found(count: int, folder: str, stop: int) -> list[Any]:
-        words = str(tmp_path / folder), str(stop)
-        return json.loads(torchrun(count, [islands_on_ranks.__file__, *words]).splitlines()[0])
+        output = tmp_path / f"{folder}-{count}.txt"
+        on_ranks(count, as_rank, tmp_path / folder, stop, output=output)
+        return json.loads(output.read_text().splitlines()[-1])
 
     whole = everything(tmp_path / "whole", -1)
     one, three = everything(tmp_path / "one", 4), found(3, "three", 4)
@@ -157,8 +156,8 @@ def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_pat
         for part in (f"--{name.replace('_', '-')}", str(value))
     ]
     run = tmp_path / "run"
-    words = ["-m", "cgtorch.commands.train", "--stage", "S0", "--quiet", "--run-dir", str(run)]
-    printed = torchrun(count, [*words, *options])
+    words = ["--stage", "S0", "--quiet", "--run-dir", str(run), *options]
+    printed = on_ranks(count, train, words, output=tmp_path / "printed.txt")
     assert printed.count("S0     perimeter") == 1  # only one of them says so
     for name in ("start/gamma", "start/classifier", "S0/data", "S0/specialists"):
         path = f"{name}.safetensors"
