@@ -20,6 +20,7 @@ from typing import Any
 import click
 from benchmarks.cold_start import cold_start
 from benchmarks.gamma import gamma_ceiling
+from benchmarks.gating import gating_gradient
 from benchmarks.generation import overhead_share
 from benchmarks.grasps import grasp_way
 from benchmarks.grid import (
@@ -63,6 +64,7 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "own_action": own_action,
     "own_world": own_world,
     "own_models": own_models,
+    "gating_gradient": gating_gradient,
     "touching": touching,
     "grasp_way": grasp_way,
     "cold_start": cold_start,

@@ -7,10 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 import torch
-from forked_ranks import on_ranks, train
+from forked_ranks import gather, on_ranks, train
 from islands_on_ranks import as_rank, everything
 from torch._C._distributed_c10d import HashStore
 from trained import SMALL, trained_run
@@ -21,45 +20,6 @@ from measure_ranks import torchrun
 
 from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
-
-
-def gather() -> None:
-    """Everything that ranks exchange, on five of them."""
-    with ranks.together():
-        assert ranks.count() == 5
-        for rows in range(13):
-            for whole in (
-                torch.arange(rows),
-                torch.arange(rows * 3.0).view(rows, 3),
-                torch.arange(rows) % 2 == 0,
-            ):
-                part = whole[ranks.share(rows)]
-                assert torch.equal(ranks.all_gather(part, rows), whole)
-                assert ranks.all_gather(part, rows).dtype == whole.dtype
-        for parts in range(1, 12):
-            mine, group = ranks.held(parts), ranks.group_of(parts)
-            assert len(mine) == 1 or len(mine) <= -(-parts // 5)
-            own = torch.arange(parts * 6.0).view(parts, 2, 3)
-            every = ranks.all_gather_parts(own[mine.start : mine.stop], parts)
-            assert torch.equal(every, own)
-            before = [(part - 1) % parts for part in mine]
-            for whole in (own, own > 9):
-                found = ranks.ring_shift(whole[mine.start : mine.stop], parts)
-                assert torch.equal(found, whole[before])
-            rows = torch.arange(7) + 10 * mine.start
-            part = rows[ranks.share(7, group)]
-            assert torch.equal(ranks.all_gather(part, 7, group), rows)
-            for i in range(parts):
-                held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
-                found = ranks.gather_part(held, i, parts)
-                assert not ranks.first() or torch.equal(found["x"], own[i])
-                assert not ranks.first() or bool(found["y"])
-        assert ranks.broadcast(ranks.first())
-        assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
-        ranks.wait()
-        if ranks.first():
-            click.echo("all gathered")
-
 
 RESTARTED = """
 import os, signal, sys

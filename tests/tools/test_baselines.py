@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from benchmarks import generation, paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
+from benchmarks.gating import gating_gradient
 from benchmarks.generation import (
     INSIDE,
     MODELS,
@@ -176,6 +177,14 @@ def test_postures_are_said_to_touch_alike() -> None:
     line = touching(Effort(repeats=5, size=0.05))
     assert [part.label for part in line.parts] == ["pr2, 200 postures", "fetch, 200 postures"]
     assert all(part.difference == 0 and part.ratio > 0 for part in line.parts)
+
+
+def test_the_gradient_of_gating_networks() -> None:
+    line = gating_gradient(Effort(repeats=5, size=0.05))
+    assert [part.label for part in line.parts] == [
+        "S1: 760 scenarios, 2 members", "S3: 1160 scenarios, 4 members",
+    ]  # fmt: skip
+    assert all(part.ratio > 0 for part in line.parts)
 
 
 def test_more_room_changes_no_result() -> None:
