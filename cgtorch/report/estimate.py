@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cgtorch.improvement.events import GenerationDone, StageStarted
+from cgtorch.runs.run import AUTO
 
 MEMORY = 0.9  # weight of the past in smoothed numbers
 
@@ -88,6 +89,14 @@ def stage_number(event: StageStarted) -> tuple[int, int]:
     """The number of the stage in the run, from 1, and the number of stages."""
     known = event.stage in event.stages
     return (event.stages.index(event.stage) + 1 if known else 1), max(len(event.stages), 1)
+
+
+def place_of(event: StageStarted) -> str:
+    """The place of a stage in its run, such as "stage 2 of 3" or "round 1"."""
+    if event.stage.startswith(f"{AUTO}-"):
+        return f"round {event.stage.removeprefix(f'{AUTO}-')}"
+    number, count = stage_number(event)
+    return f"stage {number} of {count}"
 
 
 def _smoothed(past: float | None, value: float) -> float:

@@ -3,16 +3,15 @@
 from typing import Any
 
 from cgtorch.improvement import events
-from cgtorch.report.estimate import as_time, stage_number
+from cgtorch.report.estimate import as_time, place_of
 
 
 def message_of(event: events.Event) -> str:
     """The message of an event, "" if it has none."""
     match event:
         case events.StageStarted():
-            number, count = stage_number(event)
             return (
-                f"{event.stage}: stage {number} of {count}, "
+                f"{event.stage}: {place_of(event)}, "
                 f"{event.size_w} scenarios to keep (W), {event.size_m} to solve"
             )
         case events.EvolutionRecalled():

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.improvement import events
-from cgtorch.report.estimate import Count, Estimate, as_time, stage_number
+from cgtorch.report.estimate import Count, Estimate, as_time, place_of
 from cgtorch.report.event_messages import few_kept, message_of
 
 OFTEN = 60.0  # s at least between two lines on the same work where there is no terminal
@@ -130,12 +130,11 @@ class ProgressDisplay:
         lines: list[RenderableType] = []
         now = time.monotonic()
         if (stage := self._stage) is not None:
-            number, count = stage_number(stage)
             left = self._estimate.run_left
             lines.append(
                 _line(
                     (stage.stage, "bold"),
-                    f"  stage {number} of {count}  W {stage.size_w}, to solve {stage.size_m}",
+                    f"  {place_of(stage)}  W {stage.size_w}, to solve {stage.size_m}",
                     (f"  elapsed {as_time(now - self._began)}", "dim"),
                     ("" if left is None else f"  left ≤ {as_time(left)}", "dim"),
                 )
