@@ -8,6 +8,7 @@ from torch import Generator
 
 from cgtorch.actions import ActionSet
 from cgtorch.domains.domain import Domain
+from cgtorch.domains.world import World
 from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lanes
 from cgtorch.environment.dry_run import ROWS, check_environment, expect, kind, returned, two_rows
 from cgtorch.environment.fields import Field
@@ -33,6 +34,10 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
             raise DomainError(
                 f"{who}.{name} names {given} numbers, its world has {size}; give one Field for each"
             )
+    if isinstance(world, World):
+        name, state = f"{type(world).__name__}.succeeded", world.start(two_rows(ROWS))[0]
+        succeeded = returned(DomainError, name, world.succeeded, state)
+        expect(DomainError, name, "", succeeded, (ROWS,), torch.bool)
     if isinstance(world, Rewarded):
         _check_rewards(world, who)
     actions = returned(DomainError, f"{who}.actions", domain.actions)

@@ -1,5 +1,6 @@
 """Collecting data for Γ and C in any domain, by random controls in the world."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -13,6 +14,10 @@ MOVES = 12  # random controls at most, one after the other, from each start
 RARE = 0.02  # share of either label below which there is hardly anything to learn
 SHARE = 0.3  # of the tests that are kept, have the rarer label if there are as many
 MOST_TRIES = 40
+ADVICE = (
+    "give scenarios that begin nearer to success, implement explore, or evolve in the world: "
+    "--models none"
+)
 
 
 def random_controls(control: Sequence[Field], count: int, generator: Generator) -> Tensor:
@@ -66,12 +71,16 @@ def explore(
         rarer = min(int(labels.sum()), int((~labels).sum()))
         if have >= transitions and len(labels) >= tests and rarer >= SHARE * tests:
             break
-    if have < transitions or rarer < RARE * tests:
+    if have < transitions:
         raise DataError(
-            f"{have} random controls could be carried out where {transitions} are needed, and "
-            f"success was {'met' if rarer == labels.sum() else 'missed'} in {rarer} of "
-            f"{len(labels)} tests where {RARE:.0%} of {tests} are needed; give scenarios that "
-            "begin nearer to success, implement explore, or evolve in the world: --models none"
+            f"only {have} random controls could be carried out, and {transitions} are needed; "
+            + ADVICE
+        )
+    if rarer < RARE * tests:
+        met = "met" if rarer == labels.sum() else "missed"
+        raise DataError(
+            f"success was {met} in {rarer} of {len(labels)} random tests, and "
+            f"{math.ceil(RARE * tests)} are needed; {ADVICE}"
         )
     p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
     pick = torch.randperm(have, generator=generator)[:transitions]

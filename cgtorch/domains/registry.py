@@ -51,7 +51,7 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
             "'package.module:Class'"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
-    advice = "is it spelt right, and its file (a folder is none) here, on PYTHONPATH or installed?"
+    advice = "is it spelt right, and is its file in this folder, on PYTHONPATH or installed?"
     found = _foreign(entry.load, f"cannot import domain {spec!r}", advice)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
@@ -71,6 +71,11 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
     """A domain with these settings, or a DomainError; "gymnasium:ENV_ID" names its environment."""
     kind = domain_class(spec)
     settings = with_name(spec, kind.settings_type() if settings is None else settings)
+    if missing := sorted(getattr(kind, "__abstractmethods__", ())):
+        raise DomainError(
+            f"domain {spec!r}: class {kind.__name__} lacks {' and '.join(missing)}; implement it "
+            "as cgtorch.Domain describes"
+        )
     failure = f"domain {spec!r} cannot be made as {kind.__name__}(settings)"
     advice = "give it a constructor that needs no other arguments"
     return _foreign(lambda: kind(settings), failure, advice)

@@ -181,6 +181,11 @@ def test_a_world_that_cannot_be_made_is_named() -> None:
             lambda state: state.abs() < 0.5,
             r"Track.success \(succeeded\) returned probabilities as a tensor \(2, 4\)",
         ),
+        (
+            "succeeded",
+            lambda state: (state[:, 0].abs() < 0.5).float(),
+            r"Track.succeeded returned a tensor \(2,\) of float32; return .* of bool",
+        ),
     ],
 )
 def test_what_a_world_returns_wrongly_is_named(

@@ -107,7 +107,7 @@ def test_a_folder_is_no_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "folder_of_a_run").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     message = refused(domain_class, "folder_of_a_run:Cart")
-    assert message.endswith("its file (a folder is none) here, on PYTHONPATH or installed?")
+    assert message.endswith("is its file in this folder, on PYTHONPATH or installed?")
 
 
 class Fussy(Cart):
@@ -134,7 +134,8 @@ def test_a_domain_that_cannot_be_made_is_named() -> None:
     message = refused(make_domain, f"{__name__}:Fussy")
     assert "cannot be made as Fussy(settings) (TypeError: " in message
     assert message.endswith("give it a constructor that needs no other arguments")
-    assert "draw" in refused(make_domain, f"{__name__}:Unfinished")
+    message = refused(make_domain, f"{__name__}:Unfinished")
+    assert "class Unfinished lacks draw and world; implement it" in message
     with pytest.raises(SettingsError, match="wind is too weak"):
         make_domain(f"{__name__}:Picky")
 

@@ -31,9 +31,11 @@ def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, 
     """The commands that train a run again, with the same changes of settings at the same stages."""
     names = {ENGINE, *run.all_settings()}
     taken = [c for c in changes_of(about) if c[1] in names]
-    at_first = {name: old for _, name, old, _ in reversed(taken)}
-    engine = at_first.get(ENGINE, str(about.get(ENGINE)))
     legs = _legs(run, summary, [before for before, *_ in taken])
+    # A stage begins again where settings change in its middle, so the first one has the new ones.
+    first = legs[0][1] if legs else None
+    at_first = {name: old for before, name, old, _ in reversed(taken) if before != first}
+    engine = at_first.get(ENGINE, str(about.get(ENGINE)))
     commands = []
     for number, (words, before) in enumerate(legs):
         here = [(name, new) for place, name, _, new in taken if number and place == before]

@@ -145,6 +145,20 @@ def test_of_a_goal_is_said_what_nobody_knows(
     assert line.partition(" --seed")[0] == f"cgtorch-train --stage {words}"
 
 
+def test_settings_that_changed_within_the_first_stage_are_those_it_begins_with(
+    tmp_path: Path,
+) -> None:
+    """The stage begins again when they change, so nothing of the earlier ones is left."""
+    create_run(tmp_path / "run", RunSettings(population=500))
+    run = with_stages(tmp_path / "run", "auto-1", "auto-2")
+    entries = [("auto-1", [400, 500]), ("auto-2", [500, 700])]
+    for count in (1, 2):
+        history = [{"before": b, "changed": {"population": v}} for b, v in entries[:count]]
+        line = training_commands(run, {"history": history}, {})[0]
+        assert "--population 500" in line
+        assert "400" not in line
+
+
 def test_another_robot_and_actions_are_named(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "it's", "S0", models=False, events=False)
     path = folder / "robot" / "robot.json"
