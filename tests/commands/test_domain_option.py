@@ -252,7 +252,7 @@ nothing = 3
         ("others:TimedCart", "has a setting 'minutes', which every run has; rename it"),
         ("others:StagedCart", "has a setting 'stage', which every run has; rename it"),
         ("others:Broken", "cannot be made as Broken(settings) (ValueError: no cart today)"),
-        ("others:Incomplete", "cannot be made as Incomplete(settings)"),
+        ("others:Incomplete", "class Incomplete lacks draw and world; implement it"),
         ("others:Still", "Still.draw returned"),
         ("gymnasium", "names no environment; give gymnasium:ENV_ID"),
         (":", "domain ':'"),

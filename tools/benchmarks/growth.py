@@ -145,7 +145,8 @@ def equal(first: Graphs, second: Graphs) -> bool:
 def _padded_rollouts(work: Workload, wide: Graphs, graphs: Graphs, repeats: int) -> Comparison:
     results = [rollout(g, work.actions, work.environment) for g in (wide, graphs)]
     pairs = zip(vars(results[0]).values(), vars(results[1]).values(), strict=True)
-    if not all(torch.equal(a, b) for a, b in pairs if a is not None):
+    same = (torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b for a, b in pairs)
+    if not all(same):
         raise DisagreementError("graphs with more room run otherwise; nothing was timed")
     works: list[Work] = [
         partial(rollout, g, work.actions, work.environment) for g in (wide, graphs)
