@@ -1,5 +1,7 @@
 """The small run that is trained once."""
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 @pytest.fixture
 def shell(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Shell:
-    """Runs commands in an empty folder."""
+) -> Iterator[Shell]:
+    """Runs commands in an empty folder; what they import from there is forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
-    return Shell(monkeypatch, capsys)
+    yield Shell(monkeypatch, capsys)
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
