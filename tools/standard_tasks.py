@@ -1,7 +1,7 @@
 """Measure this library and its peers on standard tasks, with the same worlds and budgets.
 
     python tools/standard_tasks.py [--only cartpole] [--library evosax] [--seeds 0:10] [--jobs 2]
-                                   [--json] [--output FILE] [--figure FILE]
+                                   [--json] [--output FILE] [--figure FILE] [--cpu-seconds 600]
 
 A champion that is good enough in training is tried on 100 fresh episodes, and has solved the task
 if their mean return passes the task's threshold, and further tests where a task has such
@@ -22,7 +22,7 @@ import platform
 from collections import ChainMap
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -58,6 +58,7 @@ Work: TypeAlias = tuple[str, str, int]
 @click.option("--library", multiple=True, type=click.Choice([*EVERY]), help="Of these only.")
 @click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
 @click.option("--evaluations", default=10**9, help="Give a search up after so many at the latest.")
+@click.option("--cpu-seconds", type=float, help="In place of what a task's searches are given.")
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
@@ -68,6 +69,7 @@ def command(
     library: tuple[str, ...],
     seeds: str,
     evaluations: int,
+    cpu_seconds: float | None,
     jobs: int,
     as_json: bool,
     output: Path | None,
@@ -82,7 +84,8 @@ def command(
     work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
     if kept_only:
         work = [each for each in work if each in kept]
-    for found in measured([each for each in work if each not in kept], evaluations, jobs):
+    budgets = {task: _budget(task, evaluations, cpu_seconds) for task in tasks}
+    for found in measured([each for each in work if each not in kept], budgets, jobs):
         kept[found.task, found.library, found.seed] = found
         click.echo(_line(found), err=True)
         if output:
@@ -101,18 +104,23 @@ def command(
         write_json(figure, shown | {"rows": figure_rows(about, shown["columns"])})
 
 
-def measured(work: list[Work], evaluations: int, jobs: int) -> Iterator[Result]:
+def _budget(task: str, evaluations: int, cpu_seconds: float | None) -> Budget:
+    """A task's budget, with fewer evaluations and other seconds if that is asked for."""
+    usual = BUDGETS[task]
+    return Budget(cpu_seconds or usual.cpu_seconds, min(usual.evaluations, evaluations))
+
+
+def measured(work: list[Work], budgets: dict[str, Budget], jobs: int) -> Iterator[Result]:
     """Results as they come in."""
     os.environ.update(ONE_THREAD)  # for the processes that are started
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for future in as_completed([pool.submit(apart, *each, evaluations) for each in work]):
+        running = [pool.submit(apart, *each, budgets[each[0]]) for each in work]
+        for future in as_completed(running):
             yield future.result()
 
 
-def apart(task: str, library: str, seed: int, evaluations: int) -> Result:
+def apart(task: str, library: str, seed: int, budget: Budget) -> Result:
     """The result of a search in a process of its own, whatever becomes of that."""
-    budget = BUDGETS[task]
-    budget = replace(budget, evaluations=min(budget.evaluations, evaluations))
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
         ["torch", "cgtorch.evolution"]

@@ -231,9 +231,23 @@ def test_the_command(one_missing: None, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_search_can_be_given_less() -> None:
-    found = standard_tasks.apart("repeat_first", "cgtorch", 1, 49)
+    found = standard_tasks.apart("repeat_first", "cgtorch", 1, Budget(60, 49))
     assert not found.solved
     assert 49 <= found.evaluations < 200
+
+
+def test_seconds_take_the_place_of_those_of_the_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+
+    def apart(task: str, library: str, seed: int, budget: Budget) -> Found:
+        given.append(budget)
+        return Found(task, library, seed, True, 1, 2, 3, 4.0, 0.5, 500.0)
+
+    monkeypatch.setattr(standard_tasks, "apart", apart)
+    words = ["--only", "cartpole", "--library", "cgtorch", "--seeds", "3:4"]
+    run(*words, "--cpu-seconds", "7", "--evaluations", "5")
+    run(*words)
+    assert given == [Budget(7, 5), BUDGETS["cartpole"]]
 
 
 def test_rows_of_a_figure_are_replaced(tmp_path: Path) -> None:
@@ -258,7 +272,7 @@ def test_what_has_failed_is_said_and_made_again(
     words += ["--output", str(tmp_path / "results.json")]
     made = []
 
-    def apart(task: str, library: str, seed: int, evaluations: int) -> Found:
+    def apart(task: str, library: str, seed: int, budget: Budget) -> Found:
         made.append(seed)
         if made == [3]:
             return standard_tasks._failed(task, library, seed, "it broke")
@@ -276,7 +290,7 @@ def test_what_has_failed_is_said_and_made_again(
 
 def test_a_process_that_dies_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standard_tasks, "_search", os._exit)  # which takes no such arguments
-    found = standard_tasks.apart("cartpole", "cgtorch", 0, 100)
+    found = standard_tasks.apart("cartpole", "cgtorch", 0, Budget(60, 100))
     assert (found.note, found.solved) == ("failed: exit code 1", False)
 
 
