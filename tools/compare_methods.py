@@ -1,6 +1,6 @@
 """Compare `--method paper` with the default: success, evaluations and seconds, over many seeds.
 
-    python tools/compare_methods.py FOLDER [--seeds 0-9] [--methods ...] [--budget N]
+    python tools/compare_methods.py FOLDER [--seeds 0:10] [--methods ...] [--budget N]
 
 For each seed, data and models are made once and all methods begin with them. After each accepted
 skill it is tried on fresh perimeter placements in the world, which costs it nothing. FOLDER keeps
@@ -21,6 +21,7 @@ from typing import Any
 import click
 import torch
 from comparison.table import summary, table
+from seeds import seeds_option
 
 from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.ground.files import read_json, write_bytes, write_json
@@ -250,18 +251,9 @@ def begun(folder: Path, settings: RunSettings) -> Run:
     return run
 
 
-def seeds_in(text: str) -> list[int]:
-    """The numbers in "3", "0-9" or "0,2,5-7"."""
-    try:
-        ends = [[int(x) for x in part.split("-")] for part in text.split(",")]
-        return [n for first, *last in ends for n in range(first, (last or [first])[0] + 1)]
-    except ValueError as e:
-        raise click.BadParameter(f"{text!r}; give seeds such as 0-9 or 0,2") from e
-
-
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--seeds", default="0-9", show_default=True, help="Such as 0-9 or 0,2,5-7.")
+@seeds_option("0:10")
 @click.option(
     "--methods", multiple=True, type=click.Choice(list(METHODS)), default=USUAL, show_default=True
 )
@@ -270,13 +262,12 @@ def seeds_in(text: str) -> list[int]:
 )
 @click.option("--placements", default=1000, show_default=True, help="Fresh ones for each skill.")
 def main(
-    folder: Path, seeds: str, methods: tuple[str, ...], budget: float, placements: int
+    folder: Path, seeds: range, methods: tuple[str, ...], budget: float, placements: int
 ) -> None:
     """Compare the paper's method with the default and print a table in Markdown."""
     torch.set_num_threads(1)
-    numbers = seeds_in(seeds)
     folder.mkdir(parents=True, exist_ok=True)
-    for seed in numbers:
+    for seed in seeds:
         settings = RunSettings(**{**defaults_of(TabletopSettings), "seed": seed})
         compare(folder, settings, methods, budget, placements)
     results = [read_json(path) for path in sorted(folder.glob("seed-*.json"))]

@@ -1,6 +1,6 @@
 """Compare search methods on problems in the models of a finished run.
 
-    python tools/compare_search.py RUN --out FOLDER [--seeds N] [--problem NAME] [--only NAME]
+    python tools/compare_search.py RUN --out FOLDER [--seeds 0:10] [--problem NAME] [--only NAME]
                                    [--base NAME]
 
 RUN is the folder of a run, of which start/ is read. Each trial is kept as one JSON file in FOLDER
@@ -17,6 +17,7 @@ from searches.problems import PROBLEMS, pose
 from searches.table import table
 from searches.trial import tried
 from searches.variants import VARIANTS
+from seeds import seeds_option
 
 from cgtorch.ground.files import read_json, write_json
 
@@ -33,17 +34,17 @@ def path_of(out: Path, problem: str, variant: str, seed: int) -> Path:
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="Where trials are kept."
 )
-@click.option("--seeds", default=10, help="How many seeds.")
+@seeds_option("0:10")
 @click.option("--problem", "problems", multiple=True, type=click.Choice(list(PROBLEMS)))
 @click.option("--only", multiple=True, type=click.Choice(list(VARIANTS)))
 @click.option("--base", type=click.Choice(list(VARIANTS)), default=BASE, show_default=True)
 def main(
-    run: Path, out: Path, seeds: int, problems: tuple[str, ...], only: tuple[str, ...], base: str
+    run: Path, out: Path, seeds: range, problems: tuple[str, ...], only: tuple[str, ...], base: str
 ) -> None:
     """Make the trials that are missing, then print one table for each problem."""
     torch.set_num_threads(1)
     problems, variants = problems or tuple(PROBLEMS), only or tuple(VARIANTS)
-    for seed in range(seeds):
+    for seed in seeds:
         for problem in problems:
             for name in variants:
                 path = path_of(out, problem, name, seed)

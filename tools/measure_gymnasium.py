@@ -26,6 +26,7 @@ from statistics import median
 from typing import Any
 
 import click
+from seeds import seeds_option
 
 from cgtorch.commands.train import command as train
 from cgtorch.domains.gymnasium_vector import VectorSteps
@@ -46,13 +47,12 @@ NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these only.")
-@click.option("--seeds", default="0:5", show_default=True, help="First, and one past the last.")
+@seeds_option("0:5")
 @click.option("--rounds", default=10, show_default=True, help="The most rounds of a run.")
 @click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
-def command(folder: Path, only: tuple[str, ...], seeds: str, rounds: int, jobs: int) -> None:
+def command(folder: Path, only: tuple[str, ...], seeds: range, rounds: int, jobs: int) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
-    numbers = range(*map(int, seeds.split(":")))
-    work = [(environment, seed) for environment in only or TASKS for seed in numbers]
+    work = [(environment, seed) for environment in only or TASKS for seed in seeds]
     # One process for each run: the counters and the CPU seconds are its own.
     pool = ProcessPoolExecutor(
         jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1

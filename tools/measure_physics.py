@@ -22,6 +22,7 @@ import torch
 from in_physics import poses, skills
 from in_physics.tried import Rows, Sizes, Tried
 from make_figures import code_hash, markdown
+from seeds import seeds_option
 from standard_tasks import machine
 
 from cgtorch import native
@@ -49,18 +50,23 @@ DEPENDS = [
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--only", multiple=True, type=click.Choice([*PARTS]), help="These parts only.")
-@click.option("--seeds", default="0:3", show_default=True, help="First, and one past the last.")
+@seeds_option("0:3")
 @click.option("--count", default=1000, show_default=True, help="Poses, or placements.")
 @click.option("--json", "as_json", is_flag=True, help="Print the figure as JSON, not as a table.")
 @click.option("--figure", type=click.Path(path_type=Path), help="Write the figure to this file.")
 def command(
-    folder: Path, only: tuple[str, ...], seeds: str, count: int, as_json: bool, figure: Path | None
+    folder: Path,
+    only: tuple[str, ...],
+    seeds: range,
+    count: int,
+    as_json: bool,
+    figure: Path | None,
 ) -> None:
     """Measure what FOLDER does not have yet, and print all that it has."""
     torch.set_num_threads(1)
     native.use_threads(cores())
     folder.mkdir(parents=True, exist_ok=True)
-    sizes = Sizes(count, range(*map(int, seeds.split(":"))))
+    sizes = Sizes(count, seeds)
     results = folder / "results.json"
     kept = read_json(results) if results.is_file() else {}
     for name in only or PARTS:

@@ -1,6 +1,6 @@
 """Train over many seeds and try the skills on fresh scenarios: the results that the docs quote.
 
-    python tools/measure_skills.py FOLDER [--seeds 5] [--kinds ...] [--jobs 2] [--count 1000]
+    python tools/measure_skills.py FOLDER [--seeds 0:5] [--kinds ...] [--jobs 2] [--count 1000]
 
 FOLDER keeps every run and, beside it, a JSON file with what its last skill did; what is there is
 not made again. The table, FOLDER/table.md, is made from all files. With `--jobs 1` the seconds are
@@ -18,6 +18,7 @@ from typing import Any
 
 import click
 import torch
+from seeds import seeds_option
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.files import read_json, write_bytes, write_json
@@ -45,18 +46,18 @@ FRESH_SEED = 11_000_001
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--seeds", default=5, show_default=True, help="Seeds 0, 1, …, this many.")
+@seeds_option("0:5")
 @click.option("--kinds", multiple=True, type=click.Choice(list(KINDS)), default=list(KINDS))
 @click.option("--jobs", default=2, show_default=True, help="Runs side by side.")
 @click.option("--count", default=1000, show_default=True, help="Fresh scenarios of each sort.")
 @click.option("--options", default="", help="Further options of every run, in one string.")
 def command(
-    folder: Path, seeds: int, kinds: Sequence[str], jobs: int, count: int, options: str
+    folder: Path, seeds: range, kinds: Sequence[str], jobs: int, count: int, options: str
 ) -> None:
     """Train over many seeds and try the skills on fresh scenarios."""
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
-    todo = [(kind, seed) for kind in kinds for seed in range(seeds)]
+    todo = [(kind, seed) for kind in kinds for seed in seeds]
     with ThreadPoolExecutor(jobs) as pool:
         for kind, seed, result in pool.map(
             lambda job: (*job, measured(folder, *job, count, options.split())), todo

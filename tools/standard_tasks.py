@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
+from seeds import seeds_option
 from standard.measure import BUDGETS, Budget, Result, Trial
 from standard.peers import LIBRARIES, VARIANTS, UnsuitableError
 from standard.tables import figure_rows, markdown, summary
@@ -56,7 +57,7 @@ Work: TypeAlias = tuple[str, str, int]
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these tasks only.")
 @click.option("--library", multiple=True, type=click.Choice([*EVERY]), help="Of these only.")
-@click.option("--seeds", default="0:10", show_default=True, help="First, and one past the last.")
+@seeds_option("0:10")
 @click.option("--evaluations", default=10**9, help="Give a search up after so many at the latest.")
 @click.option("--cpu-seconds", type=float, help="In place of what a task's searches are given.")
 @click.option("--jobs", default=1, show_default=True, help="Searches side by side.")
@@ -67,7 +68,7 @@ Work: TypeAlias = tuple[str, str, int]
 def command(
     only: tuple[str, ...],
     library: tuple[str, ...],
-    seeds: str,
+    seeds: range,
     evaluations: int,
     cpu_seconds: float | None,
     jobs: int,
@@ -78,10 +79,9 @@ def command(
 ) -> None:
     """Measure what is not kept yet, and print what has come out."""
     tasks, libraries = only or tuple(TASKS), library or tuple(LIBRARIES)
-    numbers = range(*map(int, seeds.split(":")))
     there = [name for name in libraries if importlib.util.find_spec(EVERY[name].package)]
     kept = _kept(output)
-    work = [(task, name, seed) for task in tasks for name in there for seed in numbers]
+    work = [(task, name, seed) for task in tasks for name in there for seed in seeds]
     if kept_only:
         work = [each for each in work if each in kept]
     budgets = {task: _budget(task, evaluations, cpu_seconds) for task in tasks}

@@ -14,7 +14,7 @@ from trained import SMALL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from compare_methods import METHODS, compare, published, quietly, seeds_in
+from compare_methods import METHODS, compare, published, quietly
 from comparison.table import LABELS, cost_of, spread, table
 
 from cgtorch.runs.run import open_run
@@ -144,10 +144,6 @@ def test_the_table_has_medians_and_ranges() -> None:
     assert paper[8:10] == ["0 of 3", "never"]
 
 
-def test_seeds_and_spreads() -> None:
-    assert seeds_in("0-3,7") == [0, 1, 2, 3, 7]
-    assert seeds_in("5") == [5]
-    with pytest.raises(click.BadParameter, match="give seeds such as"):
-        seeds_in("0-x")
+def test_spreads_and_labels() -> None:
     assert spread([1.0, 1.0], "{:.0f}") == "1"
     assert set(LABELS) == set(METHODS)

@@ -109,7 +109,7 @@ def test_what_is_there_is_not_made_again(monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(compare_search, "PROBLEMS", problems)
     option = next(o for o in compare_search.main.params if o.name == "problems")
     monkeypatch.setattr(option, "type", click.Choice(list(problems)))
-    arguments = [str(tmp_path), "--out", str(tmp_path / "out"), "--seeds", "2"]
+    arguments = [str(tmp_path), "--out", str(tmp_path / "out"), "--seeds", "0:2"]
     runner = click.testing.CliRunner()
     first = runner.invoke(compare_search.main, arguments, catch_exceptions=False)
     assert made == [0] * len(VARIANTS) + [1] * len(VARIANTS)

@@ -16,7 +16,7 @@ HASTY = "--transitions 100 --labels 300 --attempts 1 --generations 8 --rounds 1 
 
 
 def test_a_run_is_made_once_and_measured(tmp_path: Path) -> None:
-    arguments = [str(tmp_path / "made"), "--seeds", "1", "--kinds", "general", "--count", "40"]
+    arguments = [str(tmp_path / "made"), "--seeds", "0:1", "--kinds", "general", "--count", "40"]
     ended = CliRunner().invoke(measure_skills.command, [*arguments, "--options", HASTY])
     assert ended.exit_code == 0, ended.output
     result = read_json(tmp_path / "made" / "general-0.json")
