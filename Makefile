@@ -49,8 +49,9 @@ docs: setup  ## Build the documentation into site/
 types: setup  ## Check types
 	$(BIN)/mypy
 
-figures: setup  ## Write the tables and plots of the pages from docs/figures
+figures: setup  ## Write the tables and plots of the pages from docs/figures, and what they show of the code
 	$(BIN)/python tools/make_figures.py
+	$(BIN)/python tools/make_reference.py
 	$(BIN)/python tools/draw_architecture.py
 
 format: setup  ## Format the code

@@ -5,6 +5,7 @@ import os
 import re
 import runpy
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -62,6 +63,9 @@ def test_every_command_in_the_documents_is_understood(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written(ROOT / "docs" / "tutorial.md", tmp_path)
+    package = tmp_path / "my_package"  # somebody's own, of which the helps speak
+    package.mkdir()
+    shutil.copy(ROOT / "examples" / "cart.py", package)
     for folder in (ROOT, ROOT / "examples", tmp_path):  # where the documents say one is
         monkeypatch.syspath_prepend(folder)
     found = commands()

@@ -21,7 +21,7 @@ from typing import Any
 import click
 import torch
 from comparison.table import summary, table
-from seeds import seeds_option
+from options.seeds import seeds_option
 
 from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.ground.files import read_json, write_bytes, write_json

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import click
 import torch
+from options.seeds import seeds_option
 from searches.problems import PROBLEMS, pose
 from searches.table import table
 from searches.trial import tried
 from searches.variants import VARIANTS
-from seeds import seeds_option
 
 from cgtorch.ground.files import read_json, write_json
 

@@ -26,7 +26,7 @@ from statistics import median
 from typing import Any
 
 import click
-from seeds import seeds_option
+from options.seeds import seeds_option
 
 from cgtorch.commands.train import command as train
 from cgtorch.domains.gymnasium_vector import VectorSteps

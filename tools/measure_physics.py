@@ -22,7 +22,7 @@ import torch
 from in_physics import poses, skills
 from in_physics.tried import Rows, Sizes, Tried
 from make_figures import code_hash, markdown
-from seeds import seeds_option
+from options.seeds import seeds_option
 from standard_tasks import machine
 
 from cgtorch import native

@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 import torch
-from seeds import seeds_option
+from options.seeds import seeds_option
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.files import read_json, write_bytes, write_json

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
-from seeds import seeds_option
+from options.seeds import seeds_option
 from standard.measure import BUDGETS, Budget, Result, Trial
 from standard.peers import LIBRARIES, VARIANTS, UnsuitableError
 from standard.tables import figure_rows, markdown, summary

@@ -49,7 +49,7 @@ def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Train
     assert listing(run.folder) == before
     page = html.document_fromstring((tmp_path / "page.html").read_text())
     said = [words(line) for line in page.xpath("//aside//li")]
-    assert "The run ends at S0: it has not made S1, S2, S3." in said
+    assert "Finished stages: S0. Not finished: S1, S2, S3." in said
     assert any(line.startswith(f"S1 has begun and is not finished; its journal knows {known} ")
                for line in said)  # fmt: skip
     assert words(page.get_element_by_id("models")).count("Fits as in S0.") == 1

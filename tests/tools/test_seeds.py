@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from seeds import seeds_option
+from options.seeds import seeds_option
 
 
 @click.command()

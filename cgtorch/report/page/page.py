@@ -103,7 +103,8 @@ def _missing(contents: Contents) -> list[str]:
     elif run.kind == run.domain.usual_kind and not run.rounds:
         lacking = [name for name in run.domain.stages if name not in run.stages]
         if lacking:
-            said.append(f"The run ends at {run.stages[-1]}: it has not made {', '.join(lacking)}.")
+            made = ", ".join(run.stages)
+            said.append(f"Finished stages: {made}. Not finished: {', '.join(lacking)}.")
     said += [
         f"{name} has begun and is not finished; its journal knows "
         f"{generations} generation{'s' if generations != 1 else ''}."

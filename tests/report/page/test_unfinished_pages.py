@@ -50,7 +50,7 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
     FileJournal(folder / "journal" / "S1").record("x", {"generations": torch.tensor(9)})
     page = parsed(folder)
     assert missing(page) == [
-        "The run ends at S1: it has not made S2, S3.",
+        "Finished stages: S0, S1. Not finished: S2, S3.",
         "S2 has begun and is not finished; its journal knows 7 generations.",
     ]
     assert [words(e.find("h3")) for e in page.iter("article")] == [

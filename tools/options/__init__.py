@@ -1,0 +1,1 @@
+"""Options that tools have in common."""
