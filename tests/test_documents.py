@@ -71,7 +71,8 @@ def test_every_command_in_the_documents_is_understood(
     found = commands()
     assert {name for name, _ in found} == set(COMMANDS)
     for name, words in found:
-        about = [word for word in words if word not in ("RUN_OR_SKILL", "F", "FILE")]
+        unfit = ("RUN_OR_SKILL", "F", "FILE", "--help")  # placeholders, and what would end here
+        about = [word for word in words if word not in unfit]
         try:
             COMMANDS[name].make_context(name, about, resilient_parsing=words != about)
         except click.ClickException as e:
