@@ -1,7 +1,7 @@
 """Finding actions by name, and checking their interface."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from importlib.metadata import EntryPoint, entry_points
 
 import torch
@@ -25,6 +25,8 @@ from cgtorch.environment.dry_run import (
 from cgtorch.ground.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"
+VISITS = 3
+"""Times that an action is tried on the same lanes, as its memory may be used from the second on."""
 TABLETOP = 7, 3
 """The lengths of a percept and of a control in the paper."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
@@ -89,13 +91,26 @@ def _made(spec: str, entry: EntryPoint) -> Action:
 def check_action(
     name: str, action: Action, environment: Environment, device: torch.device | str = "cpu"
 ) -> None:
-    """Try an action on two fresh lanes; ActionError names the method and what is wrong with it."""
-    who = f"action {name!r}: forward"
+    """Try an action on two fresh lanes, and again on what becomes of them.
+
+    ActionError names the method and what is wrong with it.
+    """
     parameters = _parameters(name, action)
     scenario = two_rows(environment.num_scenarios, device)
     lanes = start_lanes(environment, scenario, action.message_size, action.memory_size)
-    kept = copied(lanes)
     parameters = parameters.to(lanes.percept)
+    for _ in range(VISITS):
+        lanes, outcome = _visited(name, action, lanes, parameters, environment)
+        if any(action.outcomes[i] in action.terminal for i in outcome.tolist()):
+            break  # a skill that has ended comes to no node again
+        lanes = replace(lanes, step=lanes.step + 1)
+
+
+def _visited(
+    name: str, action: Action, lanes: Lanes, parameters: Tensor, environment: Environment
+) -> tuple[Lanes, Tensor]:
+    """The lanes after an action, and its outcomes; ActionError if it breaks a rule."""
+    who, kept = f"action {name!r}: forward", copied(lanes)
     result = returned(ActionError, who, action, lanes, parameters, environment)
     after, outcome = expect_pair(ActionError, who, "lanes, outcomes", result)
     expect_lanes(ActionError, who, lanes, kept, after)
@@ -110,6 +125,7 @@ def check_action(
     _expect_same(
         who, (after.rows(turned), outcome[turned]), returned(ActionError, who, action, *given)
     )
+    return after, outcome
 
 
 def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tensor]) -> None:

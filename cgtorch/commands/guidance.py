@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from cgtorch.domains.registry import TABLETOP, is_code
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import AUTO, Run
+from cgtorch.runs.skills import last_skill
 from cgtorch.training.stages import stages_to_make
 
 
@@ -54,6 +55,7 @@ def after(plan: Plan) -> Iterator[str]:
     run = plan.run
     if not run.stages:
         return
+    yield from _unused(run)
     code = _code(run)
     yield "Next:"
     yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
@@ -63,6 +65,17 @@ def after(plan: Plan) -> Iterator[str]:
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and plan.stage != AUTO:
         yield f"  cgtorch-train --resume {run.folder}{code} --stage {later[-1]}  # more stages"
+
+
+def _unused(run: Run) -> Iterator[str]:
+    """A line on each additional action that no node of the last skill has."""
+    added = set(run.actions.names) - set(run.domain.actions().names)
+    if not added:
+        return
+    _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
+    for name in sorted(added - skill.used_actions):
+        unused = f"No node of {skill.name} is {name}: the search found no use for it."
+        yield f"{unused} Another --seed may."
 
 
 def _duration(plan: Plan) -> str:

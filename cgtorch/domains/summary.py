@@ -52,7 +52,7 @@ def _errors(report: TransitionReport) -> str:
     rows = zip(report.error, report.baseline_error, report.coordinates, report.units, strict=True)
     worst = sorted(rows, key=lambda row: row[0] / row[1] if row[1] else 0.0, reverse=True)
     said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for error, _, name, unit in worst]
-    more = f" and {len(said) - SHOWN} more" if len(said) > SHOWN else ""
+    more = f" and less on {len(said) - SHOWN} others (see TensorBoard)" if len(said) > SHOWN else ""
     return ", ".join(said[:SHOWN]) + more
 
 

@@ -4,8 +4,10 @@ Actions, Γ, C and whole environments are tried once. Each error names the metho
 and what it should return.
 """
 
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -15,6 +17,8 @@ from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2
+INSTALLED = "site-packages"
+"""A folder in which all libraries are."""
 
 
 def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
@@ -30,7 +34,16 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
     except CgtorchError:
         raise
     except Exception as e:
-        raise error(f"{who} raised {reason(e)} on two rows") from e
+        raise error(f"{who} raised {reason(e)}{place(e)}, tried with two rows") from e
+
+
+def place(e: Exception) -> str:
+    """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
+    ours = Path(__file__).resolve().parents[1]
+    frames = traceback.extract_tb(e.__traceback__)
+    files = [(Path(frame.filename), frame.lineno) for frame in frames]
+    own = [at for at in files if ours not in at[0].parents and INSTALLED not in at[0].parts]
+    return f" in line {own[-1][1]} of {own[-1][0].name}" if own else ""
 
 
 def reason(e: Exception) -> str:

@@ -49,7 +49,7 @@ def to_state_machine(skill: Skill) -> bytes:
     }
     own = [
         {"class": classes[id(action)], "name": name, "action": action,
-         "memory": places[id(action)]}
+         "memory": places[id(action)], "about": _about(action)}
         for name, action in primitives
         if type(action) not in ROUTINES and not _plain(action)
     ]  # fmt: skip
@@ -74,6 +74,13 @@ def to_state_machine(skill: Skill) -> bytes:
 def _plain(action: Action) -> str:
     """The module with the action's own class in plain Python, or ""."""
     return str(vars(type(action)).get("plain_module", ""))
+
+
+def _about(action: Action) -> str:
+    """What the docstring of an action says first, and how many parameters it has."""
+    said, k = vars(type(action)).get("__doc__") or "", action.num_parameters
+    first = " ".join(said.strip().partition("\n\n")[0].split())
+    return f"{first} It has {k} parameter{'s' if k != 1 else ''}, in `self.parameters`.".strip()
 
 
 def _source(module: str) -> str:

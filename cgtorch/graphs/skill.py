@@ -51,6 +51,12 @@ class Skill:
             if isinstance(action, SubSkill) and i in used
         }
 
+    @property
+    def used_actions(self) -> set[str]:
+        """The names of the actions of its nodes and of those of the skills in it."""
+        here = {self.actions.names[i] for i in self.graph.action[0, : self.num_nodes].tolist()}
+        return here.union(*(skill.used_actions for skill in self.sub_skills.values()))
+
     @cached_property
     def depth(self) -> int:
         """Levels of skills within skills, 1 if there are none."""

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 
     from cgtorch.domains.domain import Domain
 
-WRAPS = "ours"  # a column that wraps in a narrow terminal, at this width
-WIDTH = 7
 MISSING = "–"
 
 Result = Mapping[str, Any]
@@ -19,7 +17,7 @@ Result = Mapping[str, Any]
 
 
 def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
-    """The results of stages, and the last test on all kinds of scenarios, for a terminal.
+    """The results of stages, and below them the last test on all kinds of scenarios.
 
     A missing value is a dash. There is a column of published results only if there are any.
     """
@@ -29,20 +27,15 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
 
     table = Table(
         title=domain.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
+        caption=Text(overall(results, domain)), caption_justify="left", caption_style="",
         pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
-    texts = ["stage", "scenarios", WRAPS, *([domain.publisher] if domain.published else [])]
+    texts = ["stage", "scenarios", "ours", *([domain.publisher] if domain.published else [])]
     for name in (*texts, "W kept", "fresh", "nodes", "gens", "time"):
-        # In a narrow terminal results wrap; no number is cut.
         justify: Literal["left", "right"] = "left" if name in texts else "right"
-        wraps = name == WRAPS
-        table.add_column(
-            name, justify=justify, no_wrap=not wraps, min_width=WIDTH if wraps else None
-        )
+        table.add_column(name, justify=justify, no_wrap=True)
     for result in results:
         table.add_row(*map(Text, _row(result, domain)))
-    table.add_section()
-    table.add_row(*map(Text, _overall(results, domain)))
     return table
 
 
@@ -62,22 +55,25 @@ def _row(result: Result, domain: "Domain[Any]") -> list[str]:
     ]
 
 
-def _overall(results: Sequence[Result], domain: "Domain[Any]") -> list[str]:
+def overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
+    """A line on the last test on all kinds of scenarios, and on what is published; "" if none."""
     tested = [r for r in results if r.get("overall")]
-    ours, stage, kind = MISSING, MISSING, domain.usual_kind
-    if tested:
-        last = tested[-1]["overall"]
-        ours, stage = _share(last, "succeeded", "tried"), _text(tested[-1], "stage")
-        kind = last.get("scenarios", kind)
-        if last.get("tried"):
-            ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
-        if last.get("mean_return") is not None:
-            ours += f", mean return {last['mean_return']:.5g}"
-    if not domain.published:
-        return [stage, kind, ours]
+    if not tested:
+        return ""
+    last = tested[-1]["overall"]
+    kind = last.get("scenarios", domain.usual_kind)
+    ours = _share(last, "succeeded", "tried")
+    if last.get("tried"):
+        ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
+    if last.get("mean_return") is not None:
+        ours += f", mean return {last['mean_return']:.5g}"
+    said = f"{_text(tested[-1], 'stage')} on {kind}: {ours}."
     theirs = domain.published.get("") if kind == domain.usual_kind else None
-    share = theirs and f"{theirs.text} = {100 * theirs.succeeded / theirs.tried:.3g} %"
-    return [stage, kind, ours, share or MISSING]
+    if theirs:
+        after = f" after {[*domain.stages][-1]}" if domain.stages else ""
+        share = f"{theirs.text} = {100 * theirs.succeeded / theirs.tried:.3g} %"
+        said += f" {domain.publisher.capitalize()}{after}: {share}."
+    return said
 
 
 def _text(data: Mapping[str, Any], key: str) -> str:

@@ -150,12 +150,28 @@ GOOD = torch.zeros(2, dtype=torch.long)
             r"lanes.has_message as a tensor \(2,\) of int64; return a tensor \(2,\) of bool",
         ),
         (in_place, "forward changed lanes.memory in place; return new lanes"),
-        (lambda lanes: 1 / 0, "forward raised ZeroDivisionError: division by zero"),
+        (
+            lambda lanes: 1 / 0,
+            r"raised ZeroDivisionError: division by zero in line \d+ of test_registry.py",
+        ),
     ],
 )
 def test_what_forward_does_wrong_is_named(result: Callable[[Lanes], object], message: str) -> None:
     with pytest.raises(ActionError, match=f"action 'Bad': .*{message}"):
         check_action("Bad", forwarding(result)(), model(0, 2))
+
+
+def twice(lanes: Lanes) -> tuple[Lanes, Tensor]:
+    """What is right the first time only."""
+    return replace(lanes, memory=lanes.memory + 1), GOOD + 3 * lanes.step.clamp_max(1)
+
+
+def test_an_action_is_tried_at_later_visits_too() -> None:
+    with pytest.raises(ActionError, match=r"returned outcomes \[3, 3\]"):
+        check_action("Bad", forwarding(twice)(), model(0, 2))
+    ends = forwarding(twice)
+    ends.terminal = {ends.outcomes[0]: False}  # there is no second time
+    check_action("Good", ends(), model(0, 2))
 
 
 class Short(Counter):

@@ -145,6 +145,20 @@ def test_an_action_of_ones_own_takes_part(
     assert json.loads(ended.out)["tried"] == 10
 
 
+def test_an_action_of_ones_own_that_no_node_has_is_told(
+    shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = copied(trained, tmp_path / "run")  # whose skills were evolved without it
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["actions"] = ["waiting_actions:Wait"]
+    (folder / "run.json").write_text(json.dumps(about))
+    ended = shell(TRAIN, "--resume", folder, "--actions", "waiting_actions:Wait", "--stage", "S1")
+    assert ended.code == 0, ended
+    assert "No node of S1 is Wait: the search found no use for it." in ended.err
+
+
 def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     """What was reached is said; that more was wanted is no error."""
     folder = copied(trained, tmp_path / "run")

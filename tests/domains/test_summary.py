@@ -52,7 +52,8 @@ def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
 def test_of_many_numbers_some_are_told(known: Knowledge, count: int) -> None:
     told = summary_of(with_numbers(known, *((f"x{i}", 1.0, "m") for i in range(count))))
     assert told.text.count(" m on x") == min(count, SHOWN)
-    assert (f" and {count - SHOWN} more, C is" in told.text) == (count > SHOWN)
+    others = f" and less on {count - SHOWN} others (see TensorBoard), C is"
+    assert (others in told.text) == (count > SHOWN)
     assert "\n" not in told.text
 
 

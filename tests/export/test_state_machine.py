@@ -95,6 +95,8 @@ def test_actions_are_told_which_memory_is_theirs(tmp_path: Path) -> None:
     assert sorted(place for each in places for place in each) == list(range(6))
     assert [len(each) for each in places] == [2, 2, 2]
     assert module.Wander.outcomes == Wander.outcomes
+    assert module.Counter.__doc__.startswith("Counts its visits in the common memory: ")
+    assert module.Counter.__doc__.endswith(" It has 2 parameters, in `self.parameters`.")
 
 
 def test_plain_python_is_enough(tmp_path: Path) -> None:
