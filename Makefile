@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+# Tests often wait for processes and browsers, so there are more of them than cores.
+WORKERS = $(shell $(PYTHON) -c "import os; print(os.cpu_count() * 3 // 2)")
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train check test durations lint prose types format docs figures fingerprint \
@@ -30,11 +32,11 @@ train: setup  ## Evolve a skill up to stage S2 (a minute)
 check: lint  ## Lint, then the fast tests: less than 90 seconds, for every change
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(FAST)
 
-test: setup  ## Run all tests (13 minutes on two cores)
-	$(BIN)/python -m pytest -n auto --dist worksteal
+test: setup  ## Run all tests (12 minutes on two cores)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 durations: setup  ## Run all tests, and print the 40 slowest
-	$(BIN)/python -m pytest -n auto --dist worksteal --durations 40
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 40
 
 lint: setup types prose  ## Check style, types and prose
 	$(BIN)/ruff check

@@ -44,16 +44,10 @@ def improve(
     Returns:
         The new skill with what it solves and misses; the old one if eq. 1 could not be met.
     """
-    began, setup = time.perf_counter(), stage.setup
+    began = time.perf_counter()
     state, accepted = _begun(stage, progress, scenarios, targets), None
-    for _ in range(setup.rounds):
-        state = _recruit_all(stage, state)
-        state, composed = _compose(stage, state, progress)
-        if composed is None and state.tried < setup.attempts and not state.keep.all():
-            # Where no branches could tell the members apart, one more makes that easier: for all
-            # that the earlier skill misses, whoever else solves it.
-            state = recruit(stage, state, ~state.keep)
-            state, composed = _compose(stage, state, progress)
+    for _ in range(stage.setup.rounds):
+        state, composed = _recruit_and_compose(stage, state, progress)
         if composed is None:
             break
         skill, succeeded = composed
@@ -73,6 +67,19 @@ def improve(
         solved=state.scenarios[state.keep].joined(state.rest),
         missed=state.scenarios[~state.keep],
     )
+
+
+def _recruit_and_compose(
+    stage: Stage[S], state: StageState[S], progress: Progress[S]
+) -> tuple[StageState[S], tuple[Skill, Tensor] | None]:
+    """The result of `_compose` with as many new members as it needs."""
+    state, composed = _compose(stage, _recruit_all(stage, state), progress)
+    if composed is None and state.tried < stage.setup.attempts and not state.keep.all():
+        # Where no branches could tell the members apart, one more makes that easier: for all that
+        # the earlier skill misses, whoever else solves it.
+        state = recruit(stage, state, ~state.keep)
+        state, composed = _compose(stage, state, progress)
+    return state, composed
 
 
 def _tested_on_fresh(

@@ -118,7 +118,7 @@ def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_pat
     run = tmp_path / "run"
     words = ["--stage", "S0", "--quiet", "--run-dir", str(run), *options]
     printed = on_ranks(count, train, words, output=tmp_path / "printed.txt")
-    assert printed.count("S0     perimeter") == 1  # only one of them says so
+    assert printed.count("S0 on perimeter: ") == 1  # only one of them says so
     for name in ("start/gamma", "start/classifier", "S0/data", "S0/specialists"):
         path = f"{name}.safetensors"
         assert (run / path).read_bytes() == (alone / path).read_bytes(), path
