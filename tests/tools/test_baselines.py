@@ -24,6 +24,7 @@ from benchmarks.generation import (
     one_evolution,
     rollout_parts,
 )
+from benchmarks.growth import equal, padding
 from benchmarks.measure import DisagreementError, Effort
 from benchmarks.networkx_operators import individuals, kinds_of
 from benchmarks.operators import apart, as_graphs, children, networkx_children, statistics_of
@@ -192,3 +193,13 @@ def test_more_room_changes_no_result() -> None:
     assert wide.capacity == 16
     found = rollout(wide, work().actions, work().environment, max_transitions=LIMIT)
     assert torch.equal(found.percept, runs().percept)
+
+
+def test_more_room_is_measured_where_it_changes_nothing() -> None:
+    rollouts, generation = padding(Effort(1, 0.1)).parts
+    assert rollouts.ratio > 0
+    assert generation.ratio > 0
+    graphs = graphs_to_run()
+    wider = widened(graphs, graphs.capacity + 1)
+    assert equal(wider, widened(graphs, graphs.capacity + 1))
+    assert not equal(wider, graphs)
