@@ -4,6 +4,7 @@ Actions, Γ, C and whole environments are tried once. Each error names the metho
 and what it should return.
 """
 
+import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -17,8 +18,8 @@ from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2
-INSTALLED = "site-packages"
-"""A folder in which all libraries are."""
+LIBRARIES = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))
+"""The folders of Python's modules and of installed packages."""
 
 
 def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
@@ -39,11 +40,10 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
 
 def place(e: Exception) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
-    ours = Path(__file__).resolve().parents[1]
-    frames = traceback.extract_tb(e.__traceback__)
-    files = [(Path(frame.filename), frame.lineno) for frame in frames]
-    own = [at for at in files if ours not in at[0].parents and INSTALLED not in at[0].parts]
-    return f" in line {own[-1][1]} of {own[-1][0].name}" if own else ""
+    others = {Path(__file__).resolve().parents[1], *LIBRARIES}
+    frames = [(Path(f.filename), f.lineno) for f in traceback.extract_tb(e.__traceback__)]
+    own = [(path.name, line) for path, line in frames if not others & set(path.parents)]
+    return f" in line {own[-1][1]} of {own[-1][0]}" if own else ""
 
 
 def reason(e: Exception) -> str:

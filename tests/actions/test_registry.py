@@ -151,6 +151,10 @@ GOOD = torch.zeros(2, dtype=torch.long)
         ),
         (in_place, "forward changed lanes.memory in place; return new lanes"),
         (
+            lambda lanes: replace(lanes, memories=lanes.memory),
+            r"raised TypeError: .*'memories' in line \d+ of test_registry.py, tried with two rows",
+        ),
+        (
             lambda lanes: 1 / 0,
             r"raised ZeroDivisionError: division by zero in line \d+ of test_registry.py",
         ),
