@@ -13,6 +13,7 @@ import hashlib
 import json
 import re
 import subprocess
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -46,18 +47,23 @@ def command(record: tuple[str, ...]) -> None:
         figure |= {"commit": head.stdout.strip(), "code": code_hash(figure["depends"])}
         path.write_text(json.dumps(figure, indent=1, ensure_ascii=False) + "\n")
     figures = read_figures()
-    for page in pages():
-        text = page.read_text()
-        new = with_figures(text, figures)
-        if new != text:
-            page.write_text(new)
-            click.echo(f"{page.relative_to(ROOT)} written")
+    rewrite(pages(), lambda _, text: with_figures(text, figures))
     for name, svg in plots(figures).items():
         (ROOT / PLOTS / name).write_text(svg)
 
 
+def rewrite(pages: list[Path], change: Callable[[Path, str], str]) -> None:
+    """Write the pages whose text, by their path and present text, is another one now."""
+    for page in pages:
+        text = page.read_text()
+        new = change(page, text)
+        if new != text:
+            page.write_text(new)
+            click.echo(f"{page.relative_to(ROOT)} written")
+
+
 def pages() -> list[Path]:
-    """The pages that may hold figures."""
+    """The pages that may hold what is generated."""
     return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

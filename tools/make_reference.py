@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from make_figures import pages, rewrite
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.settings import MOST
@@ -42,17 +43,7 @@ OTHER_DEFAULTS = {
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
 def command() -> None:
     """Write the pages."""
-    for page in pages():
-        text = page.read_text()
-        new = written(page, text)
-        if new != text:
-            page.write_text(new)
-            click.echo(f"{page.relative_to(ROOT)} written")
-
-
-def pages() -> list[Path]:
-    """All pages of the documentation."""
-    return sorted((ROOT / "docs").rglob("*.md"))
+    rewrite(pages(), written)
 
 
 def written(page: Path, text: str) -> str:

@@ -35,10 +35,10 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
     except CgtorchError:
         raise
     except Exception as e:
-        raise error(f"{who} raised {reason(e)}{place(e)}, tried with two rows") from e
+        raise error(f"{who} raised {reason(e)}{_failed_at(e)}, tried with two rows") from e
 
 
-def place(e: Exception) -> str:
+def _failed_at(e: Exception) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
     frames = [(Path(f.filename), f.lineno) for f in traceback.extract_tb(e.__traceback__)]

@@ -27,7 +27,7 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
 
     table = Table(
         title=domain.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
-        caption=Text(overall(results, domain)), caption_justify="left", caption_style="",
+        caption=Text(_overall(results, domain)), caption_justify="left", caption_style="",
         pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
     texts = ["stage", "scenarios", "ours", *([domain.publisher] if domain.published else [])]
@@ -55,7 +55,7 @@ def _row(result: Result, domain: "Domain[Any]") -> list[str]:
     ]
 
 
-def overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
+def _overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
     """A line on the last test on all kinds of scenarios, and on what is published; "" if none."""
     tested = [r for r in results if r.get("overall")]
     if not tested:
