@@ -72,7 +72,8 @@ def _overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
     if theirs:
         after = f" after {[*domain.stages][-1]}" if domain.stages else ""
         share = f"{theirs.text} = {100 * theirs.succeeded / theirs.tried:.3g} %"
-        said += f" {domain.publisher.capitalize()}{after}: {share}."
+        publisher = domain.publisher[:1].upper() + domain.publisher[1:]
+        said += f" {publisher}{after}: {share}."
     return said
 
 

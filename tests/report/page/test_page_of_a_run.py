@@ -318,3 +318,7 @@ def test_commands_name_the_run_as_it_was_named(monkeypatch: pytest.MonkeyPatch) 
 def test_the_same_run_is_the_same_page(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "run", "S0")
     assert report_page(folder) == report_page(folder)
+
+
+def test_the_last_result_of_the_paper_names_its_stage(page: html.HtmlElement) -> None:
+    assert "the paper after S3: 34 of 40" in words(page.get_element_by_id("results"))
