@@ -129,6 +129,27 @@ def test_percepts_are_gymnasiums_but_for_their_scale(name: str) -> None:
     torch.testing.assert_close(back, torch.from_numpy(expected).double(), rtol=0, atol=2e-5)
 
 
+def test_the_narrow_cart_goes_on_with_its_last_force_on_a_shorter_track() -> None:
+    """As the cart of Gymnasium that is pushed likewise, until it is 1 m from the middle."""
+    scenarios, left, again, right = drawn(1), *torch.eye(3)
+    narrow, wide = (TASKS[name] for name in ("narrow_cartpole_no_velocities", "cartpole"))
+    worlds = narrow.world(scenarios), wide.world(scenarios)
+    lanes, theirs = (begun(world, 1) for world in worlds)
+    signs = (again, -1), (right, 1), (again, 1), (left, -1), (right, 1), (again, 1), (again, 1)
+    for step, (control, sign) in enumerate(signs):
+        lanes, _ = worlds[0].step(lanes, control[None])
+        theirs, _ = worlds[1].step(theirs, torch.tensor([[0.0, sign]]))
+        assert torch.equal(lanes.state[0, :4], theirs.state[0, :4]), step
+    seen = lanes.state[0, [0, 2]] / torch.tensor([1, 0.2094384], dtype=torch.float64)
+    torch.testing.assert_close(lanes.percept[0].double(), seen, rtol=1e-6, atol=0)
+    for place in (0.99, 1.01):
+        state = begun(worlds[0], 1).state
+        state[0, :4] = torch.tensor([place, 0, 0, 0])
+        assert bool(worlds[0].next_state(state, right[None], torch.arange(1))[0, OVER]) == (
+            place > 1
+        )
+
+
 def test_starts_are_spread_as_gymnasiums() -> None:
     ranges = {
         "cartpole": [(-0.05, 0.05)] * 4,

@@ -42,8 +42,11 @@ class CartPole(TaskWorld):
         self, physics: Tensor, control: Tensor, step: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """See `TaskWorld.advance`."""
+        return self.pushed(physics, 20 * (control[:, 1] > control[:, 0]).double() - 10)
+
+    def pushed(self, physics: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """`advance` of the cart (n, 4) by forces (n,) in N."""
         _, speed, angle, spin = physics.T.contiguous().unbind()
-        force = 20 * (control[:, 1] > control[:, 0]).double() - 10
         sine, cosine = angle.sin(), angle.cos()
         pushed = (force + 0.05 * spin * spin * sine) / 1.1
         turning = (9.8 * sine - cosine * pushed) / (2 / 3 - (0.05 / 1.1) * cosine * cosine)
@@ -63,6 +66,33 @@ class CartPoleNoVelocities(CartPole):
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
         """See `World.perceived`."""
         return state[:, :4:2] * self.scale[::2]
+
+
+class NarrowCartPole(CartPoleNoVelocities):
+    """Cart and pole on which tangled program graphs with memory were tried by their authors.
+
+    Only position and angle are seen, the cart may go 1 m to each side, and of the three actions the
+    middle one repeats the last force, which is to the left at first. All of this is as in
+    src/cpp/environments/classicRL/CartPole.h of github.com/tanya-jp/SharedMemTPG. It has no
+    threshold; this one is Gymnasium's.
+    """
+
+    control_size = 3
+    limits = torch.tensor([1.0, 12 * TURN / 360], dtype=torch.float64)
+    scale = 1 / torch.tensor([1.0, 1.0, 0.2094384, 1.0], dtype=torch.float64)
+
+    def begin(self, seed: Tensor) -> Tensor:
+        """See `TaskWorld.begin`; the last column is the last force."""
+        return torch.nn.functional.pad(super().begin(seed), (0, 1), value=-10.0)
+
+    def advance(
+        self, physics: Tensor, control: Tensor, step: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `TaskWorld.advance`."""
+        chosen = control.argmax(1)
+        force = torch.where(chosen == 1, physics[:, 4], 10.0 * (chosen - 1))
+        after, reward, fallen = self.pushed(physics[:, :4], force)
+        return torch.cat([after, force[:, None]], 1), reward, fallen
 
 
 class Acrobot(TaskWorld):

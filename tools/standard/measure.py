@@ -50,6 +50,7 @@ BUDGETS: dict[str, Budget] = {
     "lunar_lander": Budget(300, 100_000),
     "pendulum": Budget(300, 100_000),
     "cartpole_no_velocities": Budget(120, 100_000),
+    "narrow_cartpole_no_velocities": Budget(120, 100_000),
     "acrobot_no_velocities": Budget(120, 100_000),
     "pendulum_no_velocity": Budget(120, 100_000),
     "double_pole": Budget(300, 100_000),

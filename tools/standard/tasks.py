@@ -7,6 +7,7 @@ from standard.classic import (
     CartPole,
     CartPoleNoVelocities,
     MountainCarContinuous,
+    NarrowCartPole,
     Pendulum,
     PendulumNoVelocity,
 )
@@ -39,6 +40,12 @@ TASKS: dict[str, Task] = {
         lunar_lander(),
         _of("pendulum", "Pendulum", Pendulum, 3),
         _of("cartpole_no_velocities", "CartPole without velocities", CartPoleNoVelocities, 2),
+        _of(
+            "narrow_cartpole_no_velocities",
+            "Narrow CartPole without velocities",
+            NarrowCartPole,
+            2,
+        ),
         _of("acrobot_no_velocities", "Acrobot without velocities", AcrobotNoVelocities, 4),
         _of("pendulum_no_velocity", "Pendulum without velocity", PendulumNoVelocity, 2),
         _of("double_pole", "Double pole", DoublePole, 6),

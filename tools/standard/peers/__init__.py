@@ -7,6 +7,7 @@ from standard.components import COMPONENTS
 NEEDS_MEMORY = frozenset(
     {
         "cartpole_no_velocities",
+        "narrow_cartpole_no_velocities",
         "acrobot_no_velocities",
         "pendulum_no_velocity",
         "double_pole_no_velocities",
