@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from quick_compiler import quick_compiler
 
 from cgtorch.native import compiler
 
@@ -36,7 +37,10 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheel that was built here, unpacked."""
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps"]
-    subprocess.run([*command, "--no-build-isolation", "-q", "-w", str(folder)], check=True)
+    subprocess.run(
+        [*command, "--no-build-isolation", "-q", "-w", str(folder)], check=True,
+        env={**os.environ, "CC": quick_compiler(folder)},
+    )  # fmt: skip
     (wheel,) = folder.glob("*.whl")
     assert wheel.name.endswith("-linux_x86_64.whl")
     with zipfile.ZipFile(wheel) as file:
