@@ -1,6 +1,6 @@
 """One small run, really trained from the robot's files to a skill for two edges of the table.
 
-It takes half a minute, so all tests of a process share it, and none may write into its folder.
+It takes seconds, so all tests of a process share it, and none may write into its folder.
 """
 
 import shutil

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from made_once import made_once, shared_folder
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -59,11 +60,13 @@ def trained(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Path]:
     """An example's domain and a run about it."""
-    folder = tmp_path_factory.mktemp("examples") / "run"
     domain = request.param
     about = ["--domain", domain, *EXAMPLES[domain], *SMALL]
-    ended("cgtorch-train", *about, "--run-dir", str(folder))
-    return domain, folder
+
+    def train(run: Path) -> None:
+        ended("cgtorch-train", *about, "--run-dir", str(run))
+
+    return domain, made_once(shared_folder(tmp_path_factory) / domain.partition(":")[0], train)
 
 
 def test_it_is_small_and_stands_alone() -> None:
