@@ -18,10 +18,13 @@ FAST := tests/ground tests/graphs tests/actions tests/environment tests/test_hou
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
 
+# Python compiles what it imports; to compile everything at once would take half a minute.
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
+
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
+	$(INSTALL) torch
+	$(INSTALL) --editable '.[test,lint]'
 	@touch $@
 
 setup: $(READY)  ## Install everything into .venv

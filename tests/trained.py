@@ -1,8 +1,9 @@
 """One small run, really trained from the robot's files to a skill for two edges of the table.
 
-It takes seconds, so all tests of a process share it, and none may write into its folder.
+It takes seconds, so all tests share it, and none may write into its folder.
 """
 
+import pickle
 import shutil
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
+from made_once import made_once, shared_folder
 from safetensors.torch import load
 from support import create_run
 from torch import Tensor
@@ -42,13 +45,24 @@ class Trained:
     results: list[dict[str, Any]]
 
 
+def trained_run(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """The run, in the folder that all processes share."""
+    return _trained(made_once(shared_folder(tmp_path_factory) / "trained", _train))
+
+
 @cache
-def trained_run(base: Path) -> Trained:
-    """The run, in a folder within `base`."""
+def _trained(folder: Path) -> Trained:
+    told = (folder / "told").read_bytes()
+    events, results = pickle.loads(told)  # noqa: S301  another process of these tests wrote it
+    return Trained(folder / "run", events, results)
+
+
+def _train(folder: Path) -> None:
+    folder.mkdir()
     events: list[Event] = []
-    run = create_run(base / "trained", SMALL)
+    run = create_run(folder / "run", SMALL)
     results = train(Training(run, events.append, lambda message: nullcontext()), STAGE)
-    return Trained(run.folder, tuple(events), results)
+    (folder / "told").write_bytes(pickle.dumps((tuple(events), results)))
 
 
 def copied(trained: Trained, target: Path, stages: tuple[str, ...] = ("S0", "S1")) -> Path:

@@ -102,7 +102,7 @@ def test_islands_are_the_same_on_any_number_of_ranks_and_go_on_where_they_stood(
 
 @pytest.fixture(scope="session")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return trained_run(tmp_path_factory.getbasetemp()).folder
+    return trained_run(tmp_path_factory).folder
 
 
 @pytest.mark.parametrize("count", [2, 3])
