@@ -69,7 +69,7 @@ class CartPoleNoVelocities(CartPole):
 
 
 class NarrowCartPole(CartPoleNoVelocities):
-    """Cart and pole on which tangled program graphs with memory were tried by their authors.
+    """Cart and pole on which tangled program graphs with memory were evolved.
 
     Only position and angle are seen, the cart may go 1 m to each side, and of the three actions the
     middle one repeats the last force, which is to the left at first. All of this is as in
