@@ -6,7 +6,7 @@ from cgtorch.native import compiler
 
 
 def quick_compiler(folder: Path) -> str:
-    """The path of the compiler, a script in `folder`. It takes a tenth of the usual time."""
+    """The path of the compiler, a script in `folder`. It takes a fraction of the usual time."""
     path = folder / "quick-cc"
     path.write_text(
         f'#!/bin/sh\nexec "{compiler.found_compiler()}" "$@" -O0 -Dalways_inline=unused\n'
