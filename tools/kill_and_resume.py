@@ -57,7 +57,7 @@ def command(folder: Path, kills: int, stage: str, seed: int, world: str) -> None
         shutil.rmtree(run, ignore_errors=True)
         hits = 0
         # What comes before the first stage is not kept half-way, so patience grows.
-        while not train(run, words, draw.uniform(0, usual * (0.5 + hits / 10))):
+        while not train(run, words, draw.uniform(0, usual * (0.5 + hits / 4))):
             hits += 1
         check_same(run, wanted)
         survived, runs = survived + hits, runs + 1

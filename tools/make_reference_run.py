@@ -5,11 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
+
 FOLDER = Path(__file__).resolve().parent.parent / "runs" / "reference"
 KEPT = ("run.json", "summary.json", "robot", "ledger", "by_rows", "S0", "S1", "S2", "S3")
 """The files that are kept, besides TensorBoard's: those for evaluation, and the last models."""
 
 
+@click.command()
 def main() -> None:
     """Train with seed 3 and keep the skills, the settings and the TensorBoard files."""
     shutil.rmtree(FOLDER, ignore_errors=True)

@@ -26,6 +26,7 @@ FLAGS = (
     # WebGL without a graphics card, for scenes in three dimensions.
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--webgl-antialiasing-mode=none",
 )
 HERE = {"127.0.0.1", "localhost"}
 WAIT_MS = 120_000  # on a busy machine

@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 EYE, LOOKED_AT = np.array([-2.6, -4.4, 3.6]), np.array([-0.3, -0.2, 0.3])  # as the page begins
+COARSE = "?fixedDpr=0.5"  # without a graphics card, pixels take most of the time
 FAR_DOWN = str(REFERENCE / "S2"), "--scenarios", "near"
 FIRST = re.compile(r"^step 1 of \d+: S3 · EdgeBranchingNN_0")
 
@@ -29,7 +30,7 @@ def address() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def loaded(chromium: Browser, address: str) -> Iterator[Visit]:
-    with visit(chromium, address, 1600, 900) as at:
+    with visit(chromium, address + COARSE, 1600, 900) as at:
         expect(headline(at.page)).to_have_text(FIRST)
         close = at.page.locator(".mantine-Notification-closeButton")
         if close.count():  # it warns that WebGL runs without a graphics card
@@ -102,7 +103,7 @@ def far_down(chromium: Browser) -> Iterator[Visit]:
     """A placement of which a skill two levels below is in charge."""
     with (
         served("cgtorch.commands.view", *FAR_DOWN, "--port", "0") as at,
-        visit(chromium, at, 1600, 900) as opened,
+        visit(chromium, at + COARSE, 1600, 900) as opened,
     ):
         expect(headline(opened.page)).to_contain_text("step 1 of")
         yield opened

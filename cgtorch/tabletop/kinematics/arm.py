@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import pytorch_kinematics
@@ -73,10 +74,7 @@ class ArmModel:
         """The chain in `pytorch_kinematics` and its table, made once per device and dtype."""
         key = (like.dtype, like.device)
         if key not in self._chains:
-            base, tip = self._links
-            chain = pytorch_kinematics.build_serial_chain_from_urdf(self._xml, tip, base)
-            chain = chain.to(dtype=like.dtype, device=like.device)
-            self._chains[key] = chain, _chain_table(chain, self.mount.to(like))
+            self._chains[key] = built_chain(self._xml, self._links, self.mount.to(like))
         return self._chains[key]
 
     def frames(self, q: Tensor) -> Tensor:
@@ -120,6 +118,21 @@ class ArmModel:
         lower = torch.where(self.continuous, -math.pi, self.lower)
         upper = torch.where(self.continuous, math.pi, self.upper)
         return self.chain(like)[0], lower.to(like), upper.to(like)
+
+
+def built_chain(xml: bytes, links: tuple[str, str], mount: Tensor) -> tuple[Any, ChainTable]:
+    """The chain of a URDF from a base link to a tip, mounted at a pose (4, 4), and its table."""
+    chain = _serial_chain(xml, links, mount.dtype, mount.device)
+    return chain, _chain_table(chain, mount)
+
+
+@lru_cache(maxsize=32)  # a process often reads the same robot from several runs
+def _serial_chain(
+    xml: bytes, links: tuple[str, str], dtype: torch.dtype, device: torch.device
+) -> Any:
+    base, tip = links
+    chain = pytorch_kinematics.build_serial_chain_from_urdf(xml, tip, base)
+    return chain.to(dtype=dtype, device=device)
 
 
 def _chain_table(chain: Any, mount: Tensor) -> ChainTable:

@@ -3,16 +3,16 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import pytorch_kinematics
 import torch
 from lxml import etree
 from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.arm import ArmModel, built_chain
 from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
 from cgtorch.tabletop.kinematics.files import robot_files
@@ -43,7 +43,6 @@ class Robot:
         arms: In the description's order.
         body: The boxes that an arm must not touch, in the base frame.
         home: (n,) of each arm, the positions of its joints while the robot drives, rad or m.
-        scenes: For each arm, what it must keep clear of, with the others at home.
         meshes: What was fitted to the meshes of its URDF; empty without meshes.
     """
 
@@ -52,8 +51,24 @@ class Robot:
     arms: tuple[ArmModel, ...]
     body: Boxes
     home: tuple[Tensor, ...]
-    scenes: tuple[Scene, ...]
     meshes: tuple[MeshFit, ...] = ()
+
+    @cached_property
+    def scenes(self) -> tuple[Scene, ...]:
+        """For each arm, what it must keep clear of, with the others at home.
+
+        Many commands read a robot, and few of them plan motions, so it is computed when asked for.
+        """
+        torso, none = boxes_as_solids(self.body), boxes_as_solids(self.body[:0])
+        at_home = []
+        for arm, q in zip(self.arms, self.home, strict=True):
+            solids = with_boxed_hand(arm.solids, len(q))
+            placed = solids.placed(arm.frames(q[None])[:, 0])
+            at_home.append(replace(placed, joints=solids.joints))
+        n = len(self.arms)
+        others = [none.joined(*at_home[:i], *at_home[i + 1 :]) for i in range(n)]
+        pairs = zip(self.arms, others, strict=True)
+        return tuple(scene_of(arm, torso, each) for arm, each in pairs)
 
 
 def load_robot(
@@ -84,19 +99,7 @@ def load_robot(
     for name, position in words.home.items():
         _check_home(model.joint(name), position, in_arms)
     home = home_postures(arms, body, words.footprint, words.home)
-    return Robot(words, model, arms, body, home, _scenes(arms, body, home), meshes)
-
-
-def _scenes(arms: tuple[ArmModel, ...], body: Boxes, home: tuple[Tensor, ...]) -> tuple[Scene, ...]:
-    """What each arm must keep clear of, the others at home."""
-    torso, none = boxes_as_solids(body), boxes_as_solids(body[:0])
-    at_home = []
-    for arm, q in zip(arms, home, strict=True):
-        solids = with_boxed_hand(arm.solids, len(q))
-        placed = solids.placed(arm.frames(q[None])[:, 0])
-        at_home.append(replace(placed, joints=solids.joints))
-    others = [none.joined(*at_home[:i], *at_home[i + 1 :]) for i in range(len(arms))]
-    return tuple(scene_of(arm, torso, each) for arm, each in zip(arms, others, strict=True))
+    return Robot(words, model, arms, body, home, meshes)
 
 
 def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
@@ -146,21 +149,23 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
                 "continuous and prismatic joints"
             )
     limits = torch.tensor([_limits(joint) for joint in moving], dtype=torch.float64)
-    xml = _chain_xml(urdf, joints)
-    probe = pytorch_kinematics.build_serial_chain_from_urdf(xml, arm.tool_frame, arm.base_link)
+    xml, links = _chain_xml(urdf, joints), (arm.base_link, arm.tool_frame)
+    mount = _transform(urdf, arm.base_link, words.base_frame)
+    chain, table = built_chain(xml, links, mount)
     return ArmModel(
         name=arm.name,
         joint_names=tuple(joint.name for joint in moving),
         lower=limits[:, 0],
         upper=limits[:, 1],
         continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
-        mount=_transform(urdf, arm.base_link, words.base_frame),
+        mount=mount,
         reach=_reach(joints),
-        capsules=_capsules(urdf, words, arm, moving, probe.frame_to_idx),
-        solids=_solids(urdf, words, arm, moving, probe.frame_to_idx),
+        capsules=_capsules(urdf, words, arm, moving, chain.frame_to_idx),
+        solids=_solids(urdf, words, arm, moving, chain.frame_to_idx),
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
-        _links=(arm.base_link, arm.tool_frame),
+        _links=links,
+        _chains={(mount.dtype, mount.device): (chain, table)},
     )
 
 

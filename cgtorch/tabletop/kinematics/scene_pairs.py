@@ -46,7 +46,10 @@ def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
     )
     every = own.joined(arm.solids, body, others)
     pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
-    reach = torch.stack([_reach(arm, every, *pair[:2]) for pair in pairs.tolist()])
+    carried = torch.where(every.frame >= 0, every.joints, 0)  # the joints that move each solid
+    apart = [(first, int(carried[second])) for first, second, _ in pairs.tolist()]
+    reaches = {each: _reach(arm, every, *each) for each in dict.fromkeys(apart)}
+    reach = torch.stack([reaches[each] for each in apart])
     scene = Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
     kept = ~_built_in(arm, scene) & _near_enough(arm, scene)
     return replace(scene, pairs=pairs[kept], reach=reach[kept])
@@ -124,20 +127,20 @@ def random_postures(arm: ArmModel, count: int) -> Tensor:
     return low + share * (high - low)
 
 
-def _reach(arm: ArmModel, solids: Solids, first: int, second: int) -> Tensor:
+def _reach(arm: ArmModel, solids: Solids, which: int, base: int) -> Tensor:
     """(n,) the largest distance of a solid's points from the axis of each joint that moves it.
 
-    For a second solid, only joints between the two count. At every revolute joint, the links beyond
-    it are assumed to be in one line, with prismatic joints extended. It is 1 for a prismatic joint.
+    The first `base` joints do not count, as they move another solid, too. At every revolute joint,
+    the links beyond it are assumed to be in one line, with prismatic joints extended. It is 1 for a
+    prismatic joint.
     """
     chain = arm.chain(arm.lower)[1]
     reach = arm.lower.new_zeros(len(arm.joint_names))
-    base = int(solids.joints[second]) if int(solids.frame[second]) >= 0 else 0
     # Points that no joint so far moves against each other, and how far others are from them.
-    points, far = _corners(solids, first), float(solids.size[first, 4])
-    if first == HELD:  # which is turned about the tool frame's origin as its grasp has it
-        points, far = points.new_zeros(1, 3), float(solids.radius[first])
-    for frame in range(int(solids.frame[first]), -1, -1):
+    points, far = _corners(solids, which), float(solids.size[which, 4])
+    if which == HELD:  # which is turned about the tool frame's origin as its grasp has it
+        points, far = points.new_zeros(1, 3), float(solids.radius[which])
+    for frame in range(int(solids.frame[which]), -1, -1):
         joint, kind, offset = int(chain.joint[frame]), int(chain.kind[frame]), chain.offset[frame]
         if kind and joint >= base:
             axis = chain.axis[frame].expand_as(points)
