@@ -1,6 +1,7 @@
 """What takes long to make is made by one of the processes that run tests, and read by all."""
 
 import fcntl
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +23,7 @@ def made_once(path: Path, make: Callable[[Path], None]) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
             unfinished = path.with_name(f"{path.name}.unfinished")
+            shutil.rmtree(unfinished, ignore_errors=True)  # what a failure left
             make(unfinished)
             unfinished.rename(path)
     return path

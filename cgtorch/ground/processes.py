@@ -59,7 +59,7 @@ def in_processes(
                 keep(numbers[sent], pickle.loads(sent.result()))  # noqa: S301  of our own process
         except BrokenProcessPool as e:
             raise DataError(
-                f"one of {processes} processes was killed, as a rule for want of memory; use "
+                f"one of {processes} processes was killed, probably because memory ran out; use "
                 "torch.set_num_threads(1) to use one only"
             ) from e
         finally:
