@@ -1,5 +1,6 @@
 """Common behaviour of all commands: quick imports, and errors in one line."""
 
+import ctypes
 import gc
 import signal
 import sys
@@ -48,9 +49,11 @@ def run_command(command: click.Command) -> None:
     except CgtorchError as e:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort):
-        resumes = any(parameter.name == "resume" for parameter in command.params)
-        kept = "; finished work is kept; continue with --resume" if resumes else ""
-        _end(name, f"interrupted{kept}", 1)
+        _end_interrupted(name, command)
+    except ctypes.ArgumentError as e:
+        if KeyboardInterrupt.__name__ not in str(e):
+            raise
+        _end_interrupted(name, command)  # ctypes raises this for a Ctrl-C in its midst
     except OSError as e:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__
@@ -70,6 +73,12 @@ def _report_thread(thread: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(thread)
 
 
-def _end(name: str, message: str, code: int) -> None:
+def _end_interrupted(name: str, command: click.Command) -> NoReturn:
+    resumes = any(parameter.name == "resume" for parameter in command.params)
+    kept = "; finished work is kept; continue with --resume" if resumes else ""
+    _end(name, f"interrupted{kept}", 1)
+
+
+def _end(name: str, message: str, code: int) -> NoReturn:
     click.echo(f"{name}: {' '.join(message.split())}", err=True)
     sys.exit(code)

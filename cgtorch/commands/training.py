@@ -17,7 +17,7 @@ from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.counted_work import listening
-from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
@@ -84,6 +84,11 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
 
 def carry_on(run: Run, given: Mapping[str, Any], overrides: Mapping[str, Any], wish: Wish) -> None:
     """Continue a run under its settings. Given settings must equal them, except `overrides`."""
+    if run.stages and run.learns and not (run.folder / "start").is_dir():
+        raise RunError(
+            f"run {str(run.folder)!r} is stored without its data and models, and cannot continue "
+            "without them; train a new run with --run-dir"
+        )
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")

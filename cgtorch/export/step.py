@@ -248,5 +248,6 @@ def _percept_size(skill: Skill) -> int:
         if isinstance(size := getattr(action, "percept_size", None), int):
             return size
     raise SettingsError(
-        f"skill {skill.name!r} has no network that tells the length of a percept; give percept_size"
+        f"skill {skill.name!r} has no network that tells the length of a percept; give one of its "
+        "actions the attribute percept_size, or export a state machine"
     )

@@ -7,6 +7,7 @@ has all data at once and uses one torch thread, as in PyTorch's data loaders.
 import multiprocessing
 import os
 import pickle
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -72,6 +73,7 @@ def _begin(work: Callable[[int], Any], parent: int) -> None:
     torch.set_num_threads(1)
     native.use_threads(1)
     _work, _forked = work, True
+    signal.signal(signal.SIGINT, lambda *_: os._exit(1))  # the parent process says it once
     threading.Thread(target=_follow, args=(parent,), daemon=True).start()
 
 

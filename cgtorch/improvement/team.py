@@ -98,7 +98,7 @@ def try_all(setup: Setup[S], skill: Skill, scenarios: S) -> tuple[Tensor, Datase
     trial = attempt(setup, skill, scenarios)
     rate, experience = trial.succeeded.float(), trial.experience
     rows = trial.succeeded
-    for copy in range(1, setup.trials):
+    for copy in range(1, setup.trials if rows.any() else 1):  # own domains may not know 0 scenarios
         trial = attempt(setup, skill, scenarios[rows].with_noise(copy))
         rate[rows] += trial.succeeded.float()
         experience = experience.extended(trial.experience)

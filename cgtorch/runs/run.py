@@ -203,20 +203,20 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
-    """The run, after a dry run of its domain and its additional actions."""
+    """The run, after a dry run of its domain and of all actions that are not the library's."""
     kind = kind_of(settings, domain)
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
     domain = domain.for_run(kind, settings.method)
     check_domain(domain, kind)
-    basic = domain.actions()
     sizes = len(domain.percept), len(domain.control)
-    actions = resolve_actions(settings.actions, basic, sizes)
-    added = [n for n in actions.names if n not in basic.names]
-    if added:
+    actions = resolve_actions(settings.actions, domain.actions(), sizes)
+    every = zip(actions.names, actions.actions, strict=True)
+    own = {name: a for name, a in every if not type(a).__module__.startswith("cgtorch.")}
+    if own:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
-        for name in added:
-            check_action(name, actions.actions[actions.names.index(name)], world)
+        for name, action in own.items():
+            check_action(name, action, world)
     run = Run(folder, settings, domain, actions)
     if run.learns and domain.rewarded:
         raise SettingsError(

@@ -198,7 +198,7 @@ def test_a_damaged_name_of_a_domain(
 
 
 OTHERS = """
-from cgtorch import Domain, DomainSettings, option
+from cgtorch import Action, Domain, DomainSettings, option
 from dataclasses import dataclass
 from own_cart import Cart
 
@@ -234,6 +234,17 @@ class Still(Cart):
     def draw(self, kind, count, generator):
         return None
 
+class Crab(Action):
+    outcomes = ("done",)
+    num_parameters = 3
+
+    def forward(self, lanes, parameters, environment):
+        return lanes, parameters.view(-1, 2).long()[:, 0]
+
+class Crabs(Cart):
+    def actions(self):
+        return super().actions().extended(["Crab"], [Crab()])
+
 nothing = 3
 """
 
@@ -254,6 +265,7 @@ nothing = 3
         ("others:Broken", "cannot be made as Broken(settings) (ValueError: no cart today)"),
         ("others:Incomplete", "class Incomplete lacks draw and world; implement it"),
         ("others:Still", "Still.draw returned"),
+        ("others:Crabs", "action 'Crab'"),
         ("gymnasium", "names no environment; give gymnasium:ENV_ID"),
         (":", "domain ':'"),
         ("..:x", "domain '..:x'"),

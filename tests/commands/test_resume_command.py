@@ -1,6 +1,7 @@
 """`cgtorch-train --resume RUN` alone goes on to what the run was begun for."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,17 @@ def test_to_the_domains_usual_stage_where_nothing_was_asked_for(
     folder = copied(trained, tmp_path / "run")
     assert f"run {folder} is complete up to S2" in said(shell, "--resume", folder)
     assert about(folder)["goes_on_to"] == {"stage": "S2"}
+
+
+def test_a_run_without_its_data_is_refused_before_anything_is_written(
+    shell: Shell, trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run")
+    shutil.rmtree(folder / "start")
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    line = shell.refuses(TRAIN, "--resume", folder, "--stage", "S1")
+    assert "is stored without its data and models" in line
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 def test_to_the_goal_it_was_begun_for(shell: Shell, trained: Trained, tmp_path: Path) -> None:

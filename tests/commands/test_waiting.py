@@ -1,7 +1,9 @@
 """Long work on a terminal, elsewhere, and quiet; and how an interrupted command ends."""
 
+import ctypes
 import io
 import signal
+from collections.abc import Callable
 
 import click
 import pytest
@@ -40,6 +42,22 @@ def test_what_is_waited_for(
     assert not shown or text.endswith("\x1b[2K")  # the line is cleared
 
 
+def in_the_midst_of_ctypes() -> None:
+    """An interrupt while ctypes converts an argument is another error."""
+
+    class Converted:
+        @classmethod
+        def from_param(cls, value: object) -> object:
+            raise KeyboardInterrupt
+
+    function = ctypes.CDLL(None).abs
+    function.argtypes = [Converted]
+    function(1)
+
+
+@pytest.mark.parametrize(
+    "happens", [lambda: signal.raise_signal(signal.SIGTERM), in_the_midst_of_ctypes]
+)
 @pytest.mark.parametrize(
     ("options", "line"),
     [
@@ -52,11 +70,12 @@ def test_an_interrupt(
     capsys: pytest.CaptureFixture[str],
     options: list[str],
     line: str,
+    happens: Callable[[], None],
 ) -> None:
     """Only a command that can resume is said to."""
 
     def interrupted(**values: str | None) -> None:
-        signal.raise_signal(signal.SIGTERM)
+        happens()
 
     command = click.Command("stopped", None, interrupted, [click.Option([o]) for o in options])
     monkeypatch.setattr("sys.argv", ["stopped"])

@@ -299,6 +299,16 @@ def test_trials_meet_other_noise(setup: Setup) -> None:
     assert 0 < float((first[0] - first[1]).abs().max()) < 0.06
 
 
+def test_nobody_is_tried_again_where_nobody_succeeds(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Domains of other people may not know batches of 0 scenarios."""
+    scenarios = random_scenarios("near", 5, seeded(3))
+    monkeypatch.setattr(type(scenarios), "with_noise", None)  # nobody asks for it
+    share, _ = try_all(replace(setup, trials=3), nearly(99.0), scenarios)
+    assert not share.any()
+
+
 def test_who_succeeds_is_tried_again(setup: Setup) -> None:
     scenarios = random_scenarios("near", 60, seeded(3))
     skill = nearly(0.3)

@@ -170,7 +170,7 @@ def _using(contents: Contents) -> list[str]:
     rest += [f" --actions {shlex.quote(a)}" for a in settings.actions if ":" in a]
     commands = [
         f"cgtorch-evaluate {name} --scenarios {contents.run.kind} --count 1000{''.join(rest)}",
-        f"cgtorch-export {name} --format module --output skill.pt2{''.join(rest)}",
+        f"cgtorch-export {name} --format state-machine --output skill.py{''.join(rest)}",
     ]
     return [
         *(commands if contents.stages else []),
