@@ -1,5 +1,6 @@
 """The data in the TensorBoard files of a run, read by TensorBoard's own reader."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,6 +38,8 @@ def read_event_files(folder: Path) -> EventData:
         return EventData({}, {})
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+    # It warns of steps that come twice, as they do where a run was resumed.
+    logging.getLogger("tensorboard").setLevel(logging.ERROR)
     everything = {"scalars": 0, "histograms": 0, "images": 1, "tensors": 1}
     events = EventAccumulator(str(folder), size_guidance=everything)
     events.Reload()
