@@ -70,10 +70,10 @@ def in_processes(
 
 def _begin(work: Callable[[int], Any], parent: int) -> None:
     global _work, _forked
+    signal.signal(signal.SIGINT, lambda *_: os._exit(1))  # the parent process says it once
     torch.set_num_threads(1)
     native.use_threads(1)
     _work, _forked = work, True
-    signal.signal(signal.SIGINT, lambda *_: os._exit(1))  # the parent process says it once
     threading.Thread(target=_follow, args=(parent,), daemon=True).start()
 
 
