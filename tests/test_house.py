@@ -1,4 +1,4 @@
-"""Which folders of the package know of which: the tabletop is one domain, and nothing needs it."""
+"""Which folders know of which: the tabletop is one domain, and nothing needs it; names of tests."""
 
 import ast
 from collections.abc import Iterator
@@ -111,3 +111,9 @@ def test_texts_that_only_explain_are_no_names() -> None:
     assert [text for text in named(ast.parse(code)) if is_tabletop(text)] == [
         "cgtorch.tabletop:Tabletop"
     ]
+
+
+def test_no_two_test_files_share_a_name() -> None:
+    """pytest imports a test file by its bare name, so it refuses the second of two."""
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert {name for name in names if names.count(name) > 1} == set()

@@ -1,9 +1,14 @@
-"""Forked processes leave it to their parent to say how work ended."""
+"""Work shared out to processes: the results in order, errors as they are, one interrupt."""
 
 import os
 import signal
 import subprocess
 import sys
+
+import pytest
+
+from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.ground.processes import in_processes
 
 WORK = """
 import time
@@ -18,6 +23,34 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
+
+
+@pytest.mark.parametrize("processes", [1, 2, 3])
+def test_results_come_in_order_and_are_told(processes):
+    told = []
+    found = in_processes(lambda number: (number, os.getpid()), 5, processes, told.append)
+    assert [number for number, _ in found] == list(range(5))
+    assert sorted(told) == sorted(found)
+    assert (os.getpid() in {process for _, process in found}) == (processes == 1)
+
+
+def test_an_error_comes_back_as_it_is():
+    def work(number: int) -> int:
+        if number == 1:
+            raise SettingsError("this one")
+        return number
+
+    with pytest.raises(SettingsError, match="this one"):
+        in_processes(work, 3, 2, lambda _: None)
+
+
+def test_a_killed_process_is_told():
+    def work(number: int) -> int:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    with pytest.raises(DataError, match="was killed"):
+        in_processes(work, 3, 2, lambda _: None)
 
 
 def test_an_interrupt_is_told_once() -> None:

@@ -117,3 +117,17 @@ def test_what_cannot_be_searched_is_refused(settings, error, says):
     x, y = labelled(60)
     with pytest.raises(error, match=says):
         grid_search(SVC(), x, y, **({"C": [1.0], "gamma": [1.0]} | settings))
+
+
+def test_the_number_of_processes_changes_no_score():
+    x, y = labelled(120)
+    grid = {"C": [1.0, 8.0], "gamma": [0.1, 0.5, 2.0]}
+    found = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        try:
+            found.append(grid_search(SVC(), x, y, **grid))
+        finally:
+            torch.set_num_threads(1)
+    assert torch.equal(found[0].held_out, found[1].held_out)
+    assert torch.equal(found[0].scores, found[1].scores)
