@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import itertools
 import signal
 import sys
 import threading
@@ -32,6 +33,16 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
+@contextmanager
+def resumable(command: str) -> Iterator[None]:
+    """A context for work that another command continues, which an interrupt then says."""
+    try:
+        yield
+    except (KeyboardInterrupt, ctypes.ArgumentError) as e:
+        e.add_note(f"finished work is kept; continue with {command}")
+        raise
+
+
 def run_command(command: click.Command) -> None:
     """Run a command and exit: 0 done, 1 not achieved, 2 bad input, with one line on stderr."""
     name = command.name or "cgtorch"
@@ -48,12 +59,12 @@ def run_command(command: click.Command) -> None:
         _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
     except CgtorchError as e:
         _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
-    except (KeyboardInterrupt, click.Abort):
-        _end_interrupted(name, command)
+    except (KeyboardInterrupt, click.Abort) as e:
+        _end_interrupted(name, e)
     except ctypes.ArgumentError as e:
         if KeyboardInterrupt.__name__ not in str(e):
             raise
-        _end_interrupted(name, command)  # ctypes raises this for a Ctrl-C in its midst
+        _end_interrupted(name, e)  # ctypes raises this for a Ctrl-C in its midst
     except OSError as e:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__
@@ -73,10 +84,9 @@ def _report_thread(thread: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(thread)
 
 
-def _end_interrupted(name: str, command: click.Command) -> NoReturn:
-    resumes = any(parameter.name == "resume" for parameter in command.params)
-    kept = "; finished work is kept; continue with --resume" if resumes else ""
-    _end(name, f"interrupted{kept}", 1)
+def _end_interrupted(name: str, error: BaseException) -> NoReturn:
+    notes = (getattr(e, "__notes__", ()) for e in (error, error.__cause__))  # click wraps errors
+    _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
 
 
 def _end(name: str, message: str, code: int) -> NoReturn:

@@ -46,8 +46,12 @@ def before(plan: Plan) -> Iterator[str]:
         yield "  2. Accept a skill if it forgets nothing and solves something new."
     yield f"  {_duration(plan)} Progress appears here, and in TensorBoard:"
     yield f"    tensorboard --logdir {run.folder}"
-    resume = f"cgtorch-train --resume {run.folder}{_code(run)}"
-    yield f"  Ctrl-C stops the run, and this command continues it: {resume}"
+    yield f"  Ctrl-C stops the run, and this command continues it: {resuming(run)}"
+
+
+def resuming(run: Run) -> str:
+    """The command that continues a run."""
+    return f"cgtorch-train --resume {run.folder}{_code(run)}"
 
 
 def after(plan: Plan) -> Iterator[str]:
@@ -55,7 +59,7 @@ def after(plan: Plan) -> Iterator[str]:
     run = plan.run
     if not run.stages:
         return
-    yield from _unused(run)
+    yield from _use_of_own_actions(run)
     code = _code(run)
     yield "Next:"
     yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
@@ -64,18 +68,21 @@ def after(plan: Plan) -> Iterator[str]:
     yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run as one page"
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and plan.stage != AUTO:
-        yield f"  cgtorch-train --resume {run.folder}{code} --stage {later[-1]}  # more stages"
+        yield f"  {resuming(run)} --stage {later[-1]}  # more stages"
 
 
-def _unused(run: Run) -> Iterator[str]:
-    """A line on each additional action that no node of the last skill has."""
+def _use_of_own_actions(run: Run) -> Iterator[str]:
+    """A line on each additional action: whether any node of the last skill has it."""
     added = set(run.actions.names) - set(run.domain.actions().names)
     if not added:
         return
     _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
-    for name in sorted(added - skill.used_actions):
-        unused = f"No node of {skill.name} is {name}: the search found no use for it."
-        yield f"{unused} Another --seed may."
+    for name in sorted(added):
+        if name in skill.used_actions:
+            yield f"{skill.name} uses the action {name}."
+        else:
+            unused = f"No node of {skill.name} is {name}: the search found no use for it."
+            yield f"{unused} Another --seed may."
 
 
 def _duration(plan: Plan) -> str:

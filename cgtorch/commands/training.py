@@ -13,6 +13,7 @@ from rich.console import Console
 
 from cgtorch import native
 from cgtorch.commands import guidance
+from cgtorch.commands.command import resumable
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
@@ -167,7 +168,8 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
     taken, auto = take_over(run, settings, stage), stage == AUTO
     run = taken.run
     plan = guidance.Plan(run, stage, goal)
-    with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
+    display = ProgressDisplay(quiet=wish.quiet or not ranks.first())
+    with resumable(guidance.resuming(run)), display:
         if plan.new:
             for line in guidance.before(plan):
                 display.say(line, style="bold" if line.startswith("New") else "")

@@ -10,7 +10,15 @@ from cgtorch.actions import ActionSet
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.world import World
 from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lanes
-from cgtorch.environment.dry_run import ROWS, check_environment, expect, kind, returned, two_rows
+from cgtorch.environment.dry_run import (
+    ROWS,
+    check_environment,
+    check_repeatable,
+    expect,
+    kind,
+    returned,
+    two_rows,
+)
 from cgtorch.environment.fields import Field
 from cgtorch.ground.errors import DomainError
 
@@ -29,6 +37,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
         )
     world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
     check_environment(world)
+    check_repeatable(world)
     for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
             raise DomainError(

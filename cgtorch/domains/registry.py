@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import Field, fields, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ _CLASSES = {
     GYMNASIUM: "cgtorch.domains.gymnasium:Gymnasium",
 }
 """The domains of the library by name."""
+NOT_FOUND = "is it spelt right, and is its file in this folder, on PYTHONPATH or installed?"
 
 
 def known_names() -> list[str]:
@@ -51,19 +52,25 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
             "'package.module:Class'"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
-    advice = "is it spelt right, and is its file in this folder, on PYTHONPATH or installed?"
-    found = _foreign(entry.load, f"cannot import domain {spec!r}", advice)
+    found = _foreign(entry.load, f"cannot import domain {spec!r}", NOT_FOUND)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
     return found
 
 
 def settings_class(spec: str) -> type[DomainSettings]:
-    """The class of a domain's settings; see `domain_class`."""
+    """The class of a domain's settings; DomainError if it is none, and see `domain_class`."""
     name = spec.partition(":")[0]
-    if name not in _SETTINGS:
-        return domain_class(spec).settings_type
-    found: type[DomainSettings] = EntryPoint("settings", _SETTINGS[name], ENTRY_POINTS).load()
+    if name in _SETTINGS:
+        known: type[DomainSettings] = EntryPoint("settings", _SETTINGS[name], ENTRY_POINTS).load()
+        return known
+    found = domain_class(spec).settings_type
+    settings = isinstance(found, type) and issubclass(found, DomainSettings)
+    if not settings or any(isinstance(value, Field) for value in vars(found).values()):
+        raise DomainError(
+            f"domain {spec!r} has settings_type {found!r:.80}; give a subclass of "
+            "cgtorch.DomainSettings that is decorated with @dataclass(frozen=True)"
+        )
     return found
 
 
@@ -110,5 +117,8 @@ def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
     except CgtorchError:
         raise
     except Exception as e:
-        reason = f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
-        raise DomainError(f"{failure} ({reason}); {advice}") from e
+        from cgtorch.environment.dry_run import failed_at, reason
+
+        if advice == NOT_FOUND and not isinstance(e, ImportError | AttributeError):
+            advice = "correct that first"
+        raise DomainError(f"{failure} ({reason(e)}){failed_at(e)}; {advice}") from e

@@ -35,10 +35,10 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
     except CgtorchError:
         raise
     except Exception as e:
-        raise error(f"{who} raised {reason(e)}{_failed_at(e)}, tried with two rows") from e
+        raise error(f"{who} raised {reason(e)}{failed_at(e)}, tried with two rows") from e
 
 
-def _failed_at(e: Exception) -> str:
+def failed_at(e: Exception) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
     frames = [(Path(f.filename), f.lineno) for f in traceback.extract_tb(e.__traceback__)]
@@ -140,6 +140,32 @@ def check_environment(environment: Environment, device: torch.device | str = "cp
     expect(WorldError, success, "probabilities", chance, (ROWS,), floats)
     if ((chance < 0) | (chance > 1)).any():
         raise WorldError(f"{success} returned {chance.tolist()}; return probabilities")
+
+
+def check_repeatable(environment: Environment) -> None:
+    """WorldError if a checked environment shows something else when it is called again."""
+    name, parts = type(environment).__name__, getattr(environment, "made_of", {})
+    with torch.no_grad():
+        once, again = _shown(environment), _shown(environment)
+    for method, shown in once.items():
+        if not all(map(torch.equal, shown, again[method])):
+            raise WorldError(
+                f"{name}.{parts.get(method, method)} did something else when it was called again "
+                "with the same; noise belongs to a scenario, so draw its numbers in Domain.draw"
+            )
+
+
+def _shown(environment: Environment) -> dict[str, tuple[Tensor, ...]]:
+    """What methods show of two scenarios, in this order: percepts and other results."""
+    size, scenario = environment.control_size, two_rows(environment.num_scenarios)
+    lanes = start_lanes(environment, scenario, size, 0)
+    moved, done = environment.step(lanes, lanes.percept.new_zeros(ROWS, size))
+    tested, chance = environment.success(moved)
+    return {
+        "start": (lanes.percept.nan_to_num(),),
+        "step": (moved.percept.nan_to_num(), done),
+        "success": (tested.percept.nan_to_num(), chance),
+    }
 
 
 def _check_size(environment: Environment, attribute: str) -> None:

@@ -135,13 +135,15 @@ class SkillAccepted(Event, Generic[S]):
 
 @dataclass(frozen=True)
 class FreshTested(Event):
-    """A round's skill was tried on fresh scenarios: it solved `succeeded` of `tried`.
+    """`skill` was tried at a round's end on fresh scenarios: it solved `succeeded` of `tried`.
 
-    `target` is the share to reach, or the mean return if the domain gives rewards. `decisive` is
-    whether this is the final test, which decides whether the target is met.
+    It is the round's own skill, or the earlier one if none was accepted. `target` is the share to
+    reach, or the mean return if the domain gives rewards. `decisive` is whether this is the final
+    test, which decides whether the target is met.
     """
 
     stage: str
+    skill: str
     succeeded: int
     tried: int
     target: float

@@ -104,8 +104,8 @@ def _smoothed(past: float | None, value: float) -> float:
 
 
 def as_time(seconds: float) -> str:
-    """Seconds as 0:07, 12:05 or 1:02:30."""
-    whole = round(seconds)
+    """Seconds as 0:07, 12:05 or 1:02:30; files have tenths, which give the same text."""
+    whole = int(round(seconds, 1) + 0.5)
     hours, minutes = divmod(whole // 60, 60)
     text = f"{minutes}:{whole % 60:02d}"
     return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else text

@@ -29,6 +29,8 @@ def message_of(event: events.Event) -> str:
         case events.FreshTested():
             share = event.succeeded / max(1, event.tried)
             kind = "final test, " if event.decisive else ""
+            if event.skill != event.stage and not event.decisive:
+                kind = f"no skill was accepted; {event.skill} was tested again, "
             mean = "" if event.mean_return is None else f", mean return {event.mean_return:.5g}"
             return (
                 f"{event.stage}: {kind}{event.succeeded} of {event.tried} fresh scenarios = "
@@ -53,7 +55,7 @@ def _world_tested(event: events.WorldTested) -> str:
     if event.kept is not None and event.predicted is not None:
         text += f"; its group: {event.predicted} solved in the search, {event.kept} in the world"
     elif event.solved_w < event.size_w:
-        text += "; not accepted, as it loses some of W"
+        text += "; not accepted, as it loses some of W; the search goes on"
     return text
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import torch
 
 from cgtorch import native
-from cgtorch.actions import ActionSet, check_action, resolve_actions
+from cgtorch.actions import ActionSet, MoveBase, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.registry import (
@@ -203,7 +203,7 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
-    """The run, after a dry run of its domain and of all actions that are not the library's."""
+    """The run, after a dry run of its domain, and of its actions unless the library made both."""
     kind = kind_of(settings, domain)
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
@@ -212,10 +212,16 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
     sizes = len(domain.percept), len(domain.control)
     actions = resolve_actions(settings.actions, domain.actions(), sizes)
     every = zip(actions.names, actions.actions, strict=True)
-    own = {name: a for name, a in every if not type(a).__module__.startswith("cgtorch.")}
+    foreign = _foreign(domain)
+    own = {name: action for name, action in every if foreign or _foreign(action)}
     if own:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
         for name, action in own.items():
+            if isinstance(action, MoveBase) and action.message_size != sizes[1]:
+                raise ActionError(
+                    f"action {name!r} sends {action.message_size} numbers as a control, of which "
+                    f"the domain has {sizes[1]}; make it as MoveBase({sizes[1]})"
+                )
             check_action(name, action, world)
     run = Run(folder, settings, domain, actions)
     if run.learns and domain.rewarded:
@@ -224,3 +230,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
             "evolved in the world itself: --models none"
         )
     return run
+
+
+def _foreign(part: object) -> bool:
+    """Whether the class of a domain or action is not the library's."""
+    return not type(part).__module__.startswith("cgtorch.")

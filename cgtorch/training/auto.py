@@ -103,7 +103,7 @@ def _round(
         skill = after.skill
         if skill is None:
             return None
-        with training.working(f"testing {name} on fresh scenarios"):
+        with training.working(f"testing {skill.name} on fresh scenarios"):
             after, scores, met = _tested(training, goal, name, decisions, after, generator)
         accepted, tests = tally.accepted, [counts(run.kind, score) for score in scores]
         won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
@@ -141,6 +141,7 @@ def _tested(
     first test is good enough, a second one decides.
     """
     domain, scores = training.run.domain, list[Score]()
+    skill = name if progress.skill is None else progress.skill.name
     if domain.rewarded:  # what counts is the mean of the returns
         target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)
         enough = EPISODES + 1, DECISIVE_EPISODES + 1
@@ -150,7 +151,7 @@ def _tested(
     for most, failures in zip(sizes, enough, strict=True):
         score = act(training.run, progress.skill, most, generator, failures)
         counted, mean, decisive = (score.successes, score.tried), score.mean_return, bool(scores)
-        training.watch(FreshTested(name, *counted, target, decisive, mean))
+        training.watch(FreshTested(name, skill, *counted, target, decisive, mean))
         progress = _with(progress, score)
         scores.append(score)
         by_mean = mean is not None and mean >= target

@@ -199,6 +199,7 @@ def test_a_damaged_name_of_a_domain(
 
 OTHERS = """
 from cgtorch import Action, Domain, DomainSettings, option
+from cgtorch.actions import MoveBase
 from dataclasses import dataclass
 from own_cart import Cart
 
@@ -245,7 +246,28 @@ class Crabs(Cart):
     def actions(self):
         return super().actions().extended(["Crab"], [Crab()])
 
+class Narrow(Cart):
+    def actions(self):
+        return super().actions().extended(["Half"], [MoveBase(9)])
+
+class Bare(DomainSettings):
+    gusts: float = option(0.1, "Gusts.")
+
+class Undecorated(Cart):
+    settings_type = Bare
+
+class Unsettled(Cart):
+    settings_type = dict
+
 nothing = 3
+"""
+BROKEN = """
+from dataclasses import dataclass
+from cgtorch import DomainSettings
+
+@dataclass
+class Thawed(DomainSettings):
+    pass
 """
 
 
@@ -266,6 +288,10 @@ nothing = 3
         ("others:Incomplete", "class Incomplete lacks draw and world; implement it"),
         ("others:Still", "Still.draw returned"),
         ("others:Crabs", "action 'Crab'"),
+        ("others:Narrow", "action 'Half' sends 9 numbers as a control, of which the domain has 1"),
+        ("others:Undecorated", "settings_type <class 'others.Bare'>; give a subclass of cgtorch."),
+        ("others:Unsettled", "settings_type <class 'dict'>; give a subclass of cgtorch.Domain"),
+        ("broken:Thawed", "from a frozen one) in line 5 of broken.py; correct that first"),
         ("gymnasium", "names no environment; give gymnasium:ENV_ID"),
         (":", "domain ':'"),
         ("..:x", "domain '..:x'"),
@@ -274,6 +300,7 @@ nothing = 3
 def test_what_is_no_domain(shell: Shell, tmp_path: Path, spec: str, says: str) -> None:
     (tmp_path / "own_cart.py").write_text(EXAMPLE)
     (tmp_path / "others.py").write_text(OTHERS)
+    (tmp_path / "broken.py").write_text(BROKEN)
     message = shell.refuses(TRAIN, "--domain", spec, "--run-dir", "run")
     assert says in message
     assert not (tmp_path / "run").exists()

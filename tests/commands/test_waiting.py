@@ -4,12 +4,13 @@ import ctypes
 import io
 import signal
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import click
 import pytest
 from rich.console import Console
 
-from cgtorch.commands.command import run_command
+from cgtorch.commands.command import resumable, run_command
 from cgtorch.commands.options import waiting
 from cgtorch.ground.counted_work import counted
 
@@ -59,25 +60,26 @@ def in_the_midst_of_ctypes() -> None:
     "happens", [lambda: signal.raise_signal(signal.SIGTERM), in_the_midst_of_ctypes]
 )
 @pytest.mark.parametrize(
-    ("options", "line"),
+    ("resumes", "line"),
     [
-        (["--resume"], "stopped: interrupted; finished work is kept; continue with --resume\n"),
-        ([], "stopped: interrupted\n"),
+        (True, "stopped: interrupted; finished work is kept; continue with start --again\n"),
+        (False, "stopped: interrupted\n"),
     ],
 )
 def test_an_interrupt(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    options: list[str],
+    resumes: bool,
     line: str,
     happens: Callable[[], None],
 ) -> None:
-    """Only a command that can resume is said to."""
+    """Only work that can be continued is said to be."""
 
-    def interrupted(**values: str | None) -> None:
-        happens()
+    def interrupted() -> None:
+        with resumable("start --again") if resumes else nullcontext():
+            happens()
 
-    command = click.Command("stopped", None, interrupted, [click.Option([o]) for o in options])
+    command = click.Command("stopped", None, interrupted)
     monkeypatch.setattr("sys.argv", ["stopped"])
     with pytest.raises(SystemExit) as ended:
         run_command(command)

@@ -1,5 +1,6 @@
 """A domain is tried at the door, and the error says which method returned what."""
 
+import itertools
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -131,6 +132,23 @@ def test_a_generator_that_is_left_alone_is_no_error() -> None:
     """Scenarios that are always the same are drawn from nothing."""
     same = Cart().draw("any", 2, seeded(0))
     check_domain(cart_with(draw=lambda self, kind, count, generator: same[:count]), "any")
+
+
+@pytest.mark.parametrize("method", ["first_state", "next_state", "perceived", "succeeded"])
+def test_a_world_that_draws_numbers_by_itself_is_refused(method: str) -> None:
+    calls = itertools.count()
+
+    def noisy(self: Rail, *given: Tensor) -> Tensor:
+        known: Tensor = getattr(Rail, method)(self, *given)
+        number = next(calls)
+        return known ^ (number % 2 == 1) if known.dtype == torch.bool else known + number
+
+    with pytest.raises(WorldError) as caught:
+        check_domain(rail_with(**{method: noisy}), "any")
+    assert str(caught.value).startswith("Track.")
+    assert str(caught.value).endswith(
+        "noise belongs to a scenario, so draw its numbers in Domain.draw"
+    )
 
 
 def test_a_world_that_cannot_be_made_is_named() -> None:

@@ -123,7 +123,7 @@ def events(models: Models) -> list[Event]:
     skill = compose("S1", members, parameters, actions, 20)
     result = try_skill(skill, world).succeeded
     told.append(WorldTested("S1", "S1", int(result[keep].sum()), 6, int(result[~keep].sum()), 5))
-    told.append(FreshTested("S1", 30, 40, 0.9, decisive=False))
+    told.append(FreshTested("S1", "S1", 30, 40, 0.9, decisive=False))
     keep = torch.arange(len(scenarios)) < 6
     told.append(SkillAccepted("S1", skill, scenarios, result, keep, targets, 62.0))
     assert sum(isinstance(e, GenerationDone) for e in told) == GENERATIONS + 2

@@ -74,3 +74,7 @@ def test_times() -> None:
     assert [as_time(s) for s in (0, 7.4, 59.6, 725, 3750)] == [
         "0:00", "0:07", "1:00", "12:05", "1:02:30",
     ]  # fmt: skip
+
+
+def test_a_time_and_its_tenths_in_a_file_are_the_same_text() -> None:
+    assert all(as_time(s / 100) == as_time(round(s / 100, 1)) for s in range(1000))

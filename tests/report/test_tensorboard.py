@@ -327,7 +327,7 @@ def test_watching_changes_nothing(events: list[Event], tmp_path: Path) -> None:
 
 def test_returns_are_written_where_there_are_some(events: list[Event], tmp_path: Path) -> None:
     told = next(e for e in events if isinstance(e, GenerationDone))
-    fresh = FreshTested("S1", 3, 4, -2.0, decisive=False, mean_return=-2.5)
+    fresh = FreshTested("S1", "S1", 3, 4, -2.0, decisive=False, mean_return=-2.5)
     lost, some = (
         replace(told, generation=replace(told.generation, fitness=torch.tensor(f), best=max(f)))
         for f in ([WORST, WORST / 100], [-4.0, -2.0, WORST, WORST / 1000])

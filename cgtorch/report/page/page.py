@@ -23,7 +23,7 @@ from cgtorch.report.page.models import model_quality
 from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.stages import stage_sections
-from cgtorch.runs.run import Run, versions
+from cgtorch.runs.run import AUTO, Run, versions
 from cgtorch.runs.settings import all_fields, defaults_of
 
 PACKAGE = "cgtorch.report.page"
@@ -101,7 +101,7 @@ def _missing(contents: Contents) -> list[str]:
     if not contents.stages:
         said.append("No stage is finished yet, so there is no skill to show.")
     elif run.kind == run.domain.usual_kind and not run.rounds:
-        lacking = [name for name in run.domain.stages if name not in run.stages]
+        lacking = [name for name in _asked(contents) if name not in run.stages]
         if lacking:
             made = ", ".join(run.stages)
             said.append(f"Finished stages: {made}. Not finished: {', '.join(lacking)}.")
@@ -115,6 +115,15 @@ def _missing(contents: Contents) -> list[str]:
     if contents.fitted is None and run.learns:
         said.append("There are no models Γ and C in the folder, so the page has no model reports.")
     return said
+
+
+def _asked(contents: Contents) -> list[str]:
+    """The stages that the run was last asked for, which are all if that is not known."""
+    goal, stages = contents.about.get("goes_on_to"), list(contents.run.domain.stages)
+    last = goal.get("stage") if isinstance(goal, dict) else None
+    if last == AUTO:
+        return []
+    return stages[: stages.index(last) + 1] if last in stages else stages
 
 
 def _success(contents: Contents) -> Markup:

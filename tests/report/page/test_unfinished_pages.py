@@ -64,6 +64,33 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
     assert "cgtorch-train --stage S1 --seed" in words(page.get_element_by_id("reproduce"))
 
 
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("S1", []),
+        ("S2", ["Finished stages: S0, S1. Not finished: S2."]),
+        ("auto", []),
+        (["S1"], ["Finished stages: S0, S1. Not finished: S2, S3."]),
+    ],
+)
+def test_only_stages_that_were_asked_for_are_missing(
+    tmp_path: Path, asked: object, said: list[str]
+) -> None:
+    folder = thinned(tmp_path / "run", "S0", "S1")
+    changed(folder / "run.json", goes_on_to={"stage": asked})
+    assert missing(parsed(folder)) == said
+
+
+def test_a_search_that_an_interruption_divided_took_longer_than_what_came_after(
+    tmp_path: Path,
+) -> None:
+    folder = thinned(tmp_path / "run", "S0")
+    changed(folder / "S0" / "result.json", seconds=2.0, search_seconds=75.0)
+    assert "0:02 since the run was last continued; search 1:15 in all" in words(parsed(folder))
+    changed(folder / "S0" / "result.json", seconds=80.0, search_seconds=75.0)
+    assert "1:20, of which search 1:15" in words(parsed(folder))
+
+
 def test_a_run_without_models_and_events(tmp_path: Path) -> None:
     page = parsed(thinned(tmp_path / "run", "S0", models=False, events=False))
     assert missing(page)[1:] == [
