@@ -62,13 +62,16 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
             f"--output is {str(output)!r}; give a name that ends in .pt2 for --format module"
         )
     from cgtorch.export import FORMATS as WRITERS
+    from cgtorch.export import SIZED
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill
 
     about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
-    skill = chosen_skill(path, *about).skill
+    chosen = chosen_skill(path, *about)
+    skill = chosen.skill
+    sizes = {"percept_size": len(chosen.domain.percept)} if form in SIZED else {}
     with options.waiting(f"exporting {skill.name} as {form}", quiet):
-        data = WRITERS[form](skill)
+        data = WRITERS[form](skill, **sizes)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
 

@@ -10,9 +10,8 @@ from cgtorch.export.text import to_graphml as to_graphml
 from cgtorch.export.text import to_json as to_json
 from cgtorch.export.text import to_mermaid as to_mermaid
 from cgtorch.export.torch_module import to_module as to_module
-from cgtorch.graphs import Skill
 
-FORMATS: Mapping[str, Callable[[Skill], bytes]] = {
+FORMATS: Mapping[str, Callable[..., bytes]] = {
     "json": to_json,
     "module": to_module,
     "onnx": to_onnx,
@@ -21,4 +20,8 @@ FORMATS: Mapping[str, Callable[[Skill], bytes]] = {
     "graphml": to_graphml,
     "mermaid": to_mermaid,
 }
-"""The formats of `cgtorch-export --format`: functions from a skill to the content of a file."""
+"""The formats of `cgtorch-export --format`: functions from a skill to the content of a file.
+
+Those of `SIZED` can also be given the length of a percept, as `percept_size`.
+"""
+SIZED = ("module", "onnx")

@@ -25,8 +25,10 @@ ABOUT = "cgtorch"
 """The metadata property that contains names and sizes as JSON; see `SkillStep.about`."""
 
 
-def to_onnx(skill: Skill) -> bytes:
+def to_onnx(skill: Skill, percept_size: int | None = None) -> bytes:
     """The skill's `SkillStep` as an ONNX model with inputs `INPUTS` and outputs `OUTPUTS`.
+
+    `percept_size` is the length of a percept, by default that which its networks read.
 
     SettingsError if packages for ONNX are missing, ActionError if an action does more than compute,
     or ONNX has no operator for it.
@@ -38,10 +40,10 @@ def to_onnx(skill: Skill) -> bytes:
         raise SettingsError(
             f"ONNX needs package {e.name!r}, which is not installed; pip install 'cgtorch[onnx]'"
         ) from e
-    step = SkillStep(skill)
+    step = SkillStep(skill, percept_size)
     with _silence():
         try:
-            model = _converted(exported(skill), INPUTS, OUTPUTS)
+            model = _converted(exported(skill, percept_size), INPUTS, OUTPUTS)
         except CgtorchError:
             raise
         except Exception:  # torch.onnx raises whatever it meets

@@ -248,6 +248,5 @@ def _percept_size(skill: Skill) -> int:
         if isinstance(size := getattr(action, "percept_size", None), int):
             return size
     raise SettingsError(
-        f"skill {skill.name!r} has no network that tells the length of a percept; give one of its "
-        "actions the attribute percept_size, or export a state machine"
+        f"skill {skill.name!r} has no network that tells the length of a percept; pass percept_size"
     )

@@ -16,27 +16,29 @@ ABOUT = "skill.json"
 """The extra file with names and sizes; see `SkillStep.about`."""
 
 
-def to_module(skill: Skill) -> bytes:
+def to_module(skill: Skill, percept_size: int | None = None) -> bytes:
     """The skill's `SkillStep` as a .pt2 archive; ActionError if an action does more than compute.
+
+    `percept_size` is the length of a percept, by default that which its networks read.
 
     Its graph and description are JSON and its weights are raw numbers. Unlike torch's own archives,
     it contains no example inputs, which would be pickled.
     """
-    step, program = SkillStep(skill), exported(skill)
+    step, program = SkillStep(skill, percept_size), exported(skill, percept_size)
     program.example_inputs = None
     file = io.BytesIO()
     torch.export.save(program, file, extra_files={ABOUT: json.dumps(step.about())})
     return file.getvalue()
 
 
-def exported(skill: Skill) -> ExportedProgram:
+def exported(skill: Skill, percept_size: int | None = None) -> ExportedProgram:
     """The skill's step as an exported program, without the source lines that it comes from.
 
     ActionError if torch.export cannot trace an action, SettingsError if torch is too old.
     """
     if not hasattr(torch, "while_loop"):
         raise SettingsError(f"torch {torch.__version__} cannot export loops; install a newer one")
-    step = SkillStep(skill)
+    step = SkillStep(skill, percept_size)
     step.computed = nn.ModuleList(traced(action) for action in step.carried)
     program = torch.export.export(step, step.first())
     for module in program.graph_module.modules():

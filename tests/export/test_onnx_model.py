@@ -19,7 +19,6 @@ from driving import (
 )
 from support import model, nested_actions, random_skill, world
 from test_step import Learned, lone
-from test_torch_module import wide
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes
@@ -107,7 +106,7 @@ class Eigenvalues(Learned):
 
 def test_an_action_that_onnx_cannot_say_is_named() -> None:
     with pytest.raises(ActionError, match="action 'Mine' cannot be exported: ONNX lacks"):
-        to_onnx(wide(lone(Eigenvalues())))
+        to_onnx(lone(Eigenvalues()), percept_size=7)
 
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxscript"])

@@ -20,7 +20,6 @@ from cgtorch.actions import Action
 from cgtorch.environment import Environment, Lanes
 from cgtorch.export import to_module
 from cgtorch.export.torch_module import ABOUT
-from cgtorch.graphs import Skill
 from cgtorch.ground.errors import ActionError
 
 ELSEWHERE = """
@@ -93,17 +92,11 @@ def test_memory_messages_and_skills_in_skills_without_cgtorch(tmp_path: Path) ->
 
 def test_an_action_with_weights_of_its_own(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    skill = wide(lone(Learned()))
+    skill = lone(Learned())
     runs, _ = by_the_library(skill, world(0, 20))
-    right, found, expected = elsewhere(to_module(skill), runs, tmp_path)
+    right, found, expected = elsewhere(to_module(skill, percept_size=7), runs, tmp_path)
     assert right.all()
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
-
-
-def wide(skill: Skill) -> Skill:
-    """The skill with its action's percept size where the export looks for it."""
-    skill.actions.actions[0].percept_size = 7
-    return skill
 
 
 def test_nothing_in_it_is_a_pickle_or_tells_where_it_was_made() -> None:
@@ -134,4 +127,4 @@ def test_an_action_that_torch_cannot_follow_is_named() -> None:
     with pytest.raises(
         ActionError, match=r"action 'Mine' cannot be exported: .*; export the skill"
     ):
-        to_module(wide(lone(mine)))
+        to_module(lone(mine), percept_size=7)
