@@ -15,6 +15,9 @@ from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.run import Run, open_run, read_about
 from cgtorch.runs.settings import RunSettings
 
+EXPORTED = (".pt2", ".onnx", ".py")
+"""The ends of names of exports that programs run."""
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -100,11 +103,25 @@ def lone_skill(
     if kind not in made.kinds:
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
     errors: list[GraphError | ActionError] = []
+    known = set[str]()
     for variant in made.variants(kind):
         sizes = len(variant.percept), len(variant.control)
+        actions = resolve_actions(names, variant.actions(), sizes)
+        known.update(actions.names)
         try:
-            actions = resolve_actions(names, variant.actions(), sizes)
             return variant, kind, load_skill(path, actions)
         except (GraphError, ActionError) as e:
             errors.append(e)
-    raise next((e for e in errors if isinstance(e, GraphError)), errors[0])
+    if path.suffix in EXPORTED:
+        raise GraphError(
+            f"{str(path)!r} is an export for other programs, which is not read back; give the run, "
+            "or a file of cgtorch-export --format json"
+        )
+    if damaged := [e for e in errors if isinstance(e, GraphError)]:
+        raise damaged[0]
+    # Each variant lacks some actions of the others; what all of them lack is meant.
+    elsewhere = tuple(f"unknown action {name!r}" for name in known)
+    others = [e for e in errors if not str(e).startswith(elsewhere)]
+    raise ActionError(
+        f"{(others or errors)[0]}; name an action of your own with --actions package.module:Class"
+    )

@@ -310,7 +310,9 @@ def test_code_that_a_file_names_is_not_imported(
     path.write_text(
         (run_folder / "S0" / "skill.json").read_text().replace("Grasp", "foreign_code:Look")
     )
-    assert "unknown action" in shell.refuses(EVALUATE, path)
+    message = shell.refuses(EVALUATE, path)
+    assert "unknown action 'foreign_code:Look'; known are MoveBase, Detect, " in message
+    assert "; name an action of your own with --actions package.module:Class" in message
     assert not (tmp_path / "imported").exists()
     ended = shell(EVALUATE, run_folder, "--actions", "foreign_code:Look", "--count", 1)
     assert ended.code == 0

@@ -98,6 +98,13 @@ def test_what_the_skill_of_a_file_perceives(
         assert json.loads(archive.read(about))["percept"] == size
 
 
+def test_an_export_for_programs_is_not_read_back(shell: Shell, tmp_path: Path) -> None:
+    for form, name in (("module", "S0.pt2"), ("onnx", "S0.onnx"), ("state-machine", "S0.py")):
+        shell(EXPORT, REFERENCE / "S0", "--format", form, "--output", name)
+        message = shell.refuses("cgtorch-evaluate", tmp_path / name)
+        assert f"{name}' is an export for other programs" in message
+
+
 def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "mine.json").write_text("precious")
     words = (EXPORT, REFERENCE, "--format", "json", "--output", "mine.json")

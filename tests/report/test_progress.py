@@ -12,6 +12,7 @@ from cgtorch.domains.summary import summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.improvement.events import (
     Event,
+    FreshTested,
     GenerationDone,
     ModelsFitted,
     ModelSummary,
@@ -245,6 +246,18 @@ def test_what_an_unfinished_episode_is_worth_is_on_no_line(events: list[Event]) 
 
     assert "fitness best -2.000 mean -3.000  M " in shown([-4.0, -2.0, WORST, WORST / 1000])
     assert "fitness best – mean –  M " in shown([WORST, WORST / 1000])
+
+
+def test_a_round_without_a_new_skill_says_which_one_was_tested() -> None:
+    tested = FreshTested("auto-5", "auto-4", 390, 400, 0.99, decisive=False)
+    assert message_of(tested) == (
+        "auto-5: no skill was accepted; auto-4 was tested again, 390 of 400 fresh scenarios = "
+        "97.5%, the goal is 0.99"
+    )
+    final = replace(tested, decisive=True)
+    assert message_of(final).startswith("auto-5: final test, 390 of 400 fresh scenarios")
+    own = replace(tested, skill="auto-5")
+    assert message_of(own).startswith("auto-5: 390 of 400 fresh scenarios")
 
 
 def test_long_work_shows_how_much_is_done_how_fast_and_what_is_left(

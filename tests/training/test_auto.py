@@ -90,8 +90,8 @@ def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
 def test_fresh_placements_are_told(made: Made) -> None:
     _, events, results = made
     told = [e for e in events if isinstance(e, FreshTested) and not e.decisive]
-    assert [(e.succeeded, e.tried) for e in told] == [
-        (r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
+    assert [(e.stage, e.skill, e.succeeded, e.tried) for e in told] == [
+        (r["stage"], r["skill"], r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
     ]
 
 
