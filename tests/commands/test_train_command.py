@@ -159,6 +159,24 @@ def test_an_action_of_ones_own_that_no_node_has_is_told(
     assert "No node of S1 is Wait: the search found no use for it." in ended.err
 
 
+def test_an_action_of_ones_own_that_is_used_is_told(
+    shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_steps.py").write_text(
+        "from cgtorch.actions import MoveBase\n\nclass Stride(MoveBase):\n    'A step.'\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = copied(trained, tmp_path / "run")
+    about = json.loads((folder / "run.json").read_text())
+    about["settings"]["actions"] = ["own_steps:Stride"]
+    (folder / "run.json").write_text(json.dumps(about))
+    skill = folder / "S1" / "skill.json"  # as if it had been evolved with it
+    skill.write_text(skill.read_text().replace('"action": "MoveBase"', '"action": "Stride"'))
+    ended = shell(TRAIN, "--resume", folder, "--actions", "own_steps:Stride", "--stage", "S1")
+    assert ended.code == 0, ended
+    assert "S1 uses the action Stride.\nNext:" in ended.err
+
+
 def test_going_on_until_a_goal_is_met(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     """What was reached is said; that more was wanted is no error."""
     folder = copied(trained, tmp_path / "run")
