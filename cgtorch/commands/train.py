@@ -12,10 +12,10 @@ from cgtorch.commands import completion
 from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.domain_command import DomainCommand
 from cgtorch.commands.options import common_options, epilog, number_option
-from cgtorch.domains.registry import check_options, settings_class
+from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import NAMES, RunSettings, defaults_of, option_of
+from cgtorch.runs.settings import NAMES, SCENARIOS, RunSettings, defaults_of, option_of
 
 AUTO = "auto"
 EXAMPLES = """\b
@@ -43,11 +43,11 @@ def _options(spec: str) -> list[click.Option]:
     own = settings_class(spec)
     skip, defaults = ("actions", "domain", "environment", "target_return"), defaults_of(own)
     every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
-    return [_option(f, defaults.get(f.name, f.default)) for f in every if f.name not in skip]
+    return [_option(f, defaults.get(f.name, f.default), spec) for f in every if f.name not in skip]
 
 
-def _option(f: Field[Any], default: Any) -> click.Option:
-    """The option of a field made by `cgtorch.domains.settings.option`."""
+def _option(f: Field[Any], default: Any, spec: str) -> click.Option:
+    """The option of a field made by `cgtorch.domains.settings.option`, in a domain."""
     choices = f.metadata["choices"]
     kinds = completion.kinds_of_domain if f.name == "scenarios" else None
     return click.Option(
@@ -55,9 +55,17 @@ def _option(f: Field[Any], default: Any) -> click.Option:
         type=type(f.default),
         default=default,
         show_default=f.default != "",
-        help=f.metadata["help"],
+        help=_help(f, spec),
         shell_complete=completion.one_of(choices) if choices else kinds,
     )
+
+
+def _help(f: Field[Any], spec: str) -> str:
+    """The help of a setting in a domain, which names the kinds of the domain's scenarios."""
+    if f.name != "scenarios" or spec == RunSettings.domain:
+        return str(f.metadata["help"])
+    kinds = domain_class(spec).kinds if is_code(spec) else ()
+    return f"{SCENARIOS} This domain has {', '.join(kinds)}." if kinds else SCENARIOS
 
 
 @click.command(

@@ -8,6 +8,7 @@ from cgtorch.domains.settings import DomainSettings, check_options, option
 
 METHODS = ("compose", "paper")
 MODELS = ("auto", "learned", "none")
+SCENARIOS = "The kind of scenarios, or auto for the domain's usual kind."
 
 
 @dataclass(frozen=True)
@@ -112,9 +113,8 @@ class RunSettings:
     )
     scenarios: str = option(
         "auto",
-        "The kind of scenarios, or auto for the domain's usual kind. The tabletop has perimeter "
-        "(the paper's table), general (any table, from any side) and general-clutter (with boxes "
-        "in the way).",
+        f"{SCENARIOS} The tabletop has perimeter (the paper's table), general (any table, from any "
+        "side) and general-clutter (with boxes in the way).",
         "W and M contain such scenarios",
         when="Change it to train on another kind of scenarios.",
     )
