@@ -117,13 +117,13 @@ def draw_learning(curves: Sequence[Curve]) -> Figure:
     """Learning curves, one below the other."""
     figure, grid = plain_figure(5.2, 3.1 * len(curves), [1] * len(curves), share_x=False)
     for axes, (name, sizes, train, test) in zip(grid, curves, strict=True):
-        axes.plot(sizes, train, color=FAINT, lw=1.2, marker="s", ms=3.5, label="learnt from")
+        axes.plot(sizes, train, color=FAINT, lw=1.2, marker="s", ms=3.5, label="learned from")
         axes.plot(sizes, test, color=GOOD, lw=1.4, marker="o", ms=4, label="held out")
         axes.set_title(name, fontsize=9.5, color=INK)
         axes.set_xscale("log")
         axes.set_xticks(list(sizes), [f"{size:g}" for size in sizes])
         axes.minorticks_off()
-        axes.set_xlabel("rows learnt from")
+        axes.set_xlabel("rows learned from")
         _legend(axes)
     return figure
 
