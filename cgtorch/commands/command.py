@@ -38,7 +38,7 @@ def resumable(command: str) -> Iterator[None]:
     """A context for work that another command continues, which an interrupt then says."""
     try:
         yield
-    except (KeyboardInterrupt, ctypes.ArgumentError) as e:
+    except BaseException as e:
         e.add_note(f"finished work is kept; continue with {command}")
         raise
 
@@ -69,6 +69,9 @@ def run_command(command: click.Command) -> None:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
+    except Exception as e:
+        _end_in_foreign_code(name, e)
+        raise
     finally:
         threading.excepthook = previous
         signal.signal(signal.SIGTERM, terminates)
@@ -87,6 +90,16 @@ def _report_thread(thread: threading.ExceptHookArgs) -> None:
 def _end_interrupted(name: str, error: BaseException) -> NoReturn:
     notes = (getattr(e, "__notes__", ()) for e in (error, error.__cause__))  # click wraps errors
     _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
+
+
+def _end_in_foreign_code(name: str, error: Exception) -> None:
+    """End the command if the error comes from code of the user's own; else return."""
+    if "torch" in sys.modules:  # without it, nothing of the user's has been called
+        from cgtorch.environment.dry_run import failed_at, reason
+
+        if place := failed_at(error):
+            notes = itertools.chain([f"{reason(error)}{place}"], getattr(error, "__notes__", ()))
+            _end(name, "; ".join(notes), 1)
 
 
 def _end(name: str, message: str, code: int) -> NoReturn:

@@ -15,7 +15,7 @@ from cgtorch.commands.options import common_options, epilog, number_option
 from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import NAMES, SCENARIOS, RunSettings, defaults_of, option_of
+from cgtorch.runs.settings import NAMES, RunSettings, defaults_of, help_of, option_of
 
 AUTO = "auto"
 EXAMPLES = """\b
@@ -55,17 +55,9 @@ def _option(f: Field[Any], default: Any, spec: str) -> click.Option:
         type=type(f.default),
         default=default,
         show_default=f.default != "",
-        help=_help(f, spec),
+        help=help_of(f, spec, domain_class(spec).kinds if is_code(spec) else ()),
         shell_complete=completion.one_of(choices) if choices else kinds,
     )
-
-
-def _help(f: Field[Any], spec: str) -> str:
-    """The help of a setting in a domain, which names the kinds of the domain's scenarios."""
-    if f.name != "scenarios" or spec == RunSettings.domain:
-        return str(f.metadata["help"])
-    kinds = domain_class(spec).kinds if is_code(spec) else ()
-    return f"{SCENARIOS} This domain has {', '.join(kinds)}." if kinds else SCENARIOS
 
 
 @click.command(

@@ -179,9 +179,8 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
         missing = [s for s in run.domain.stages if s not in run.stages]
         if not (plan.new or auto) and stage in missing[1:]:
             earlier = ", ".join(missing[: missing.index(stage)])
-            display.say(
-                f"{stage} builds on {earlier}, which {run.folder} lacks; they are made first"
-            )
+            made = "is made" if stage == missing[1] else "are made"
+            display.say(f"{stage} builds on {earlier}, which {made} first")
         for line in _changes(taken):
             display.say(line)
         settled = run.all_settings() | (vars(goal) if auto else {})

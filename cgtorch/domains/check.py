@@ -78,7 +78,10 @@ def _drawn(domain: Domain[Any], who: str, scenarios: str, count: int) -> Scenari
     found = returned(DomainError, f"{who}.draw", domain.draw, *given)
     if not isinstance(found, ScenarioBatch) or len(found) != count:
         said = f"{len(found)} scenarios" if isinstance(found, ScenarioBatch) else kind(found)
-        raise DomainError(f"{who}.draw returned {said}; return a ScenarioBatch of {count}")
+        raise DomainError(
+            f"{who}.draw returned {said} for a count of {count}; return a ScenarioBatch of "
+            f"{count} scenarios"
+        )
     return found
 
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import Field, fields, replace
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +65,13 @@ def settings_class(spec: str) -> type[DomainSettings]:
     if name in _SETTINGS:
         known: type[DomainSettings] = EntryPoint("settings", _SETTINGS[name], ENTRY_POINTS).load()
         return known
-    found = domain_class(spec).settings_type
+    domain = domain_class(spec)
+    found, declared = domain.settings_type, vars(domain).get("__annotations__", {}).get("settings")
+    if declared is not None and found is DomainSettings:
+        raise DomainError(
+            f"domain {spec!r} declares its settings but has no settings_type; give it both, as in "
+            "settings_type = WindySettings"
+        )
     settings = isinstance(found, type) and issubclass(found, DomainSettings)
     if not settings or any(isinstance(value, Field) for value in vars(found).values()):
         raise DomainError(
@@ -102,12 +109,20 @@ def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
 
 
 def check_options(spec: str, names: Sequence[str]) -> None:
-    """DomainError if a setting of a domain has the name of a setting of every run."""
-    for f in fields(settings_class(spec)):
+    """DomainError if a domain has a setting of every run, or a default for none of them.
+
+    `names` are those of the settings that every run has.
+    """
+    settings = settings_class(spec)
+    for f in fields(settings):
         if f.name in names:
             raise DomainError(
                 f"domain {spec!r} has a setting {f.name!r}, which every run has; rename it"
             )
+    for name in settings.run_defaults:
+        if name not in names:
+            close = " or ".join(map(repr, get_close_matches(name, names))) or "a setting of a run"
+            raise DomainError(f"domain {spec!r} has run_defaults for {name!r}; name {close}")
 
 
 def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:

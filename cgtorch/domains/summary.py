@@ -17,7 +17,7 @@ def summary_of(knowledge: Knowledge) -> ModelSummary:
     classifier = knowledge.classifier_report
     text = (
         f"Γ errs by {_errors(knowledge.gamma_report)}, "
-        f"C is right on {100 * classifier.balanced_accuracy:.1f} %; {rows}"
+        f"the balanced accuracy of C is {100 * classifier.balanced_accuracy:.1f} %; {rows}"
     )
     curves = {
         "gamma": knowledge.gamma_report.learning_curve,

@@ -18,8 +18,10 @@ from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2
-LIBRARIES = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))
-"""The folders of Python's modules and of installed packages."""
+LIBRARIES = tuple(
+    Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts")
+)
+"""The folders of Python's modules, and of installed packages and commands."""
 
 
 def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
@@ -42,7 +44,11 @@ def failed_at(e: Exception) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
     frames = [(Path(f.filename), f.lineno) for f in traceback.extract_tb(e.__traceback__)]
-    own = [(path.name, line) for path, line in frames if not others & set(path.parents)]
+    own = [
+        (path.name, line)
+        for path, line in frames
+        if not others & set(path.parents) and not path.name.startswith("<")
+    ]
     return f" in line {own[-1][1]} of {own[-1][0]}" if own else ""
 
 
@@ -100,7 +106,11 @@ def expect_lanes(
         raise error(f"{who} returned {kind(after)} as lanes; return Lanes")
     for f in fields(Lanes):
         was: Tensor = getattr(kept, f.name)
-        expect(error, who, f"lanes.{f.name}", getattr(after, f.name), was.shape, was.dtype)
+        new = getattr(after, f.name)
+        if f.name in ("message", "memory") and getattr(new, "shape", was.shape) != was.shape:
+            said = f"{kind(new)}; return {kind(was)}, or set {f.name}_size in the action's class"
+            raise error(f"{who} returned lanes.{f.name} as {said}")
+        expect(error, who, f"lanes.{f.name}", new, was.shape, was.dtype)
         now: Tensor = getattr(lanes, f.name)
         if not torch.equal(now.isnan(), was.isnan()) or not (now.isnan() | (now == was)).all():
             raise error(
@@ -150,8 +160,9 @@ def check_repeatable(environment: Environment) -> None:
     for method, shown in once.items():
         if not all(map(torch.equal, shown, again[method])):
             raise WorldError(
-                f"{name}.{parts.get(method, method)} did something else when it was called again "
-                "with the same; noise belongs to a scenario, so draw its numbers in Domain.draw"
+                f"{name}.{parts.get(method, method)} gave something else when it was called "
+                "twice with the same arguments; noise belongs to a scenario, so draw its numbers "
+                "in Domain.draw"
             )
 
 

@@ -110,10 +110,11 @@ class JournalDamaged(Event):
 
 @dataclass(frozen=True)
 class WorldTested(CandidateTested):
-    """A candidate solves `kept` of its group in the world, and `predicted` of it in the models."""
+    """A candidate solves `kept` of its `group` in the world, `predicted` of it in the models."""
 
     kept: int | None = None
     predicted: int | None = None
+    group: int | None = None
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def recruit(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState
     rate, experience = try_all(setup, member, state.scenarios)
     kept, predicted = int((rate[group] == 1).sum()), int(solved.view(len(group), -1).all(1).sum())
     counts = solved_of(rate == 1, state.keep)
-    stage.watch(WorldTested(stage.name, name, *counts, kept, predicted))
+    stage.watch(WorldTested(stage.name, name, *counts, kept, predicted, len(group)))
     state = replace(state, hints=None, tried=tried)
     if (rate[missed] == 1).any():
         state = replace(

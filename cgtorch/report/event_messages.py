@@ -53,7 +53,10 @@ def _world_tested(event: events.WorldTested) -> str:
         f"M {event.solved_m}/{event.size_m}"
     )
     if event.kept is not None and event.predicted is not None:
-        text += f"; its group: {event.predicted} solved in the search, {event.kept} in the world"
+        size = "" if event.group is None else f" of {event.group}"
+        text += (
+            f"; its group{size}: {event.predicted} solved in the search, {event.kept} in the world"
+        )
     elif event.solved_w < event.size_w:
         text += "; not accepted, as it loses some of W; the search goes on"
     return text

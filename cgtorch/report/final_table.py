@@ -30,7 +30,8 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
         caption=Text(_overall(results, domain)), caption_justify="left", caption_style="",
         pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
-    texts = ["stage", "scenarios", "ours", *([domain.publisher] if domain.published else [])]
+    beside = ["ours", domain.publisher] if domain.published else ["solved"]
+    texts = ["stage", "scenarios", *beside]
     for name in (*texts, "W kept", "fresh", "nodes", "gens", "time"):
         justify: Literal["left", "right"] = "left" if name in texts else "right"
         table.add_column(name, justify=justify, no_wrap=True)

@@ -36,7 +36,8 @@ class Goal:
     )
     minutes: float = option(
         10.0,
-        "With --stage auto: begin no round after this time, min.",
+        "With --stage auto: begin no round after this time, min. A round that has begun is "
+        "finished; --attempts and --generations bound it.",
         least=0,
         most=1e6,
         when="Raise it for hard tasks.",

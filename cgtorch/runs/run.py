@@ -24,7 +24,7 @@ from typing import Any
 import torch
 
 from cgtorch import native
-from cgtorch.actions import ActionSet, MoveBase, check_action, resolve_actions
+from cgtorch.actions import Action, ActionSet, MoveBase, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.registry import (
@@ -172,8 +172,8 @@ def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = Non
     settings = from_plain(RunSettings, about.get("settings"))
     if domain is not None and domain != settings.domain:
         raise DomainError(
-            f"run {str(folder)!r} is about domain {settings.domain!r}, not {domain!r}; leave "
-            "--domain out or give that"
+            f"run {str(folder)!r} is about domain {settings.domain!r}, not {domain!r}; give "
+            "that, or another --run-dir for a new run"
         )
     if is_code(settings.domain) and domain is None:
         raise DomainError(
@@ -217,11 +217,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
     if own:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
         for name, action in own.items():
-            if isinstance(action, MoveBase) and action.message_size != sizes[1]:
-                raise ActionError(
-                    f"action {name!r} sends {action.message_size} numbers as a control, of which "
-                    f"the domain has {sizes[1]}; make it as MoveBase({sizes[1]})"
-                )
+            _check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = Run(folder, settings, domain, actions)
     if run.learns and domain.rewarded:
@@ -230,6 +226,20 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
             "evolved in the world itself: --models none"
         )
     return run
+
+
+def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:
+    """ActionError if an action is for percepts or controls of other lengths."""
+    reads = getattr(action, "percept_size", percept)
+    if reads != percept:
+        raise ActionError(
+            f"action {name!r} reads {reads} numbers, and a percept has {percept}; make it for these"
+        )
+    if isinstance(action, MoveBase) and action.message_size != control:
+        raise ActionError(
+            f"action {name!r} sends {action.message_size} numbers as a control, of which the "
+            f"domain has {control}; make it as MoveBase({control})"
+        )
 
 
 def _foreign(part: object) -> bool:

@@ -1,6 +1,6 @@
 """The settings that every run has; those of a domain are in `cgtorch.domains.settings`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -141,6 +141,13 @@ def defaults_of(domain_settings: type[DomainSettings]) -> dict[str, Any]:
 def all_fields(domain_settings: type[DomainSettings]) -> tuple[Any, ...]:
     """The fields of the settings of a run and its domain."""
     return (*fields(RunSettings), *fields(domain_settings))
+
+
+def help_of(f: Any, domain: str, kinds: Sequence[str]) -> str:
+    """The help of a setting in a domain with these kinds of scenarios, () if not known."""
+    if f.name != "scenarios" or domain == RunSettings.domain:
+        return str(f.metadata["help"])
+    return f"{SCENARIOS} This domain has {', '.join(kinds)}." if kinds else SCENARIOS
 
 
 def option_of(name: str) -> str:

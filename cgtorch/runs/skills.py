@@ -83,7 +83,10 @@ def last_skill(
     if (path / "run.json").is_file():
         run = open_run(path, trusted, domain)
         if not run.stages:
-            raise RunError(f"run {str(path)!r} has no finished stage; continue with --resume")
+            raise RunError(
+                f"run {str(path)!r} has no finished stage or round; finish "
+                f"one with cgtorch-train --resume {path}"
+            )
         return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
     if (path / "skill.json").is_file():
         run = open_run(path.absolute().parent, trusted, domain)  # also of "."
@@ -123,5 +126,6 @@ def lone_skill(
     elsewhere = tuple(f"unknown action {name!r}" for name in known)
     others = [e for e in errors if not str(e).startswith(elsewhere)]
     raise ActionError(
-        f"{(others or errors)[0]}; name an action of your own with --actions package.module:Class"
+        f"{(others or errors)[0]}; name your own domain or action with --domain or --actions "
+        "package.module:Class"
     )

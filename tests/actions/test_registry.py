@@ -146,6 +146,10 @@ GOOD = torch.zeros(2, dtype=torch.long)
             r"lanes.memory as a tensor \(2, 2\) of float64; return a tensor \(2, 2\) of float32",
         ),
         (
+            lambda lanes: (replace(lanes, message=torch.zeros(2, 5)), GOOD),
+            r"message as a tensor \(2, 5\) of float32; return .*, or set message_size in the",
+        ),
+        (
             lambda lanes: (replace(lanes, has_message=GOOD), GOOD),
             r"lanes.has_message as a tensor \(2,\) of int64; return a tensor \(2,\) of bool",
         ),

@@ -210,7 +210,10 @@ def test_a_run_with_an_unknown_setting(shell: Shell, run_folder: Path) -> None:
 
 def test_a_run_without_a_skill(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     folder = copied(trained, tmp_path / "run", ())
-    assert "has no finished stage; continue with --resume" in shell.refuses(EVALUATE, folder)
+    assert (
+        f"has no finished stage or round; finish one with cgtorch-train --resume {folder}"
+        in shell.refuses(EVALUATE, folder)
+    )
 
 
 def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> None:
@@ -312,7 +315,7 @@ def test_code_that_a_file_names_is_not_imported(
     )
     message = shell.refuses(EVALUATE, path)
     assert "unknown action 'foreign_code:Look'; known are MoveBase, Detect, " in message
-    assert "; name an action of your own with --actions package.module:Class" in message
+    assert "; name your own domain or action with --domain or --actions package.module" in message
     assert not (tmp_path / "imported").exists()
     ended = shell(EVALUATE, run_folder, "--actions", "foreign_code:Look", "--count", 1)
     assert ended.code == 0

@@ -199,7 +199,7 @@ def test_a_damaged_name_of_a_domain(
 
 OTHERS = """
 from cgtorch import Action, Domain, DomainSettings, option
-from cgtorch.actions import MoveBase
+from cgtorch.actions import ContinuousNN, MoveBase
 from dataclasses import dataclass
 from own_cart import Cart
 
@@ -250,6 +250,20 @@ class Narrow(Cart):
     def actions(self):
         return super().actions().extended(["Half"], [MoveBase(9)])
 
+class Sighted(Cart):
+    def actions(self):
+        return super().actions().extended(["See"], [ContinuousNN(6, outputs=1)])
+
+@dataclass(frozen=True)
+class Hasty(DomainSettings):
+    run_defaults = {"max_transition": 30}
+
+class Mistyped(Cart):
+    settings_type = Hasty
+
+class Declared(Domain):
+    settings: Hasty
+
 class Bare(DomainSettings):
     gusts: float = option(0.1, "Gusts.")
 
@@ -289,6 +303,9 @@ class Thawed(DomainSettings):
         ("others:Still", "Still.draw returned"),
         ("others:Crabs", "action 'Crab'"),
         ("others:Narrow", "action 'Half' sends 9 numbers as a control, of which the domain has 1"),
+        ("others:Sighted", "action 'See' reads 6 numbers, and a percept has 2; make it for these"),
+        ("others:Mistyped", "has run_defaults for 'max_transition'; name 'max_transitions'"),
+        ("others:Declared", "declares its settings but has no settings_type; give it both"),
         ("others:Undecorated", "settings_type <class 'others.Bare'>; give a subclass of cgtorch."),
         ("others:Unsettled", "settings_type <class 'dict'>; give a subclass of cgtorch.Domain"),
         ("broken:Thawed", "from a frozen one) in line 5 of broken.py; correct that first"),
@@ -304,6 +321,32 @@ def test_what_is_no_domain(shell: Shell, tmp_path: Path, spec: str, says: str) -
     message = shell.refuses(TRAIN, "--domain", spec, "--run-dir", "run")
     assert says in message
     assert not (tmp_path / "run").exists()
+
+
+LATE = """
+from own_cart import Cart, Rail
+
+class Fragile(Rail):
+    def next_state(self, state, control, scenario):
+        if (state[:, 0].abs() > 1.99).any():
+            raise IndexError("off the rail")
+        return super().next_state(state, control, scenario)
+
+class Glass(Cart):
+    def world(self, scenarios):
+        return Fragile(scenarios)
+"""
+
+
+def test_an_error_in_a_domain_is_one_line_whenever_it_happens(tmp_path: Path) -> None:
+    (tmp_path / "own_cart.py").write_text(EXAMPLE)
+    (tmp_path / "late.py").write_text(LATE)
+    ended = in_a_shell(TRAIN, "--domain", "late:Glass", "--run-dir", "run", folder=tmp_path)
+    assert ended.code == 1
+    assert "Traceback" not in ended.err
+    last = ended.err.strip().splitlines()[-1]
+    assert last.startswith("cgtorch-train: IndexError: off the rail in line 7 of late.py; ")
+    assert last.endswith("continue with cgtorch-train --resume run --domain late:Glass")
 
 
 def test_a_skill_file_for_no_domain(shell: Shell, trained: Trained) -> None:

@@ -52,7 +52,9 @@ def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Train
     assert "Finished stages: S0. Not finished: S1, S2, S3." in said
     assert any(line.startswith(f"S1 has begun and is not finished; its journal knows {known} ")
                for line in said)  # fmt: skip
-    assert words(page.get_element_by_id("models")).count("Fits as in S0.") == 1
+    assert (
+        words(page.get_element_by_id("models")).count("These are the models in the folder S0.") == 1
+    )
 
 
 def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> None:

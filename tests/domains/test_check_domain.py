@@ -104,18 +104,24 @@ class Alike(ScenarioBatch):
     [
         (
             lambda count, generator: torch.rand(count, 4, generator=generator),
-            r"Own.draw returned a tensor \(0, 4\) of float32; return a ScenarioBatch of 0",
+            r"Own.draw returned a tensor \(0, 4\) of float32 for a count of 0; return a Scen",
         ),
-        (lambda count, generator: None, "Own.draw returned a NoneType; return a ScenarioBatch of"),
+        (
+            lambda count, generator: None,
+            "Own.draw returned a NoneType for a count of 0; return a ScenarioBatch of",
+        ),
         (
             lambda count, generator: Cart().draw("any", max(count, 1), generator),
-            "Own.draw returned 1 scenarios; return a ScenarioBatch of 0",
+            "Own.draw returned 1 scenarios for a count of 0; return a ScenarioBatch of 0",
         ),
         (
             lambda count, generator: Cart().draw("any", 3 * count, generator),
-            "Own.draw returned 6 scenarios; return a ScenarioBatch of 2",
+            "Own.draw returned 6 scenarios for a count of 2; return a ScenarioBatch of 2",
         ),
-        (lambda count, generator: Alike(), "Own.draw returned 1 scenarios; return"),
+        (
+            lambda count, generator: Alike(),
+            "Own.draw returned 1 scenarios for a count of 0; return",
+        ),
         (
             lambda count, generator: Cart().draw("any", count, torch.default_generator),
             "Own.draw gave other scenarios for the same generator; draw all numbers from it",

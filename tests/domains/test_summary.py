@@ -37,7 +37,7 @@ def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
     told = summary_of(with_numbers(known, ("lamp", 0.1234, "rad"), ("gear", 2.0, "")))
     right = 100 * known.classifier_report.balanced_accuracy
     assert told.text == (
-        f"Γ errs by 2 on gear, 0.12 rad on lamp, C is right on {right:.1f} %; "
+        f"Γ errs by 2 on gear, 0.12 rad on lamp, the balanced accuracy of C is {right:.1f} %; "
         "54 transitions and 72 labels"
     )
     assert told.first
@@ -52,7 +52,7 @@ def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
 def test_of_many_numbers_some_are_told(known: Knowledge, count: int) -> None:
     told = summary_of(with_numbers(known, *((f"x{i}", 1.0, "m") for i in range(count))))
     assert told.text.count(" m on x") == min(count, SHOWN)
-    others = f" and less on {count - SHOWN} others (see TensorBoard), C is"
+    others = f" and less on {count - SHOWN} others (see TensorBoard), the balanced"
     assert (others in told.text) == (count > SHOWN)
     assert "\n" not in told.text
 

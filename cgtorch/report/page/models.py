@@ -6,11 +6,13 @@ from typing import Any
 
 from markupsafe import Markup
 
+from cgtorch.domains.reports import TransitionReport
 from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents
 from cgtorch.report.page.event_files import EventData
 from cgtorch.report.page.plots import Curve, draw_learning
 from cgtorch.report.reliability_picture import draw_reliability
+from cgtorch.svm import Choice
 
 Rows = list[tuple[str, ...]]
 SCORES = {
@@ -33,6 +35,7 @@ def model_quality(contents: Contents) -> dict[str, Any]:
     return {
         "fitted": fitted,
         "errors": _errors(contents),
+        "choices": [] if fitted is None else _choices(fitted.gamma),
         "fresh": _beside(events, tests, "error", "floor", _cm),
         "accuracy": _beside(events, tests, "accuracy", "possible", "{:.1%}".format),
         "balanced": events.last("classifier/balanced_accuracy"),
@@ -54,6 +57,18 @@ def _errors(contents: Contents) -> Rows:
         for tag, points in contents.events.scalars.items()
         if tag.startswith(prefix)
     ]
+
+
+def _choices(report: TransitionReport) -> list[tuple[str, Choice]]:
+    """The hyper-parameters of each output that is learned, with what the output is about.
+
+    That is not known if there are not as many outputs as numbers in a percept.
+    """
+    names = [f" for {name}" for name in report.coordinates]
+    if len(names) != len(report.choice):
+        names = [""] * len(report.choice)
+    pairs = zip(names, report.choice, strict=True)
+    return [(name, choice) for name, choice in pairs if choice is not None]
 
 
 def _beside(

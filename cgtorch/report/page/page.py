@@ -24,7 +24,7 @@ from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.stages import stage_sections
 from cgtorch.runs.run import AUTO, Run, versions
-from cgtorch.runs.settings import all_fields, defaults_of
+from cgtorch.runs.settings import all_fields, defaults_of, help_of
 
 PACKAGE = "cgtorch.report.page"
 
@@ -163,7 +163,8 @@ def _settings(run: Run) -> list[tuple[str, str, str, str]]:
     usual = defaults_of(type(run.domain.settings))
     for f in all_fields(type(run.domain.settings)):
         shown, default = map(_text, (values[f.name], usual.get(f.name, f.default)))
-        rows.append((f.name, shown, "" if shown == default else default, f.metadata["help"]))
+        about = help_of(f, run.settings.domain, run.domain.kinds)
+        rows.append((f.name, shown, "" if shown == default else default, about))
     return rows
 
 

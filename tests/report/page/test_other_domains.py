@@ -70,7 +70,7 @@ def test_nobody_else_is_beside_the_run(page: html.HtmlElement, result: dict[str,
     assert "overall" not in page.xpath("//@id")
     said = " ".join(words(page.get_element_by_id(name)) for name in ("results", "stages"))
     assert "published" not in said
-    assert f"{result['targets_succeeded']} of {result['targets']} missed before, solved now" in said
+    assert f"{result['targets_succeeded']} of {result['targets']} to solve, solved now" in said
 
 
 def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: Run) -> None:
@@ -126,7 +126,7 @@ def test_the_final_table_has_no_column_for_others(rounds: Run, result: dict[str,
     title, head, *_, last = final_text([result], rounds.domain).splitlines()
     assert title == "Scenarios solved"
     assert head.split() == [
-        "stage", "scenarios", "ours", "W", "kept", "fresh", "nodes", "gens", "time",
+        "stage", "scenarios", "solved", "W", "kept", "fresh", "nodes", "gens", "time",
     ]  # fmt: skip
     assert f"mean return {result['overall']['mean_return']:.5g}" in last
 

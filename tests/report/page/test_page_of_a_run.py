@@ -245,7 +245,7 @@ def test_evidence_of_a_stage(page: html.HtmlElement) -> None:
         lost = f"{line['w_lost']} of {line['w_before']}"
         assert found["Solved before, lost now (eq. 1a)"] == lost
         won = f"{line['m_solved']} of {line['m_before']}"
-        assert found["Missed before, solved now (eq. 1b)"] == won
+        assert found["Scenarios to solve, solved now (eq. 1b)"] == won
         again = line["w_other_noise"]
         wanted = f"{again['succeeded']} of {again['tried']} = "
         assert found["Solved under other noise, too"].startswith(wanted)
