@@ -39,7 +39,7 @@ def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
     assert actions["hasty"] < actions["tried"]
 
 
-@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Far"])
+@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Far", "GustyCart"])
 def test_its_domains_keep_the_interface(page: dict[str, Any], name: str) -> None:
     domain = page[name]()
     check_domain(domain, domain.usual_kind)
@@ -51,6 +51,23 @@ def test_experience_begins_nearer_to_success(page: dict[str, Any]) -> None:
     assert far.draw("far", 50, seeded(0)).place.abs().min() >= 2
     data, same = (d.explore(d.usual_kind, 200, 200, seeded(0)) for d in (far, page["Cart"]()))
     assert torch.equal(data.tested, same.tested)
+
+
+def test_noise_belongs_to_scenarios(page: dict[str, Any]) -> None:
+    domain = page["GustyCart"]()
+    carts = domain.draw("any", 200, seeded(0))
+
+    def moved(copy: int) -> torch.Tensor:
+        world = domain.world(carts.with_noise(copy))
+        state = world.first_state(torch.arange(200))
+        for _ in range(2):
+            state = world.next_state(state, torch.zeros(200, 1), torch.arange(200))
+        return state[:, 0] - carts.place
+
+    assert torch.equal(moved(0), moved(0))
+    assert moved(0).std() == pytest.approx(0.05 * 2**0.5, rel=0.15)
+    correlation = torch.corrcoef(torch.stack([moved(0), moved(1)]))[0, 1]
+    assert correlation.abs() < 0.2
 
 
 def test_settings_are_heeded(page: dict[str, Any]) -> None:
