@@ -117,7 +117,7 @@ def events(models: Models) -> list[Event]:
         result = try_skill(members[-1], world).succeeded
         kept = result & keep
         w, m = int(result[keep].sum()), int(result[~keep].sum())
-        told.append(WorldTested("S1", name, w, 6, m, 5, int(result.sum()), int(solved.sum())))
+        told.append(WorldTested("S1", name, w, 6, m, 5, int(result.sum()), int(solved.sum()), 11))
     branch = branching_action(actions)[1]
     parameters = branch.initial_parameters(1, generator)
     skill = compose("S1", members, parameters, actions, 20)

@@ -83,7 +83,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     )
     assert re.fullmatch(
         r"S1\.1: in the world W \d/6, M \d/5; "
-        r"its group: \d+ solved in the search, \d+ in the world",
+        r"its group of 11: \d+ solved in the search, \d+ in the world",
         lines[2],
     )
     assert lines[-3] == "S1: 30 of 40 fresh scenarios = 75.0%, the goal is 0.9"
