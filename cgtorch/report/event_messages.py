@@ -66,8 +66,9 @@ def _skill_accepted(event: events.SkillAccepted[Any]) -> str:
     w, targets = event.succeeded[event.keep], event.targets
     others = event.succeeded[~event.keep]
     nodes = f"{event.skill.num_nodes} node{'s' if event.skill.num_nodes != 1 else ''}"
+    tests = f"tests {int(event.succeeded[targets].sum())}/{int(targets.sum())}"
     parts = [
-        f"tests {int(event.succeeded[targets].sum())}/{int(targets.sum())}",
+        *([tests] if int(targets.sum()) < len(others) else []),  # in a round, M is the test
         f"W {int(w.sum())}/{len(w)}",
         f"M {int(others.sum())}/{len(others)}",
         f"{nodes} in {event.skill.depth} level{'s' if event.skill.depth != 1 else ''}",

@@ -91,11 +91,15 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     assert isinstance(accepted, SkillAccepted)
     targets = int(accepted.succeeded[6:].sum())
     w = int(accepted.succeeded[:6].sum())
-    assert lines[-2] == (
-        f"S1: accepted; tests {targets}/5, W {w}/6, M {targets}/5, 3 nodes in 2 levels, 1:02"
-    )
+    assert lines[-2] == (f"S1: accepted; W {w}/6, M {targets}/5, 3 nodes in 2 levels, 1:02")
     assert lines[-1] == "Collecting data …"
     assert "\x1b" not in text_of(display)
+    some = accepted.targets.clone()
+    some[6] = False  # a scenario to practise on, which is no test of the stage
+    tests = int(accepted.succeeded[some].sum())
+    assert message_of(replace(accepted, targets=some)).startswith(
+        f"S1: accepted; tests {tests}/4, W {w}/6, M {targets}/5, "
+    )
 
 
 @pytest.mark.parametrize(("kept", "said"), [(2, True), (9, False)])
