@@ -43,11 +43,15 @@ def _options(spec: str) -> list[click.Option]:
     own = settings_class(spec)
     skip, defaults = ("actions", "domain", "environment", "target_return"), defaults_of(own)
     every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
-    return [_option(f, defaults.get(f.name, f.default), spec) for f in every if f.name not in skip]
+    kinds = domain_class(spec).kinds if is_code(spec) else ()
+    helps = partial(help_of, domain=spec, kinds=kinds if isinstance(kinds, tuple) else ())
+    return [
+        _option(f, defaults.get(f.name, f.default), helps(f)) for f in every if f.name not in skip
+    ]
 
 
-def _option(f: Field[Any], default: Any, spec: str) -> click.Option:
-    """The option of a field made by `cgtorch.domains.settings.option`, in a domain."""
+def _option(f: Field[Any], default: Any, text: str) -> click.Option:
+    """The option of a field made by `cgtorch.domains.settings.option`, with its help."""
     choices = f.metadata["choices"]
     kinds = completion.kinds_of_domain if f.name == "scenarios" else None
     return click.Option(
@@ -55,7 +59,7 @@ def _option(f: Field[Any], default: Any, spec: str) -> click.Option:
         type=type(f.default),
         default=default,
         show_default=f.default != "",
-        help=help_of(f, spec, domain_class(spec).kinds if is_code(spec) else ()),
+        help=text,
         shell_complete=completion.one_of(choices) if choices else kinds,
     )
 

@@ -115,12 +115,13 @@ def lone_skill(
             return variant, kind, load_skill(path, actions)
         except (GraphError, ActionError) as e:
             errors.append(e)
-    if path.suffix in EXPORTED:
+    damaged = [e for e in errors if isinstance(e, GraphError)]
+    if damaged and path.suffix in EXPORTED:
         raise GraphError(
             f"{str(path)!r} is an export for other programs, which is not read back; give the run, "
             "or a file of cgtorch-export --format json"
         )
-    if damaged := [e for e in errors if isinstance(e, GraphError)]:
+    if damaged:
         raise damaged[0]
     # Each variant lacks some actions of the others; what all of them lack is meant.
     elsewhere = tuple(f"unknown action {name!r}" for name in known)

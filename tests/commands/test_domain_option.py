@@ -384,6 +384,16 @@ def test_help_has_the_settings_of_the_domain(
     assert not any(word in options for word in lacks)
 
 
+def test_help_of_a_domain_that_computes_its_kinds(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "own_cart.py").write_text(EXAMPLE)
+    (tmp_path / "computed.py").write_text(
+        "from own_cart import Cart\n\nclass Many(Cart):\n    kinds = property(lambda _: ('a',))\n"
+    )
+    ended = shell(TRAIN, "--domain", "computed:Many", "--help")
+    assert (ended.code, ended.err) == (0, "")
+    assert "This domain has" not in ended.out
+
+
 @pytest.mark.parametrize("words", [[], ["--domain", "tabletop"], ["--resume", "none"]])
 def test_help_does_not_wait_for_torch(words: list[str]) -> None:
     code = (

@@ -157,6 +157,15 @@ def test_a_world_that_draws_numbers_by_itself_is_refused(method: str) -> None:
     )
 
 
+def test_a_world_that_fails_where_it_has_moved_is_named() -> None:
+    def succeeded(self: Rail, state: Tensor) -> Tensor:
+        begun = torch.equal(state, self.first_state(torch.arange(len(state))))
+        return Rail.succeeded(self, state if begun else state[:, 9])
+
+    with pytest.raises(WorldError, match=r"Track raised IndexError: .* in line \d+ of test_check"):
+        check_domain(rail_with(succeeded=succeeded), "any")
+
+
 def test_a_world_that_cannot_be_made_is_named() -> None:
     own = cart_with(world=lambda self, scenarios: Rail(scenarios.track))
     assert refused(own).startswith("Own.world raised AttributeError: ")
