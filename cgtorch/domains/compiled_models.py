@@ -56,7 +56,8 @@ def _structure(
     slope, offset = platt.tolist()
     return structure("KernelModels", dtype)(
         gamma=known[0], classifier=known[1],
-        kind=torch.tensor([KINDS.index(field.kind) for field in fields]), low=low, high=high,
+        kind=torch.tensor([KINDS.index(field.kind) for field in fields]).to(e.percepts.device),
+        low=low, high=high,
         mean=gamma.mean, scale=gamma.scale, most=gamma.most, seen_mean=classifier.mean,
         seen_scale=classifier.scale, shift=gamma.shift, change=gamma.spread * gamma.learnt,
         size=sizes[0], controls=sizes[1], reach=float(gamma.reach),

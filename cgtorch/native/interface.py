@@ -115,6 +115,7 @@ def _maker(structure: Any) -> Callable[..., Any]:
             wrong = ", ".join(sorted(fields.keys() ^ kinds.keys()))
             raise TypeError(f"{structure.__name__} differs in fields {wrong}")
         kept = list(fields.values())
+        _check_devices(structure.__name__, kept)
         for name in read:
             if isinstance(value := fields[name], Tensor):
                 kept.append(value := value.contiguous())
@@ -130,6 +131,13 @@ def _maker(structure: Any) -> Callable[..., Any]:
         return filled
 
     return made
+
+
+def _check_devices(name: str, values: list[Any]) -> None:
+    """ValueError if tensors are on several devices, which would crash the process."""
+    devices = {str(value.device) for value in values if isinstance(value, Tensor)}
+    if len(devices) > 1:
+        raise ValueError(f"tensors of {name} are on {' and '.join(sorted(devices))}; move them")
 
 
 def _constants(library: ctypes.CDLL, group: str) -> dict[str, int]:

@@ -74,6 +74,8 @@ def _found() -> Any:
 def _library() -> Any:
     for place in _places():
         try:
+            for part in Path(place).parent.glob("libnvrtc-builtins.so*") if "/" in place else ():
+                ctypes.CDLL(str(part))  # which some versions look for by name alone
             return ctypes.CDLL(place)
         except OSError:
             continue

@@ -71,6 +71,16 @@ def test_all_fields_have_to_be_given(fields: dict[str, Any]) -> None:
         structure("Machine", torch.float64)(**fields)
 
 
+@pytest.mark.parametrize("moved", ["centres", "weights"])
+def test_tensors_of_a_structure_have_to_be_on_one_device(moved: str) -> None:
+    """Addresses of two memories would crash the process."""
+    fields = {**MACHINE, "centres": torch.zeros(8, 4), "weights": torch.zeros(8, 1)}
+    assert structure("Machine", torch.float32)(**fields).m == 8
+    fields[moved] = fields[moved].to("meta")
+    with pytest.raises(ValueError, match="tensors of Machine are on cpu and meta; move them"):
+        structure("Machine", torch.float32)(**fields)
+
+
 def test_what_c_writes_to_must_be_contiguous() -> None:
     call, x = function("deviation", torch.float32), torch.zeros(3, 4)
     with pytest.raises(ctypes.ArgumentError, match="not contiguous"):

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
+import click
 import pytest
 import torch
 from support import random_graphs, seeded
@@ -13,7 +14,7 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from benchmarks import generation, paper_way, strong_cpu
+from benchmarks import generation, on_gpu, paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
 from benchmarks.gating import gating_gradient
 from benchmarks.generation import (
@@ -203,3 +204,45 @@ def test_more_room_is_measured_where_it_changes_nothing() -> None:
     wider = widened(graphs, graphs.capacity + 1)
     assert equal(wider, widened(graphs, graphs.capacity + 1))
     assert not equal(wider, graphs)
+
+
+@pytest.fixture
+def cpu_as_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines of --device cuda compare the CPU with itself, so they run where there is no GPU."""
+    small = first_population(40, work().actions)
+    monkeypatch.setattr(on_gpu, "GPU", torch.device("cpu"))
+    monkeypatch.setattr(on_gpu, "launcher_of", lambda device: device)
+    monkeypatch.setattr(on_gpu, "workload", work)
+    monkeypatch.setattr(on_gpu, "later_population", lambda size: small)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "pretended")
+
+
+def test_a_generation_of_the_gpu_lines_is_always_the_same() -> None:
+    population, cpu = first_population(40, work().actions), torch.device("cpu")
+    once = on_gpu._generation(work(), work().environment, population, cpu)
+    first, second = once(), once()
+    assert first.generation == 1
+    assert len(first.population) == 40
+    for name, tensor in vars(first.population.graphs).items():
+        on_gpu._check_same(name, getattr(second.population.graphs, name), tensor)
+    with pytest.raises(DisagreementError, match="strategies"):
+        on_gpu._check_same("strategies", first.population.strategy, population.strategy)
+
+
+@pytest.mark.usefixtures("cpu_as_gpu")
+def test_gpu_lines_run_and_compare() -> None:
+    rollouts = on_gpu.gpu_rollouts(Effort(repeats=1, size=1.0))
+    generation = on_gpu.gpu_generation(10_000, Effort(repeats=1, size=1.0))
+    assert rollouts.parts[0].label == "40 x 6"
+    assert generation.parts[0].label == "population 40"
+    assert "pretended, the same bits" in generation.compared
+    assert generation.target == on_gpu.GENERATIONS[10_000]
+    assert all(line.ratio > 0 for line in (rollouts, generation))
+
+
+def test_gpu_lines_ask_for_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(click.ClickException, match="there is no GPU"):
+        on_gpu.gpu_generation(10_000, Effort(repeats=1, size=1.0))

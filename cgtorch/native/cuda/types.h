@@ -16,6 +16,3 @@ typedef long long intptr_t;
 #ifndef NULL
 #define NULL nullptr
 #endif
-#ifndef offsetof
-#define offsetof(type, member) __builtin_offsetof(type, member)
-#endif

@@ -17,6 +17,6 @@ typedef struct {
 
 /* Copies lanes; outer levels need no values at the beginning. */
 INLINE void copy_lanes(const Lanes *from, int size, Lanes *to) {
-  size_t skipped = offsetof(Lanes, message), end = offsetof(Lanes, percept) + (size_t)size * BYTES;
-  memcpy((char *)to + skipped, (const char *)from + skipped, end - skipped);
+  const char *first = (const char *)from->message, *end = (const char *)(from->percept + size);
+  memcpy((char *)to->message, first, (size_t)(end - first));
 }
