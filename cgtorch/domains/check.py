@@ -13,9 +13,9 @@ from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lane
 from cgtorch.environment.dry_run import (
     ROWS,
     check_environment,
-    check_repeatable,
     expect,
     kind,
+    repeats_itself,
     returned,
     two_rows,
 )
@@ -23,13 +23,18 @@ from cgtorch.environment.fields import Field
 from cgtorch.ground.errors import DomainError
 
 
-def check_domain(domain: Domain[Any], scenarios: str) -> None:
-    """Try a domain on a kind of scenarios; DomainError or WorldError says what is wrong."""
+def check_domain(domain: Domain[Any], scenarios: str) -> bool:
+    """Try a domain on a kind of scenarios, and whether its world repeats itself.
+
+    DomainError or WorldError says what is wrong. Nothing is asked of a live world.
+    """
     who = type(domain).__name__
     _check_names(domain, who)
     if scenarios not in (domain.trained_kinds or domain.kinds):
         known = ", ".join(domain.trained_kinds or domain.kinds)
         raise DomainError(f"{who} has no scenarios {scenarios!r:.40}; use one of {known}")
+    if domain.live:
+        return False
     drawn = [_drawn(domain, who, scenarios, count) for count in (0, ROWS, ROWS)]
     if not torch.equal(_numbers(drawn[1]), _numbers(drawn[2])):
         raise DomainError(
@@ -37,7 +42,12 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
         )
     world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
     check_environment(world)
-    check_repeatable(world)
+    repeats = domain.repeats and repeats_itself(world)
+    if isinstance(world, Rewarded) and not repeats:
+        raise DomainError(
+            f"{who} gives rewards, and its world gave something else when it was called twice with "
+            "the same arguments; noise belongs to a scenario, so draw its numbers in Domain.draw"
+        )
     for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
             raise DomainError(
@@ -52,6 +62,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> None:
     actions = returned(DomainError, f"{who}.actions", domain.actions)
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
+    return repeats
 
 
 def _check_names(domain: Domain[Any], who: str) -> None:

@@ -24,7 +24,7 @@ from cgtorch.actions import (
     reward_actions,
 )
 from cgtorch.domains import knowledge as learned
-from cgtorch.domains.exploration import explore
+from cgtorch.domains.exploration import Exploration, explore, random_controls
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.settings import DomainSettings
@@ -94,6 +94,10 @@ class Domain(ABC, Generic[S]):
             continues in rounds until its goal is reached.
         settings_type: The domain's own settings, which become options of `cgtorch-train`.
         target_return: With rewards, the return from which an episode counts as solved.
+        repeats: Whether a world that is asked the same gives the same answer, so that a trial can
+            be made again. If not, each trial is one sample of what may happen.
+        live: Whether the world is a robot: one instance, which cannot be put back. Nothing is asked
+            of it only for a report.
         models: "learned" if skills are evolved in Γ and C, "none" if in the world itself.
         published: Published results by stage, or under "" for all scenarios together.
         publisher: The authors of these results.
@@ -111,6 +115,8 @@ class Domain(ABC, Generic[S]):
     trained_kinds: tuple[str, ...] = ()
     settings_type: ClassVar[type[DomainSettings]] = DomainSettings
     target_return: float = 0.0
+    repeats: bool = True
+    live: bool = False
     models: str = "learned"
     published: ClassVar[Mapping[str, Published]] = {}
     publisher: ClassVar[str] = "published"
@@ -154,15 +160,27 @@ class Domain(ABC, Generic[S]):
 
     # What can be given: models
 
-    def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
-        """Data from random controls: transitions (p, u, p′), and tests of success.
+    def explore(self, about: Exploration) -> Dataset:
+        """The first data for Γ and C: transitions (p, u, p′), and tests of success.
 
         DataError if almost all tests succeed, or almost none.
         """
-        return explore(
-            lambda count: self.world(self.draw(kind, count, generator)),
-            self.control, transitions, tests, generator,
-        )  # fmt: skip
+        return explore(self, about)
+
+    def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
+        """(n, U) random controls that an exploration may try at a percept (D,).
+
+        By default they are uniform within the bounds of their fields. Controls that often end near
+        success teach C more. DomainError if a control has no bounds.
+        """
+        return random_controls(self.control, count, generator)
+
+    def worth_testing(self, percept: Tensor) -> Tensor:
+        """(n,) bool, whether an exploration tests success at percepts (n, D); by default it does.
+
+        Without tests where success is out of the question, a robot saves time.
+        """
+        return torch.ones(len(percept), dtype=torch.bool)
 
     def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
         """Additional features (..., F) for Γ; a domain that has any must be picklable."""

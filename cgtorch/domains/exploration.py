@@ -1,23 +1,67 @@
-"""Collecting data for Γ and C in any domain, by random controls in the world."""
+"""Collecting the first data for Γ and C in any domain, by few motions that teach much.
 
-import math
+Motions are drawn from those that the domain calls worth trying. As soon as there are models, most
+of them end where C is unsure, so one motion gives a transition and an informative test. Exploration
+ends when more data hardly improve Γ and both results of tests are known.
+"""
+
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Dataset, Environment, start_lanes
+from cgtorch.environment import Dataset, Environment, Lanes, start_lanes
+from cgtorch.environment.asked import Purse
 from cgtorch.environment.fields import Field, bounds_of, columns_of
 from cgtorch.ground.errors import DataError, DomainError
 
-MOVES = 12  # random controls at most, one after the other, from each start
-RARE = 0.02  # share of either label below which there is hardly anything to learn
-SHARE = 0.3  # of the tests that are kept, have the rarer label if there are as many
-MOST_TRIES = 40
+if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain
+    from cgtorch.domains.knowledge import Knowledge
+
+EXPLORATION = "exploration"
+"""The phase of world actions."""
+CHAIN = 6  # motions, one after the other, from each start
+FIRST = 6  # motions of the first part; later parts are half as many as there are
+CANDIDATES = 48  # controls among which the most informative is chosen
+BOLD = 0.7  # share of motions that end where C is unsure; the others are drawn blindly
+TRIES = 8  # to draw controls of which one is possible
+LEAST = 10  # transitions that Γ needs
+FEWEST = 3  # tests of either result that C needs
+GOOD, GAIN = 0.2, 0.9
+"""Γ is good enough at this share of the error without a machine, or if the last part of the data
+has not brought its error below this share of what it was."""
 ADVICE = (
-    "give scenarios that begin nearer to success, implement explore, or evolve in the world: "
-    "--models none"
+    "give scenarios that begin nearer to success, say which controls are worth trying "
+    "(Domain.worth_trying), implement explore, or evolve in the world: --models none"
 )
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What an exploration works with.
+
+    Attributes:
+        kind: The kind of scenarios.
+        worlds: Makes the world of that many fresh scenarios of a kind; what it is asked is counted.
+        fit: Fits models to data.
+        most: The largest number of motions.
+        lanes: The number of robots that act side by side.
+        generator: Of all random choices.
+        purse: Counts what is asked.
+        known: Data of an exploration that was interrupted; None if it begins.
+    """
+
+    kind: str
+    worlds: Callable[[str, int], Environment]
+    fit: Callable[[Dataset], "Knowledge"]
+    most: int
+    lanes: int
+    generator: Generator
+    purse: Purse
+    known: Dataset | None = None
 
 
 def random_controls(control: Sequence[Field], count: int, generator: Generator) -> Tensor:
@@ -27,7 +71,7 @@ def random_controls(control: Sequence[Field], count: int, generator: Generator) 
         if max(abs(field.low), abs(field.high)) == float("inf"):
             raise DomainError(
                 f"control {field.name!r} has no bounds, between which it could be tried at random; "
-                "give its Field low and high, or implement explore"
+                "give its Field low and high, or implement worth_trying"
             )
     share = torch.rand(count, len(control), generator=generator)
     drawn = low + (high - low) * share
@@ -37,63 +81,107 @@ def random_controls(control: Sequence[Field], count: int, generator: Generator) 
     return drawn
 
 
-def explore(
-    worlds: Callable[[int], Environment],
-    control: Sequence[Field],
-    transitions: int,
-    tests: int,
-    generator: Generator,
-) -> Dataset:
-    """Act at random for transitions (p, u, p′), and test success at every step.
-
-    Both results of tests are kept, if possible with at least `SHARE` of the rarer one. `worlds`
-    makes the world of that many random scenarios.
+def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
+    """Transitions (p, u, p′) and tests of success from few motions.
 
     Raises:
-        DataError: Almost all tests succeed, or almost none.
+        DataError: Within `about.most` motions almost all tests succeed, or almost none.
         DomainError: A control has no bounds.
+        BudgetSpentError: The budget does not cover the data that models need.
     """
-    moved: list[tuple[Tensor, Tensor, Tensor]] = []
-    tested: list[tuple[Tensor, Tensor]] = []
-    for _ in range(MOST_TRIES):
-        count = 16 + max(transitions, tests) // MOVES
-        world = worlds(count)
-        lanes = start_lanes(world, torch.arange(count), 0, 0)
-        for _ in range(MOVES):
-            lanes, chance = world.success(lanes)
-            tested.append((lanes.percept, chance > 0.5))
-            controls = random_controls(control, count, generator)
-            after, done = world.step(lanes, controls)
-            moved.append((lanes.percept[done], controls[done], after.percept[done]))
-            lanes = after
-        have = sum(len(p) for p, _, _ in moved)
-        labels = torch.cat([label for _, label in tested])
-        rarer = min(int(labels.sum()), int((~labels).sum()))
-        if have >= transitions and len(labels) >= tests and rarer >= SHARE * tests:
+    robots, error = _Robots(domain, about), float("inf")
+    data, models = about.known or robots.moved(None, FIRST), None
+    while True:
+        if _rarer(data) >= FEWEST and len(data.percept) >= LEAST:
+            before, models = error, about.fit(data)
+            error = _error(models)
+            if error <= GOOD or (before < float("inf") and error > GAIN * before):
+                return data
+        if len(data.percept) >= about.most:
             break
-    if have < transitions:
+        data = data.extended(robots.moved(models, max(FIRST, len(data.percept) // 2)))
+    if models is None:
+        met = "met" if _rarer(data) == int(data.succeeded.sum()) else "missed"
         raise DataError(
-            f"only {have} random controls could be carried out, and {transitions} are needed; "
-            + ADVICE
+            f"success was {met} in {len(data.succeeded) - _rarer(data)} of {len(data.succeeded)} "
+            f"tests of {len(data.percept)} motions, and {FEWEST} of either result are needed; "
+            f"{ADVICE}"
         )
-    if rarer < RARE * tests:
-        met = "met" if rarer == labels.sum() else "missed"
-        raise DataError(
-            f"success was {met} in {rarer} of {len(labels)} random tests, and "
-            f"{math.ceil(RARE * tests)} are needed; {ADVICE}"
-        )
-    p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
-    pick = torch.randperm(have, generator=generator)[:transitions]
-    chosen = _chosen(labels, tests, generator)
-    seen = torch.cat([percept for percept, _ in tested])
-    return Dataset(p[pick], u[pick], q[pick], seen[chosen], labels[chosen])
+    return data
 
 
-def _chosen(labels: Tensor, count: int, generator: Generator) -> Tensor:
-    """(count,) random indices of labels (n,), with a fixed share of the rarer label."""
-    order = torch.randperm(len(labels), generator=generator)
-    yes, no = order[labels[order]], order[~labels[order]]
-    rare, rest = sorted((yes, no), key=len)
-    few = max(min(len(rare), int(SHARE * count)), count - len(rest))
-    both = torch.cat([rare[:few], rest[: count - few]])
-    return both[torch.randperm(len(both), generator=generator)]
+class _Robots:
+    """Robots that explore side by side, each from a fresh start after `CHAIN` motions.
+
+    A live one goes on from where it is, since somebody would have to arrange a fresh start.
+    """
+
+    def __init__(self, domain: "Domain[Any]", about: Exploration):
+        self._domain, self._about = domain, about
+        self._world: Environment | None = None
+        self._lanes: Lanes | None = None
+        self._left = 0
+
+    def moved(self, models: "Knowledge | None", motions: int) -> Dataset:
+        """Data of about so many motions of all robots together."""
+        about, domain = self._about, self._domain
+        moved, tested = list[tuple[Tensor, ...]](), list[tuple[Tensor, ...]]()
+        for _ in range(-(-motions // about.lanes)):
+            world, lanes = self._started()
+            control = torch.cat([_chosen(domain, models, p, about) for p in lanes.percept])
+            after, done = world.step(lanes, control)
+            moved.append((lanes.percept[done], control[done], after.percept[done]))
+            rows = domain.worth_testing(after.percept).nonzero()[:, 0]
+            if len(rows):
+                some, chance = world.success(after.rows(rows))
+                tested.append((after.percept[rows], chance > 0.5))
+                after = after.with_rows(rows, some)
+            self._lanes, self._left = after, self._left - 1
+        nothing = after.percept[:0], torch.zeros(0, dtype=torch.bool)
+        p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
+        seen, labels = (torch.cat(part) for part in zip(nothing, *tested, strict=True))
+        return Dataset(p, u, q, seen, labels)
+
+    def _started(self) -> tuple[Environment, Lanes]:
+        """The world and its lanes, fresh ones if a chain of motions is over."""
+        count = self._about.lanes
+        if self._world is None or self._lanes is None or not (self._left or self._domain.live):
+            self._world = self._about.worlds(self._about.kind, count)
+            self._lanes = start_lanes(self._world, torch.arange(count), 0, 0)
+            self._left = CHAIN
+        return self._world, self._lanes
+
+
+def _chosen(
+    domain: "Domain[Any]", models: "Knowledge | None", percept: Tensor, about: Exploration
+) -> Tensor:
+    """(1, U) a control for a percept (D,): a random one, or one that ends where C is unsure."""
+    for _ in range(TRIES):
+        drawn = domain.worth_trying(percept, CANDIDATES, about.generator)
+        here = percept.expand(len(drawn), -1).contiguous()
+        able = domain.possible(here, drawn)
+        if able.any():
+            break
+    else:
+        return drawn[:1]
+    drawn, here = drawn[able], here[able]
+    bold = float(torch.rand((), generator=about.generator)) < BOLD
+    if models is None or not bold:
+        return drawn[:1]
+    with torch.no_grad():
+        predicted = models.gamma(here, drawn)
+        unsure = (models.classifier(predicted) - 0.5).abs()
+    return drawn[unsure.argmin()][None]
+
+
+def _rarer(data: Dataset) -> int:
+    """The number of tests with the rarer result."""
+    return min(int(data.succeeded.sum()), int((~data.succeeded).sum()))
+
+
+def _error(models: "Knowledge") -> float:
+    """Γ's mean cross-validated error, as a share of that of a model without a machine."""
+    report = models.gamma_report
+    pairs = zip(report.error, report.baseline_error, strict=True)
+    shares = [error / baseline for error, baseline in pairs if baseline > 0]
+    return sum(shares) / max(1, len(shares))

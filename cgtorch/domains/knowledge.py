@@ -28,9 +28,11 @@ SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
 CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
+SPARE = 300  # rows below which none can be spared
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 """Maximum numbers of transitions and labels to learn from; of more, a coreset is kept."""
+FEW = 1000  # rows below which models are fitted anew, which takes less than a second
 MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
 
 Found = TypeVar("Found")
@@ -70,13 +72,16 @@ def fit_models(
     more: Callable[[TransitionModel], Found],
     alone: bool = False,
 ) -> tuple[Knowledge, Found]:
-    """Γ and C from nine tenths of the data, and the result of `more`, which needs a fitted Γ.
+    """Γ and C from the data, and the result of `more`, which needs a fitted Γ.
+
+    From `SPARE` rows on, a tenth of them is held out.
 
     C takes longest. If compiled code may use several threads, all else runs beside it in another
     process, unless `alone` is True; that is necessary if `more` communicates with other ranks.
     `more` must not draw from a generator that is used later.
     """
-    data, aside = hold_out(dataset)
+    many = max(len(dataset.percept), len(dataset.succeeded)) >= SPARE
+    data, aside = hold_out(dataset) if many else (dataset, taken(dataset, slice(0), slice(0)))
 
     def part(number: int) -> Any:
         if number == 0:
@@ -164,7 +169,22 @@ def imagine(
     )
 
 
-def learn(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
+def learn(
+    domain: "Domain[Any]", knowledge: Knowledge, experience: Dataset, generator: Generator
+) -> Knowledge:
+    """Γ and C trained on additional experience.
+
+    As long as there are fewer than `FEW` rows, both are fitted anew to all data, with their
+    hyper-parameters. Of more, they go on with `learn_more`.
+    """
+    every = knowledge.dataset.extended(knowledge.aside).extended(experience)
+    if max(len(every.percept), len(every.succeeded)) < FEW:
+        seed = int(torch.randint(2**31, (), generator=generator))
+        return fit_models(domain, every, seed, lambda _: None, alone=True)[0]
+    return learn_more(knowledge, experience, generator)
+
+
+def learn_more(knowledge: Knowledge, experience: Dataset, generator: Generator) -> Knowledge:
     """Γ and C trained on additional experience, with the same hyper-parameters.
 
     Tests that C got wrong come first. A tenth of the new data is held out. A model is replaced, and

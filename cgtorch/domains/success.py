@@ -21,6 +21,7 @@ C_GRID = (1.0, 10.0, 100.0, 1000.0)
 GAMMA_GRID = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Kernel widths for one feature; they are divided by the number of features."""
 GRID_ROWS = 1000
+FOLDS = 5  # of cross-validation; fewer if the rarer label has fewer rows
 _FEWEST = 10  # rows of the smaller class that a point of the learning curve learns from
 
 
@@ -117,17 +118,19 @@ def fit_success_classifier(
     features = model.to(rows.device).standardise(rows)
     order = _mixed_order(signs, generator)  # whose first rows are a sample of all
     mixed, truth = features[order], signs[order]
+    rarer = int(torch.minimum((signs > 0).sum(), (signs < 0).sum()))
+    folds = max(2, min(FOLDS, rarer))
     widths = gamma or [each / features.shape[1] for each in GAMMA_GRID]
     grid = grid_search(
-        SVC(), mixed[:grid_rows], truth[:grid_rows], C=C, gamma=widths, seed=generator,
-        scoring="balanced_accuracy",
+        SVC(), mixed[:grid_rows], truth[:grid_rows], C=C, gamma=widths, folds=folds,
+        seed=generator, scoring="balanced_accuracy",
     )  # fmt: skip
     best = grid.best[0]
     machine = SVC(best.C, gamma=best.gamma)
-    fewest = _FEWEST * len(rows) / float(torch.minimum((signs > 0).sum(), (signs < 0).sum()))
-    *smaller, largest = doubling_sizes(len(rows))
+    fewest = _FEWEST * len(rows) / max(1, rarer)
+    *smaller, largest = doubling_sizes(len(rows), folds)
     sizes = [*(size for size in smaller if size >= fewest), largest]
-    curve = learning_values(machine, mixed, truth, sizes=sizes, seed=generator)
+    curve = learning_values(machine, mixed, truth, sizes=sizes, folds=folds, seed=generator)
     value = curve.held_out[0]
     chance = _cross_fitted(value, truth, curve.folds)
     happened = (truth > 0).to(chance)

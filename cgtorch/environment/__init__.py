@@ -2,7 +2,9 @@
 
 from cgtorch.environment.dataset import Dataset as Dataset
 from cgtorch.environment.environment import Environment as Environment
+from cgtorch.environment.environment import Episode as Episode
 from cgtorch.environment.environment import Lanes as Lanes
+from cgtorch.environment.environment import Live as Live
 from cgtorch.environment.environment import Rewarded as Rewarded
 from cgtorch.environment.environment import ScenarioBatch as ScenarioBatch
 from cgtorch.environment.environment import Seeded as Seeded

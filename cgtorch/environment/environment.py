@@ -10,6 +10,8 @@ from typing import Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from cgtorch.environment.dataset import Dataset
+
 
 @dataclass(frozen=True)
 class ScenarioBatch:
@@ -64,6 +66,11 @@ class Lanes:
     def rows(self, index: Tensor) -> Self:
         """The lanes at `index` (k,)."""
         return type(self)(*(getattr(self, f.name).index_select(0, index) for f in fields(self)))
+
+    def with_rows(self, index: Tensor, others: Self) -> Self:
+        """These lanes with `others` (k,) at `index` (k,)."""
+        pairs = ((getattr(self, f.name), getattr(others, f.name)) for f in fields(self))
+        return type(self)(*(mine.index_copy(0, index, other) for mine, other in pairs))
 
     def moved(self, state: Tensor, percept: Tensor) -> Self:
         """The same lanes with other states (n, S) and percepts (n, D); faster than `replace`."""
@@ -163,6 +170,23 @@ class Seeded(Protocol):
 
 
 @runtime_checkable
+class Live(Protocol):
+    """An environment that is a robot: its scenarios are met one after the other, and only once."""
+
+    def told(self, phase: str, stage: str) -> None:
+        """Hear for what its next episodes are."""
+        ...
+
+    def recall(self) -> "Episode | None":
+        """The next episode of this phase and stage that was finished before an interruption."""
+        ...
+
+    def ended(self, succeeded: bool) -> Dataset:
+        """Hear how an episode has ended; data of episodes that were broken off before it."""
+        ...
+
+
+@runtime_checkable
 class Rewarded(Protocol):
     """An environment with rewards, in episodes that end.
 
@@ -178,6 +202,20 @@ class Rewarded(Protocol):
     def returns(self, lanes: Lanes) -> Tensor:
         """(n,) float, the sums of rewards so far."""
         ...
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of a robot: its first percept (1, D), its data, and how it ended.
+
+    `motions` and `tests` are the numbers of those that were asked.
+    """
+
+    percept: Tensor
+    experience: Dataset
+    motions: int
+    tests: int
+    succeeded: bool
 
 
 def seeds_of(environment: Environment, scenario: Tensor) -> Tensor:

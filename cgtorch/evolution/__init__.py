@@ -3,6 +3,8 @@
 from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
+from cgtorch.evolution.fitness import COST as COST
+from cgtorch.evolution.fitness import ChanceOfSuccess as ChanceOfSuccess
 from cgtorch.evolution.fitness import Evaluation as Evaluation
 from cgtorch.evolution.fitness import Evaluator as Evaluator
 from cgtorch.evolution.fitness import Fitness as Fitness

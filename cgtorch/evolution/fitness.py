@@ -32,9 +32,26 @@ WORTHLESS = WORST / 1e9
 """Even the mean of a billion values is less than this only if one of them is `WORST`."""
 
 
-def chance_of_success(runs: Rollouts, probability: Tensor) -> Tensor:
-    """Eq. 3: C(p_t), halved if the rollout did not end in success."""
-    return torch.where(runs.succeeded, probability, probability / 2)
+@dataclass(frozen=True)
+class ChanceOfSuccess:
+    """Eq. 3: C(p_t), halved if the rollout did not end in success.
+
+    With a `cost`, each transition takes this share of the value, until `LEAST` of it is left: of
+    two skills that succeed equally, the one that asks less of a robot is fitter.
+    """
+
+    cost: float = 0.0
+
+    def __call__(self, runs: Rollouts, probability: Tensor) -> Tensor:
+        """The values (P, B) of rollouts with C(p_t) (P, B)."""
+        value = torch.where(runs.succeeded, probability, probability / 2)
+        return value * (1 - self.cost * runs.transitions.to(value)).clamp_min(LEAST)
+
+
+COST = 0.01  # of a transition, by default
+LEAST = 0.2
+chance_of_success = ChanceOfSuccess()
+"""Eq. 3 as published."""
 
 
 def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
@@ -110,19 +127,21 @@ def evaluator(
     No argument may be changed in place between two generations. Results come back to the device of
     the graphs.
     """
-    engine = engine_of(actions, environment) if fitness is chance_of_success else None
+    known = isinstance(fitness, ChanceOfSuccess)
+    engine = engine_of(actions, environment) if known else None
+    cost = fitness.cost if isinstance(fitness, ChanceOfSuccess) else 0.0
     steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
 
     def parts(graphs: Graphs) -> Parts:
-        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps)
+        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps, cost)
         return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
 
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
         # A GPU has the more threads at work the more there is to do, and needs no memory for it.
         whole = isinstance(engine, GpuEngine) and engine.evaluation(
-            mine, order, kept, max_transitions, steps
+            mine, order, kept, max_transitions, steps, cost
         )
         begins = range(0, max(1, len(mine)), size)
         found = [whole] if whole else [parts(mine[i : i + size]) for i in begins]

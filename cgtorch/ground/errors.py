@@ -55,5 +55,9 @@ class DomainError(CgtorchError, ValueError):
     """A domain is unknown, or breaks the domain interface."""
 
 
+class RobotStoppedError(CgtorchError, RuntimeError):
+    """The robot has stopped for safety, and the run pauses."""
+
+
 class RunError(CgtorchError, OSError):
     """A run folder is missing, unwritable, of another version, or damaged."""

@@ -6,6 +6,7 @@ from typing import Generic, TypeAlias
 
 from torch import Tensor
 
+from cgtorch.environment.asked import Asked
 from cgtorch.evolution import Generation
 from cgtorch.graphs import Skill
 from cgtorch.improvement.interfaces import S
@@ -115,6 +116,42 @@ class WorldTested(CandidateTested):
     kept: int | None = None
     predicted: int | None = None
     group: int | None = None
+
+
+@dataclass(frozen=True)
+class WorldAsked(Event):
+    """A `phase` of a stage asked something of the world; `succeeded` of its episodes did.
+
+    `recalled` is whether this was asked before an interruption.
+    """
+
+    stage: str
+    phase: str
+    asked: Asked
+    succeeded: int = 0
+    recalled: bool = False
+
+
+@dataclass(frozen=True)
+class Practised(Event):
+    """`skill` has solved `in_a_row` fresh scenarios, of the `wanted` after which a stage ends."""
+
+    stage: str
+    skill: str
+    in_a_row: int
+    wanted: int
+
+
+@dataclass(frozen=True)
+class ChanceFound(Event):
+    """Of `tried` scenarios that a skill has solved, it solves `succeeded` under other noise.
+
+    So few are chance: what was solved once is no fact, and the run judges by counts from now on.
+    """
+
+    stage: str
+    succeeded: int
+    tried: int
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import time
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
@@ -12,13 +11,11 @@ from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.team import initial_state, learned
-from cgtorch.improvement.trial import attempt
+from cgtorch.improvement.team import learned
+from cgtorch.improvement.trial import attempt, looked
 
 
-def grow(
-    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, draw: Draw[S]
-) -> Progress[S]:
+def grow(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
     """Evolve the graph of the last skill until it keeps W and solves all of M.
 
     Half of each first population are copies of the last graph. The fitness is 0 if a scenario of W
@@ -26,23 +23,26 @@ def grow(
     result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are not drawn.
     """
     began, setup = time.perf_counter(), stage.setup
-    state = initial_state(stage, progress, scenarios, targets)
-    knowledge, skill, keep = progress.knowledge, progress.skill, state.keep
+    scenarios = progress.solved.joined(tests, progress.missed)
+    keep = torch.arange(len(scenarios)) < len(progress.solved)
+    targets, percepts = ~keep, looked(stage, scenarios)
+    knowledge, skill = progress.knowledge, progress.skill
     solved = torch.zeros_like(keep)
     if skill is not None:
-        solved = attempt(setup, skill, state.scenarios).succeeded
+        solved = attempt(stage, skill, scenarios, "trials").succeeded
+    first = keep
     accepted = None
     for number in range(setup.attempts):
         environment = setup.imagine(
-            knowledge, state.scenarios, state.percepts, 1, stage.generator, setup.device
+            knowledge, scenarios, percepts, 1, stage.generator, setup.device
         )
         # The last skill's graph is a population of one.
         seeds = Population(skill.graph, initial_strategy(1)) if skill else None
         name = f"{stage.name}.{number + 1}"
         champion = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds).champion
         candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
-        trial = attempt(setup, candidate, state.scenarios)
-        counts = solved_of(trial.succeeded, state.keep)
+        trial = attempt(stage, candidate, scenarios, "trials")
+        counts = solved_of(trial.succeeded, first)
         stage.watch(WorldTested(stage.name, candidate.name, *counts))
         if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():
             skill = accepted = candidate
@@ -52,6 +52,7 @@ def grow(
         knowledge = learned(stage, knowledge, trial.experience)
     if accepted is None:
         return replace(progress, knowledge=knowledge)
-    result = state.scenarios, solved, state.keep, state.targets
+    result = scenarios, solved, first, targets
     stage.watch(SkillAccepted(stage.name, accepted, *result, time.perf_counter() - began))
-    return Progress(accepted, state.scenarios[solved], state.scenarios[~solved], knowledge)
+    seen = torch.cat([percepts[solved], percepts[~solved]])
+    return Progress(accepted, scenarios[solved], scenarios[~solved], knowledge, seen=seen)

@@ -1,8 +1,9 @@
-"""Algorithm 1: a new skill that forgets nothing and solves something new.
+"""Algorithm 1 as a loop of improving, acting and learning.
 
-Growing one graph with W as a hard constraint stalls. So by default specialists are evolved on
-groups of missed scenarios, and branching nodes, trained by gradient, send each scenario to a member
-that solves it. `cgtorch.improvement.grow` is the paper's method.
+A candidate is evolved and judged in Γ and C, where that costs nothing. Then it acts in the world:
+on the stage's tests, on W and M if the world repeats itself, and on fresh scenarios until it has
+solved `Setup.practice` of them in a row. Every trial becomes data for Γ and C, and what failed is
+where the next member is evolved. `cgtorch.improvement.grow` is the paper's method.
 """
 
 import time
@@ -11,170 +12,274 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from cgtorch.environment import Dataset
+from cgtorch.environment.asked import BudgetSpentError
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
+from cgtorch.ground.interval import wilson
+from cgtorch.improvement.acceptance import no_worse
+from cgtorch.improvement.compose import specialists_of
+from cgtorch.improvement.events import ChanceFound, Practised, SkillAccepted, WorldTested, solved_of
 from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.team import (
+    RELIABLE,
+    Candidate,
     StageState,
-    compose_team,
-    initial_state,
-    recruit,
-    try_all,
-    with_fresh,
+    composed,
+    learned,
+    shares,
+    with_member,
 )
-from cgtorch.improvement.trial import attempt, first_percepts
+from cgtorch.improvement.trial import attempt, looked
 
-CHECKS = 8  # on all of W, before a team is given up
+DECISIVE = 30  # solved scenarios that tell whether success is chance
+SAME, CONFIDENCE = 0.8, 0.95
+OTHER = 1000  # the number of the other noise
+IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
+BATCH = 3  # fresh scenarios of the first batch; later batches double
 
 
-def improve(
-    stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor, draw: Draw[S]
-) -> Progress[S]:
-    """Evolve specialists, compose them, and repeat with what fails on fresh scenarios.
+def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
+    """Act, learn and improve until fresh scenarios are solved in a row, or the budget is spent.
 
     Args:
         stage: What the stage works with.
         progress: The result of earlier stages.
-        scenarios: B scenarios to solve.
-        targets: (B,) bool, the stage's own test scenarios.
+        tests: The stage's own test scenarios, which are tried first.
         draw: Draws fresh scenarios.
 
     Returns:
         The new skill with what it solves and misses; the old one if eq. 1 could not be met.
     """
     began = time.perf_counter()
-    state, accepted = _begun(stage, progress, scenarios, targets), None
-    for _ in range(stage.setup.rounds):
-        state, composed = _recruit_and_compose(stage, state, progress)
-        if composed is None:
-            break
-        skill, succeeded = composed
-        _report_accepted(stage, state, skill, succeeded, time.perf_counter() - began)
-        state, tested = _tested_on_fresh(stage, state, draw, skill, succeeded)
-        # A further try that fails moves parts of the rest of W into its scenarios.
-        accepted = skill, state
-        if state.keep.all() or not tested:
+    state = _begun(stage, progress, tests, draw)
+    first, accepted, best, idle = state, False, (0, 0), 0
+    for number in range(1, stage.setup.attempts + 1):
+        candidate, state = _candidate(stage, replace(state, number=number))
+        state, in_a_row, done = _acted(stage, state, candidate, draw)
+        state = _without_chance(stage, state)
+        accepted |= bool((state.keep & ~_kept(first, state)).any())
+        solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
+        idle = 0 if solved > best[0] or in_a_row > best[1] else idle + 1
+        best = max(best[0], solved), max(best[1], in_a_row)
+        if done or idle == IDLE:
             break
     progress = replace(progress, knowledge=state.knowledge, specialists=state.population)
-    if accepted is None:
+    if not accepted or state.current is None:
         return progress
-    skill, state = accepted
+    old = state.current.skill
+    skill = Skill(stage.name, old.graph, old.actions, old.max_transitions)
+    _report_accepted(stage, state, _kept(first, state), skill, time.perf_counter() - began)
+    good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
         progress,
         skill=skill,
-        solved=state.scenarios[state.keep].joined(state.rest),
-        missed=state.scenarios[~state.keep],
+        solved=state.scenarios[good].joined(state.rest[0]),
+        missed=state.scenarios[bad],
+        seen=torch.cat([state.percepts[good], state.rest[1], state.percepts[bad]]),
     )
 
 
-def _recruit_and_compose(
-    stage: Stage[S], state: StageState[S], progress: Progress[S]
-) -> tuple[StageState[S], tuple[Skill, Tensor] | None]:
-    """The result of `_compose` with as many new members as it needs."""
-    state, composed = _compose(stage, _recruit_all(stage, state), progress)
-    if composed is None and state.tried < stage.setup.attempts and not state.keep.all():
-        # Where no branches could tell the members apart, one more makes that easier: for all that
-        # the earlier skill misses, whoever else solves it.
-        state = recruit(stage, state, ~state.keep)
-        state, composed = _compose(stage, state, progress)
-    return state, composed
+def _kept(first: StageState[S], state: StageState[S]) -> Tensor:
+    """(B,) bool, W at the beginning of the stage."""
+    kept = torch.zeros_like(state.keep)
+    kept[: len(first.keep)] = first.keep
+    return kept
 
 
-def _tested_on_fresh(
-    stage: Stage[S], state: StageState[S], draw: Draw[S], skill: Skill, succeeded: Tensor
-) -> tuple[StageState[S], int]:
-    """The state after a skill was tried on fresh scenarios, and their number.
+def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
+    """A coreset of W, the tests, M, and first percepts to practise on in the models."""
+    setup, solved, missed = stage.setup, progress.solved, progress.missed
+    waiting, tests = (tests[:0], tests) if setup.repeats else (tests, tests[:0])
+    if setup.live:  # each look would need a scene that somebody arranges
+        seen = progress.knowledge.dataset.percept[: setup.looks]
+        looks = draw(len(seen), stage.generator)
+    else:
+        looks = draw(setup.looks, stage.generator)
+        seen = looked(stage, tests.joined(looks))
+    known = seen[:0] if progress.seen is None else progress.seen
+    of_w, of_m = known[: len(solved)], known[len(solved) :]
+    core, _ = cover(of_w, setup.core)
+    rest = torch.ones(len(solved), dtype=torch.bool).index_fill_(0, core, False)
+    sizes = len(core), len(tests), len(missed), len(looks)
+    number = torch.repeat_interleave(torch.arange(4), torch.tensor(sizes))
+    skill = progress.skill
+    members = () if skill is None else specialists_of(skill) or (skill,)
+    return StageState(
+        scenarios=solved[core].joined(tests, missed, looks),
+        percepts=torch.cat([of_w[core], seen[: len(tests)], of_m, seen[len(tests) :]]),
+        keep=number == 0,
+        tried=(number == 0) | (number == 2),
+        targets=(number == 1) | (number == 2),
+        rest=(solved[rest], of_w[rest]),
+        waiting=waiting,
+        knowledge=progress.knowledge,
+        members=members,
+        trust=torch.ones(sum(sizes), len(members)),
+        population=progress.specialists,
+        current=None if skill is None else Candidate(skill),
+        repeats=setup.repeats,
+    )
 
-    They are drawn in batches until the skill fails in one, or until it has solved all of
-    `Setup.clean_batches`. Members are tried on what failed only: what the skill solves joins the
-    rest of W.
+
+def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
+    """The skill to act next: the current one, or one that is better in the models."""
+    rates = _rates(stage, state)
+    missed = (rates < RELIABLE).all(1)
+    if missed.any():
+        state = with_member(stage, state, missed)
+        rates = _rates(stage, state)
+    best = rates[:, :-1].amax(1)
+    old = rates[:, -1]
+    if state.current is not None and bool((old >= torch.minimum(best, _RELIABLE)).all()):
+        return state.current, state
+    new = composed(stage, state, rates[:, :-1])
+    if state.current is None:
+        return new, state
+    now = shares(stage, state, [state.current.skill, new.skill])
+    better = no_worse(now[:, 0], now[:, 1], state.keep)
+    return (new if better else state.current), state
+
+
+_RELIABLE = torch.tensor(RELIABLE)
+
+
+def _rates(stage: Stage[S], state: StageState[S]) -> Tensor:
+    """(B, M + 1) how surely members, and last the current skill, solve each scenario.
+
+    These are shares of replays in the models, corrected by what has happened in the world.
     """
-    setup, state, tested = stage.setup, replace(state, keep=succeeded), 0
-    for _ in range(setup.clean_batches):
-        fresh = draw(stage.generator)
-        held = attempt(setup, skill, fresh).succeeded
-        state, tested = replace(state, rest=state.rest.joined(fresh[held])), tested + len(fresh)
-        if not held.all():
-            failed = torch.zeros(int((~held).sum()), dtype=torch.bool)
-            keep = torch.cat([state.keep, failed])
-            return with_fresh(setup, state, keep, fresh[~held]), tested
-        if not tested:
-            break
-    return state, tested
+    current = state.current
+    skills = [*state.members, *([] if current is None else [current.skill])]
+    rates = shares(stage, state, skills)
+    if current is None:
+        rates = torch.cat([rates, torch.zeros(len(rates), 1)], 1)
+    rates[:, :-1] *= state.trust
+    rates[state.tried & ~state.keep, -1] = 0.0
+    if state.repeats:
+        rates[state.keep, -1] = 1.0
+        if current is not None:
+            sent = current.sent_to(state.percepts)
+            sure = (state.keep & (sent >= 0)).nonzero()[:, 0]
+            rates[sure, sent[sure]] = 1.0
+    return rates
 
 
-def _begun(stage: Stage[S], progress: Progress[S], scenarios: S, targets: Tensor) -> StageState[S]:
-    """The first state, with a coreset of W, the rest of W, and the earlier skill."""
-    setup, solved = stage.setup, progress.solved
-    rows, _ = cover(first_percepts(setup.world_of(solved)), setup.core)
-    kept = torch.zeros(len(solved), dtype=torch.bool)
-    kept[rows] = True
-    start = replace(progress, solved=solved[rows])
-    state = initial_state(stage, start, scenarios, targets)
-    state = replace(state, rest=solved[~kept])
-    if progress.skill is None:
+def _acted(
+    stage: Stage[S], state: StageState[S], candidate: Candidate, draw: Draw[S]
+) -> tuple[StageState[S], int, bool]:
+    """The state after a candidate acted in the world, and whether the stage is finished.
+
+    Also returned is the number of fresh scenarios that it solved in a row.
+
+    In a world that repeats itself, the candidate does not replace the current skill if it loses
+    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row.
+    """
+    setup, experience, done, in_a_row = stage.setup, list[Dataset](), False, 0
+    try:
+        state, lost = _on_known(stage, state, candidate, experience)
+        size = 1 if setup.live else BATCH
+        while not lost and (len(state.waiting) or in_a_row < setup.practice):
+            tests, fresh = len(state.waiting) > 0, state.waiting[:size]
+            if not tests:
+                fresh = draw(min(size, setup.practice - in_a_row), stage.generator)
+            state = replace(state, waiting=state.waiting[size:])
+            most = None if state.repeats else state.most
+            trial = attempt(stage, candidate.skill, fresh, "practice", most)
+            experience.append(trial.experience)
+            rows = torch.arange(len(fresh)) + len(state.keep)
+            state = state.extended(fresh, trial.percepts, targets=tests)
+            state = state.after(candidate, rows, trial)
+            if not trial.succeeded.all():
+                break
+            in_a_row, size = in_a_row + len(fresh), size if setup.live else 2 * size
+        missed = state.repeats and bool((state.targets & ~state.keep).any())
+        done = not lost and in_a_row >= setup.practice and not missed
+    except BudgetSpentError:
+        done = True
+    stage.watch(Practised(stage.name, candidate.skill.name, in_a_row, setup.practice))
+    if experience and not done:
+        more = experience[0]
+        for each in experience[1:]:
+            more = more.extended(each)
+        state = replace(state, knowledge=learned(stage, state.knowledge, more))
+    return state, in_a_row, done
+
+
+def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
+    """The state, which does not count on repetition any more if what was solved is chance.
+
+    Noise is part of a scenario, so a skill can be chosen for lucky numbers that nobody foresees.
+    If under other noise it solves significantly less than `SAME` of what it has solved, a scenario
+    that was solved is no fact.
+    """
+    setup, rows = stage.setup, state.keep.nonzero()[:, 0]
+    if not (state.repeats and setup.noisy) or state.current is None or len(rows) < DECISIVE:
         return state
-    rate = state.keep.float()  # W is what the earlier skill succeeds on
-    rate[~state.keep], _ = try_all(setup, progress.skill, state.scenarios[~state.keep])
-    rates = [rate, *(try_all(setup, m, state.scenarios)[0] for m in progress.members)]
-    members = (progress.skill, *progress.members)
-    return replace(state, members=members, rates=torch.stack(rates, 1))
+    if state.judged:
+        return state
+    others = state.scenarios[rows].with_noise(OTHER)
+    trial = attempt(stage, state.current.skill, others, "other noise")
+    share = int(trial.succeeded.sum()), len(rows)
+    _, most = wilson(*share, CONFIDENCE)
+    if most >= SAME:
+        return replace(state, judged=True)
+    stage.watch(ChanceFound(stage.name, *share))
+    return replace(state, judged=True, repeats=False)
 
 
-def _compose(
-    stage: Stage[S], state: StageState[S], progress: Progress[S]
-) -> tuple[StageState[S], tuple[Skill, Tensor] | None]:
-    """The result of `compose_team` if it loses nothing of the rest of W; otherwise None for it.
+def _on_known(
+    stage: Stage[S], state: StageState[S], candidate: Candidate, experience: list[Dataset]
+) -> tuple[StageState[S], bool]:
+    """The state after a candidate met what has to be tried, and whether it lost some of W."""
+    again = state.repeats and candidate is not state.current
+    wanted = state.targets & ~state.tried
+    rows = (wanted | state.tried if again else wanted).nonzero()[:, 0]
+    if again and len(state.rest[0]):
+        state, held = _on_rest(stage, state, candidate)
+        if not held:
+            return state, True
+    if not len(rows):
+        return replace(state, current=candidate), False
+    most = None if state.repeats else state.most
+    trial = attempt(stage, candidate.skill, state.scenarios[rows], "trials", most)
+    experience.append(trial.experience)
+    counts = solved_of(trial.succeeded, state.keep[rows])
+    stage.watch(WorldTested(stage.name, candidate.skill.name, *counts))
+    after = state.after(candidate, rows, trial)
+    if again and bool((state.keep[rows] & ~trial.succeeded).any()):
+        return replace(state, trust=after.trust), True
+    return replace(after, current=candidate), False
 
-    Lost scenarios of the rest join the scenarios of the state, and another team is composed.
-    """
-    for _ in range(CHECKS):
-        composed = compose_team(stage, state, progress)
-        if composed is None or not len(state.rest):
-            return state, composed
-        held = attempt(stage.setup, composed[0], state.rest).succeeded
-        if held.all():
-            return state, composed
-        _report_lost(stage, state, composed[1], held)
-        keep = torch.cat([state.keep, torch.ones(int((~held).sum()), dtype=torch.bool)])
-        state = with_fresh(stage.setup, state, keep, state.rest[~held])
-        state = replace(state, rest=state.rest[held])
-    return state, None
+
+def _on_rest(
+    stage: Stage[S], state: StageState[S], candidate: Candidate
+) -> tuple[StageState[S], bool]:
+    """The state, and whether a candidate loses nothing of the rest of W; what it loses joins."""
+    scenarios, percepts = state.rest
+    held = attempt(stage, candidate.skill, scenarios, "trials").succeeded
+    if not held.all():
+        lost = percepts[~held]
+        state = state.extended(scenarios[~held], lost, kept=True)
+        state = replace(state, rest=(scenarios[held], percepts[held]))
+    return state, bool(held.all())
 
 
 def _report_accepted(
-    stage: Stage[S], state: StageState[S], skill: Skill, succeeded: Tensor, seconds: float
+    stage: Stage[S], state: StageState[S], kept: Tensor, skill: Skill, seconds: float
 ) -> None:
-    """Report a skill that solves `succeeded` (B,) of the state's scenarios, and all of the rest."""
-    yes = torch.ones(len(state.rest), dtype=torch.bool)
-    event = SkillAccepted(
-        stage.name,
-        skill,
-        state.scenarios.joined(state.rest),
-        torch.cat([succeeded, yes]),
-        torch.cat([state.keep, yes]),
-        torch.cat([state.targets, ~yes]),
-        seconds,
+    """Report the new skill with its result on all scenarios that were tried, and on the rest."""
+    rows, rest = state.tried, state.rest[0]
+    yes = torch.ones(len(rest), dtype=torch.bool)
+    stage.watch(
+        SkillAccepted(
+            stage.name,
+            skill,
+            state.scenarios[rows].joined(rest),
+            torch.cat([state.keep[rows], yes]),
+            torch.cat([kept[rows], yes]),
+            torch.cat([state.targets[rows], ~yes]),
+            seconds,
+        )
     )
-    stage.watch(event)
-
-
-def _report_lost(stage: Stage[S], state: StageState[S], succeeded: Tensor, held: Tensor) -> None:
-    """Report a composed skill that loses some of the rest of W, of which it solves `held` (R,)."""
-    solved, keep = torch.cat([succeeded, held]), torch.cat([state.keep, torch.ones_like(held)])
-    stage.watch(WorldTested(stage.name, stage.name, *solved_of(solved, keep)))
-
-
-def _recruit_all(stage: Stage[S], state: StageState[S]) -> StageState[S]:
-    """Recruit until each scenario has a member that always solves it, or no progress is made."""
-    idle = 0
-    while state.tried < stage.setup.attempts and idle < stage.setup.idle:
-        missed = (state.rates < 1).all(1)
-        if not missed.any():
-            break
-        size = len(state.members)
-        state = recruit(stage, state, missed)
-        idle = 0 if len(state.members) > size else idle + 1
-    return state

@@ -28,5 +28,5 @@ Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """Maps first percepts (B, D), (B,) bool which scenarios are missed, a size, and a generator to the
 indices (n,) of missed scenarios on which a specialist is evolved."""
 
-Draw: TypeAlias = Callable[[Generator], S]
-"""Draws fresh scenarios of the stage's kind."""
+Draw: TypeAlias = Callable[[int, Generator], S]
+"""Draws a number of fresh scenarios of the stage's kind."""

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 from typing import Generic
 
 import torch
-from torch import Generator
+from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
+from cgtorch.environment.asked import Purse
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import Skill
 from cgtorch.improvement.checkpoint import Journal
@@ -30,24 +31,22 @@ class Setup(Generic[S]):
         evolution: The settings of each evolution, which ends by its `budget`.
         searches: Evolutions of a specialist, of which the best result is kept, as long as none
             solves its whole group.
-        attempts: Maximum number of specialists that are evolved in one stage.
-        idle: Number of evolutions without a new member after which a stage stops.
-        rounds: How often at most a stage's skill is tried on fresh scenarios and improved again.
-        clean_batches: Number of batches of fresh scenarios, all of which it has to solve to be left
-            as it is.
+        attempts: Maximum number of candidates in one stage.
+        practice: Number of fresh scenarios that a skill solves in a row before a stage ends.
+        looks: Number of first percepts of fresh scenarios to practise on in the models.
+        core: Number of scenarios of W on which skills are compared; a new one is tried on all.
         group_of: Chooses the scenarios on which a specialist is evolved.
         group: Number of these scenarios.
-        widest: Number to which they grow, by doubling, for a specialist with a fitness of
-            `Budget.satisfied`.
         replicas: Copies of each scenario of a whole group, and more of a smaller one. With 2, it is
             met under different errors of Γ, or other noise.
-        trials: Runs in the world with different noise, all of which must succeed for a member to
-            count as solving a scenario.
-        core: Maximum number of scenarios of W on which members are tried. A new skill is tried on
-            all.
+        replays: Copies of each scenario on which skills are compared.
+        repeats: Whether the world repeats itself, so that W is tried again and eq. 1 is exact.
+        noisy: Whether scenarios can be tried again under other noise.
+        live: Whether the world is a robot, where each episode is a step of its own.
         max_transitions: Of every skill.
         device: Where populations are evaluated.
         journal: Stores results, and returns those from before an interruption.
+        purse: Counts what the world is asked, and refuses what the budget does not cover.
     """
 
     actions: ActionSet
@@ -59,18 +58,20 @@ class Setup(Generic[S]):
     budget: Budget = field(default_factory=Budget)
     searches: int = 1
     attempts: int = 24
-    idle: int = 4
-    rounds: int = 6
-    clean_batches: int = 3
+    practice: int = 30
+    looks: int = 64
+    core: int = 1000
     group_of: Grouping = local_group
     group: int = 12
-    widest: int = 32
     replicas: int = 2
-    trials: int = 3
-    core: int = 1000
+    replays: int = 8
+    repeats: bool = True
+    noisy: bool = False
+    live: bool = False
     max_transitions: int = 20
     device: torch.device | str = "cpu"
     journal: Journal = field(default_factory=Journal)
+    purse: Purse = field(default_factory=Purse)
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Progress(Generic[S]):
         missed: M, the scenarios on which it fails.
         knowledge: Data and models.
         specialists: Graphs evolved so far, seeds of later populations; None before the first.
-        members: Skills within the last one, which the next may use beside it or instead of it.
+        seen: (|W| + |M|, D) the first percepts of W and M; None before the first trial.
     """
 
     skill: Skill | None
@@ -101,4 +102,4 @@ class Progress(Generic[S]):
     missed: S
     knowledge: Models
     specialists: Population | None = None
-    members: tuple[Skill, ...] = ()
+    seen: Tensor | None = None

@@ -1,23 +1,22 @@
 """Trying a skill in the world (Algorithm 1, line 2), and what success means.
 
-A scenario is an initial state together with its noise, drawn from the scenario's seed. A skill
-succeeds on it if one run reaches a successful terminal outcome. A repeated run gives the same
-result, so W and eq. 1a are exact statements. A statement about initial states under any noise is a
-share with Wilson's 95 % interval: of fresh scenarios (`cgtorch-evaluate`, the tests of a round),
-and of W under other noise (`w_other_noise` in the ledger). A specialist counts as solving a
-scenario only if it succeeds under all of `Setup.trials` draws of noise.
+A scenario is an initial state together with its noise. In a world that repeats itself, noise is
+drawn from the scenario's seed, so a repeated run gives the same result, and W and eq. 1a are exact
+statements. In any other world, a trial is one sample of what may happen (`acceptance`).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Dataset, Environment
+from cgtorch.environment import Dataset, Environment, Episode, Live
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import RunError
+from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.interfaces import S
-from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.setup import Stage
 from cgtorch.simulation import Recording, rollout
 
 
@@ -25,23 +24,90 @@ from cgtorch.simulation import Recording, rollout
 class Trial:
     """The result of a skill on B scenarios of a world.
 
-    `succeeded` and the number of executed actions are (B,). The experience is empty if it was not
-    recorded. `returns` (B,) are those of its episodes, if the world gives rewards.
+    First percepts are (B, D); `succeeded` and the number of executed actions are (B,). `returns`
+    (B,) are those of its episodes, if the world gives rewards. `actions` (B,) are world actions,
+    and `asked` is what all of it cost.
     """
 
+    percepts: Tensor
     succeeded: Tensor
     transitions: Tensor
     experience: Dataset
+    actions: Tensor
+    asked: Asked
     returns: Tensor | None = None
 
 
-def try_skill(skill: Skill, world: Environment, record: bool = True) -> Trial:
-    """Run a skill once on every scenario; `record` its experience, which can be large."""
-    recording = Recording(world)
-    place = recording if record else world
-    runs = rollout(skill.graph, skill.actions, place, max_transitions=skill.max_transitions)
-    returns = None if runs.returns is None else runs.returns[0]
-    return Trial(runs.succeeded[0], runs.transitions[0], Dataset(*recording.experience()), returns)
+def try_skill(
+    skill: Skill,
+    world: Environment,
+    purse: Purse | None = None,
+    phase: str = "trials",
+    most: int | None = None,
+) -> Trial:
+    """Run a skill once on every scenario, each with at most so many world actions.
+
+    BudgetSpentError if `purse` does not cover it.
+    """
+    purse = Purse() if purse is None else purse
+    if not isinstance(world, Live):
+        return _tried(skill, world, purse, phase, most, torch.arange(world.num_scenarios))
+    trials = []
+    for row in range(world.num_scenarios):
+        known = world.recall()
+        if known is not None:
+            trials.append(_recalled(known, purse, phase))
+            continue
+        trial = _tried(skill, world, purse, phase, most, torch.tensor([row]))
+        before = world.ended(bool(trial.succeeded))
+        trials.append(replace(trial, experience=before.extended(trial.experience)))
+    return _joined(trials)
+
+
+def _tried(
+    skill: Skill,
+    world: Environment,
+    purse: Purse,
+    phase: str,
+    most: int | None,
+    rows: Tensor,
+) -> Trial:
+    """A trial on some scenarios, all at once."""
+    before, place = purse.total, Recording(world, purse, phase, most)
+    runs = rollout(
+        skill.graph, skill.actions, place, scenarios=rows, max_transitions=skill.max_transitions
+    )
+    purse.pay(phase, Asked(episodes=len(rows)))
+    return Trial(
+        percepts=place.first[rows],
+        succeeded=runs.succeeded[0],
+        transitions=runs.transitions[0],
+        experience=Dataset(*place.experience()),
+        actions=place.actions[rows],
+        asked=purse.total - before,
+        returns=None if runs.returns is None else runs.returns[0],
+    )
+
+
+def _recalled(known: Episode, purse: Purse, phase: str) -> Trial:
+    """The trial that an episode of before an interruption was."""
+    asked = Asked(known.motions, known.tests, looks=1, episodes=1)
+    purse.add(phase, asked)
+    actions = torch.tensor([asked.actions])
+    succeeded = torch.tensor([known.succeeded])
+    return Trial(known.percept, succeeded, actions, known.experience, actions, asked)
+
+
+def _joined(trials: list[Trial]) -> Trial:
+    """One trial of several, at least one."""
+    experience, asked = trials[0].experience, trials[0].asked
+    for trial in trials[1:]:
+        experience, asked = experience.extended(trial.experience), asked + trial.asked
+    first, succeeded, transitions, actions = (
+        torch.cat([getattr(trial, name) for trial in trials])
+        for name in ("percepts", "succeeded", "transitions", "actions")
+    )
+    return Trial(first, succeeded, transitions, experience, actions, asked)
 
 
 def first_percepts(world: Environment) -> Tensor:
@@ -49,35 +115,64 @@ def first_percepts(world: Environment) -> Tensor:
     return world.start(torch.arange(world.num_scenarios))[1]
 
 
-def attempt(setup: Setup[S], skill: Skill, scenarios: S) -> Trial:
-    """The result of `try_skill`, from the journal if possible; RunError if that does not fit."""
-    step, world = f"trial of {skill.name}", setup.world_of(scenarios)
+def looked(stage: Stage[S], scenarios: S) -> Tensor:
+    """(B, D) first percepts, which are paid for, from the journal if possible."""
+    setup, step, asked = stage.setup, "looks", Asked(looks=len(scenarios))
     known = setup.journal.recall(step)
     if known is not None:
-        return trial_from(known, len(scenarios), world.percept_size)
-    trial = try_skill(skill, world, record=setup.learn is not None)
-    setup.journal.record(step, trial_tensors(trial))
+        setup.purse.add(step, asked)
+        percepts = known["percepts"]
+    else:
+        setup.purse.pay(step, asked)
+        percepts = first_percepts(setup.world_of(scenarios))
+        setup.journal.record(step, {"percepts": percepts})
+    stage.watch(WorldAsked(stage.name, step, asked, recalled=known is not None))
+    return percepts
+
+
+def attempt(
+    stage: Stage[S], skill: Skill, scenarios: S, phase: str, most: int | None = None
+) -> Trial:
+    """The result of `try_skill`, from the journal if possible.
+
+    RunError if that does not fit, BudgetSpentError if the purse does not cover it.
+    """
+    setup, step = stage.setup, f"trial of {skill.name}"
+    world = setup.world_of(scenarios)
+    if isinstance(world, Live):  # its own log recalls it
+        world.told(phase, stage.name)
+        known, trial = None, try_skill(skill, world, setup.purse, phase, most)
+    elif (known := setup.journal.recall(step)) is not None:
+        trial = trial_from(known, len(scenarios))
+        setup.purse.add(phase, trial.asked)
+    else:
+        trial = try_skill(skill, world, setup.purse, phase, most)
+        setup.journal.record(step, trial_tensors(trial))
+    about = trial.asked, int(trial.succeeded.sum()), known is not None
+    stage.watch(WorldAsked(stage.name, phase, *about))
     return trial
 
 
 def trial_tensors(trial: Trial) -> dict[str, Tensor]:
     """The tensors of a trial in a journal."""
-    own = {"solved": trial.succeeded, "transitions": trial.transitions}
-    return {**own, **vars(trial.experience)}
+    own = {"first": trial.percepts, "solved": trial.succeeded, "transitions": trial.transitions}
+    own["actions"] = trial.actions
+    return {**own, "asked": torch.tensor(astuple(trial.asked)), **vars(trial.experience)}
 
 
-def trial_from(tensors: dict[str, Tensor], scenarios: int, percept_size: int) -> Trial:
+def trial_from(tensors: dict[str, Tensor], scenarios: int) -> Trial:
     """A trial of B scenarios from `trial_tensors`; RunError if they do not belong to one."""
     try:
         experience = Dataset(*(tensors[f.name] for f in fields(Dataset)))
-        trial = Trial(tensors["solved"], tensors["transitions"], experience)
-    except KeyError as e:
+        first, solved, transitions = (tensors[name] for name in ("first", "solved", "transitions"))
+        asked = Asked(*tensors["asked"].tolist())
+    except (KeyError, TypeError) as e:
         raise RunError(f"the journal's trial of a skill lacks {e}; remove the journal") from e
-    counts = trial.succeeded.shape == trial.transitions.shape == (scenarios,)
-    kinds = trial.succeeded.dtype == torch.bool and trial.transitions.dtype == torch.long
-    if not (counts and kinds and trial.experience.whole(percept_size)):
+    counts = solved.shape == transitions.shape == first.shape[:1] == (scenarios,)
+    kinds = solved.dtype == torch.bool and transitions.dtype == torch.long
+    if not (counts and kinds and first.dim() == 2 and experience.whole(first.shape[1])):
         raise RunError(
             f"the journal's trial of a skill is not one of {scenarios} scenarios; remove the "
             "journal"
         )
-    return trial
+    return Trial(first, solved, transitions, experience, tensors["actions"], asked)

@@ -21,6 +21,7 @@ typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
 INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
 INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
 INLINE vec vec_of(real x) { return x - (vec){0}; }
+INLINE vec as_numbers(vwhole x) { return __builtin_convertvector(x, vec); }
 INLINE vwhole every(whole x) { return x - (vwhole){0}; }
 INLINE vec select_vec(vwhole yes, vec a, vec b) {
   return (vec)(((vwhole)a & yes) | ((vwhole)b & ~yes));

@@ -24,6 +24,19 @@ def message_of(event: events.Event) -> str:
             return f"{event.stage}: {event.summary.text}, {event.seconds:.1f} s"
         case events.WorldTested():
             return _world_tested(event)
+        case events.WorldAsked():
+            return "" if event.phase == "looks" else f"{event.stage}: {_asked(event)}"
+        case events.ChanceFound():
+            share = event.succeeded / event.tried
+            return (
+                f"{event.stage}: under other noise the same skill solves {share:.0%} of the "
+                f"{event.tried} scenarios that it solved: this world is chance; a scenario that "
+                "was solved is no fact, and skills are compared by counts"
+            )
+        case events.Practised():
+            return (
+                f"{event.skill}: {event.in_a_row} of {event.wanted} fresh scenarios solved in a row"
+            )
         case events.SkillAccepted():
             return _skill_accepted(event)
         case events.FreshTested():
@@ -37,6 +50,12 @@ def message_of(event: events.Event) -> str:
                 f"{share:.1%}{mean}, the goal is {event.target:.4g}"
             )
     return ""
+
+
+def _asked(event: events.WorldAsked) -> str:
+    asked = event.asked
+    tried = f", {event.succeeded} of {asked.episodes} succeeded" if asked.episodes else ""
+    return f"{event.phase}: {asked.motions} motions and {asked.tests} tests{tried}"
 
 
 def few_kept(solved: int, kept: int) -> str:

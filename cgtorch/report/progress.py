@@ -77,6 +77,12 @@ class ProgressDisplay:
             case events.ModelsFitted():
                 # What Γ and C are worth before all learning on is a result and stays.
                 (self.say if event.summary.first else self._plain)(message)
+            case events.WorldAsked() | events.Practised():
+                if message:
+                    self._world = message
+                    self._plain(message)
+            case events.ChanceFound():
+                self.say(message, style="yellow")
             case events.WorldTested():
                 self._estimate.evolution_over()
                 self._world = message

@@ -41,19 +41,24 @@ from cgtorch.ground.files import read_versioned, whole_folder, write_json, writi
 from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
-FORMAT, VERSION = "cgtorch-run", 2
+FORMAT, VERSION = "cgtorch-run", 3
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """An open run: its folder, settings, domain, and primitive actions."""
+    """An open run: its folder, settings, domain, and primitive actions.
+
+    `repeats` is whether the domain says that its world repeats itself, and it was not seen to
+    differ.
+    """
 
     folder: Path
     settings: RunSettings
     domain: Domain[Any]
     actions: ActionSet
+    repeats: bool = True
 
     @property
     def kind(self) -> str:
@@ -208,7 +213,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
     domain = domain.for_run(kind, settings.method)
-    check_domain(domain, kind)
+    repeats = check_domain(domain, kind)
     sizes = len(domain.percept), len(domain.control)
     actions = resolve_actions(settings.actions, domain.actions(), sizes)
     every = zip(actions.names, actions.actions, strict=True)
@@ -219,7 +224,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
         for name, action in own.items():
             _check_sizes(name, action, *sizes)
             check_action(name, action, world)
-    run = Run(folder, settings, domain, actions)
+    run = Run(folder, settings, domain, actions, repeats)
     if run.learns and domain.rewarded:
         raise SettingsError(
             f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "

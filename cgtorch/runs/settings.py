@@ -71,7 +71,7 @@ class RunSettings:
     )
     attempts: int = option(
         24,
-        "Maximum number of specialists evolved in one stage.",
+        "Maximum number of candidates in one stage.",
         when="Raise it if a stage ends without an accepted skill.",
     )
     tournament: int = option(
@@ -92,24 +92,25 @@ class RunSettings:
         when="Set it to three times the number of controls that an episode needs.",
     )
     practice: int = option(
-        150,
-        "Number of random scenarios to practise in each stage, besides its test scenarios.",
+        0,
+        "Number of fresh scenarios that a skill solves in a row before its stage ends; 0 for 150 "
+        "where the world repeats itself, and 24 where it does not.",
         least=0,
-        when="Raise it if a stage's skill fails on random scenarios.",
+        when="Raise it for a surer skill, lower it to ask less of a robot.",
     )
     transitions: int = option(
         2000,
-        "Number of random transitions to collect for the transition model Γ.",
+        "Largest number of motions to explore before the first skill.",
         "the first models were learned from them",
-        least=50,
-        when="Raise it if the error of Γ is well above the least possible one.",
+        least=12,
+        when="Lower it if motions are dear and success is easily met.",
     )
     labels: int = option(
-        2000,
-        "Number of labelled tests to collect for the success classifier C.",
+        200,
+        "Number of fresh tests on which the first C is judged for the report; 0 for none.",
         "the first models were learned from them",
-        least=60,
-        when="Raise it if the accuracy of C is well below the best possible one.",
+        least=0,
+        when="Raise it to know the accuracy of C better.",
     )
     scenarios: str = option(
         "auto",

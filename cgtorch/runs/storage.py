@@ -16,6 +16,7 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset, ScenarioBatch
+from cgtorch.environment.asked import NAMES as ASKED
 from cgtorch.evolution import Population, population_from
 from cgtorch.graphs import Graphs, load_skill, save_skill
 from cgtorch.ground.errors import GraphError, RunError
@@ -140,14 +141,35 @@ def load_result(path: Path) -> dict[str, Any]:
     right = {
         **{name: isinstance(data.get(name), str) for name in ("stage", "scenarios")},
         **{name: is_count(data.get(name)) for name in _COUNTS},
-        **{name: _is_score(data.get(name)) for name in ("fresh", "overall")},
-        "decisive": data.get("decisive") is None or _is_score(data["decisive"]),
+        **{
+            name: data.get(name) is None or _is_score(data[name])
+            for name in ("fresh", "overall", "decisive")
+        },
+        "asked": _is_asked(data.get("asked")),
         "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
     }
     for name, ok in right.items():
         if not ok:
             raise RunError(f"{name} of {str(path)!r} is {data.get(name)!r:.40}; restore the file")
     return data
+
+
+def read_asked(path: Path) -> dict[str, dict[str, int]]:
+    """What a run had asked of its world, by phase, when it wrote a result.json; else RunError."""
+    data = read_json(path)
+    if not isinstance(data, dict) or not _is_asked(data.get("asked")):
+        raise RunError(f"{str(path)!r} does not say what was asked of the world; restore the file")
+    return dict(data["asked"])
+
+
+def _is_asked(value: Any) -> bool:
+    """Whether a value from a file has numbers of what was asked, by phase."""
+    return isinstance(value, dict) and all(
+        isinstance(counts, dict)
+        and set(counts) == set(ASKED)
+        and all(map(is_count, counts.values()))
+        for counts in value.values()
+    )
 
 
 def is_count(value: Any) -> bool:
@@ -239,6 +261,8 @@ def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
     save_scenarios(folder / "scenarios.json", progress.solved, progress.missed)
+    if (seen := progress.seen) is not None:
+        save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
     if progress.knowledge is not None:
         save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
     if (population := progress.specialists) is not None:
@@ -253,6 +277,13 @@ def load_progress(run: Run, folder: Path) -> Progress[Any]:
     progress = Progress(None, solved, missed, knowledge)
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
+    if (folder / "seen.safetensors").is_file():
+        seen = load_tensors(folder / "seen.safetensors", {"percepts"})["percepts"]
+        if seen.shape != (len(solved) + len(missed), len(run.domain.percept)):
+            raise RunError(
+                f"the percepts of {str(folder)!r} are not those of W and M; restore them"
+            )
+        progress = replace(progress, seen=seen)
     if (folder / "specialists.safetensors").is_file():
         population = load_population(folder / "specialists.safetensors", run.actions)
         progress = replace(progress, specialists=population)

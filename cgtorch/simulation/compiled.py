@@ -23,7 +23,7 @@ from cgtorch.simulation.rollouts import Rollouts
 RESULTS = (
     "again", "percept", "state", "status", "transitions", "fitness", "score", "succeeded", "chunks",
 )  # fmt: skip
-NUMBERS = ("keep", "counted", "executed", "not_finite", "wrong", "num_chunks")
+NUMBERS = ("keep", "cost", "counted", "executed", "not_finite", "wrong", "num_chunks")
 """Optional fields of a `Task` of task.h: pointers, and numbers."""
 
 
@@ -71,21 +71,22 @@ class CompiledEngine:
         kept: int,
         max_transitions: int,
         max_steps: int,
+        cost: float = 0.0,
         again: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
         """The evaluation of P graphs by eq. 3 on scenarios (B,), of which the first `kept` are W.
 
         Returned are the fields of an `Evaluation`, or None if not all of it is compiled. Scores are
-        C(p_t), half of it without success, and 0 if W is lost. Errors are those of `rollouts`. To
-        measure their time, Γ, C, networks and the check of motions can be repeated `again` (4,)
-        times; this does not change results.
+        C(p_t), half of it without success, less the `cost` of transitions, and 0 if W is lost.
+        Errors are those of `rollouts`. To measure their time, Γ, C, networks and the check of
+        motions can be repeated `again` (4,) times; this does not change results.
         """
         sizes = len(graphs), len(scenarios)
         fitness, score = torch.empty(len(graphs)), graphs.parameters.new_empty(sizes)
         succeeded = torch.empty(sizes, dtype=torch.bool)
         task = self._ran(
             "evaluations", graphs, scenarios, max_transitions, max_steps,
-            keep=kept, again=again, fitness=fitness, score=score, succeeded=succeeded,
+            keep=kept, cost=cost, again=again, fitness=fitness, score=score, succeeded=succeeded,
         )  # fmt: skip
         if task is None:
             return None

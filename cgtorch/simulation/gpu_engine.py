@@ -75,7 +75,13 @@ class GpuEngine:
         return Rollouts(succeeded, timed_out, percept, state, transitions, executed)
 
     def evaluation(
-        self, graphs: Graphs, scenarios: Tensor, kept: int, max_transitions: int, max_steps: int
+        self,
+        graphs: Graphs,
+        scenarios: Tensor,
+        kept: int,
+        max_transitions: int,
+        max_steps: int,
+        cost: float = 0.0,
     ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
         """See `CompiledEngine.evaluation`; results are on the device of the graphs."""
         home, device = graphs.start.device, self.gpu.device
@@ -85,7 +91,7 @@ class GpuEngine:
         succeeded = torch.zeros(sizes, dtype=torch.bool, device=device)
         counts = self._ran(
             "evaluations", graphs, scenarios, max_transitions, max_steps,
-            keep=kept, fitness=fitness, score=score, succeeded=succeeded,
+            keep=kept, cost=cost, fitness=fitness, score=score, succeeded=succeeded,
         )  # fmt: skip
         if counts is None:
             return None

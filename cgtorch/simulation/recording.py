@@ -1,4 +1,4 @@
-"""An environment that records transitions and tests, to learn from."""
+"""An environment that records transitions and tests, to learn from, and counts what it is asked."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Environment, Lanes, Rewarded, seeds_of
+from cgtorch.environment.asked import Asked, Purse
 
 
 class Recording:
@@ -14,21 +15,47 @@ class Recording:
     Transitions are (key, p, u, p′) of the controls that were carried out; tests are (key, p,
     success). `experience` sorts them by the lanes' step, then by scenario, because learning depends
     on the order of the data, and lanes run in any order.
+
+    What is asked is paid from `purse` before it is asked, so BudgetSpentError can end a rollout. A
+    scenario that has had `most` world actions is broken off: nothing more is carried out or
+    succeeds there, and nothing more is asked.
     """
 
-    def __init__(self, environment: Environment):
-        self.environment = environment
+    def __init__(
+        self,
+        environment: Environment,
+        purse: Purse | None = None,
+        phase: str = "trials",
+        most: int | None = None,
+    ):
+        self.environment, self.phase, self.most = environment, phase, most
+        self.purse = Purse() if purse is None else purse
         self.transitions: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
         self.tests: list[tuple[Tensor, Tensor, Tensor]] = []
         self.num_scenarios, self.percept_size = environment.num_scenarios, environment.percept_size
         self.control_size = environment.control_size
+        self.actions = torch.zeros(self.num_scenarios, dtype=torch.long)
         self.seeds = seeds_of(environment, torch.arange(self.num_scenarios))
-        self.start, self.observe = environment.start, environment.observe
+        self.first, self.observe = (
+            torch.zeros(self.num_scenarios, self.percept_size),
+            environment.observe,
+        )
         if isinstance(environment, Rewarded):  # of which this is then one, too
             self.over, self.returns = environment.over, environment.returns
 
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Environment.start`."""
+        self.purse.pay(self.phase, Asked(looks=len(scenario)))
+        state, percept = self.environment.start(scenario)
+        self.first[scenario] = percept
+        return state, percept
+
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
+        if self.most is not None and not (able := self._able(lanes)).all():
+            return self._step_of(lanes, control, able)
+        self.purse.pay(self.phase, Asked(motions=len(lanes)))
+        self.actions.index_add_(0, lanes.scenario, torch.ones_like(lanes.scenario))
         after, done = self.environment.step(lanes, control)
         when = self._when(lanes)[done]
         self.transitions.append((when, lanes.percept[done], control[done], after.percept[done]))
@@ -36,9 +63,34 @@ class Recording:
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`."""
+        if self.most is not None and not (able := self._able(lanes)).all():
+            return self._success_of(lanes, able)
+        self.purse.pay(self.phase, Asked(tests=len(lanes)))
+        self.actions.index_add_(0, lanes.scenario, torch.ones_like(lanes.scenario))
         when = self._when(lanes)
         lanes, result = self.environment.success(lanes)
         self.tests.append((when, lanes.percept.clone(), result > 0.5))
+        return lanes, result
+
+    def _able(self, lanes: Lanes) -> Tensor:
+        """(n,) bool, the lanes whose scenarios are not broken off."""
+        return self.actions[lanes.scenario] < (self.most or 0)
+
+    def _step_of(self, lanes: Lanes, control: Tensor, able: Tensor) -> tuple[Lanes, Tensor]:
+        """`step` of the lanes that are `able` (n,); the others stay."""
+        rows, done = able.nonzero()[:, 0], torch.zeros_like(able)
+        if len(rows):
+            after, done[rows] = self.step(lanes.rows(rows), control[rows])
+            lanes = lanes.with_rows(rows, after)
+        return lanes, done
+
+    def _success_of(self, lanes: Lanes, able: Tensor) -> tuple[Lanes, Tensor]:
+        """`success` of the lanes that are `able` (n,); the others have failed."""
+        rows, result = able.nonzero()[:, 0], torch.zeros(len(lanes))
+        if len(rows):
+            after, found = self.success(lanes.rows(rows))
+            result, lanes = result.to(found), lanes.with_rows(rows, after)
+            result[rows] = found
         return lanes, result
 
     def experience(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

@@ -12,12 +12,14 @@ from torch import Generator, Tensor, nn
 
 from cgtorch.actions import ActionSet, paper_actions
 from cgtorch.domains.domain import Domain, Published, Specialists
+from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.knowledge import Knowledge, imagine
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset
+from cgtorch.environment.asked import Asked
 from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
 from cgtorch.ground.errors import RobotError, SettingsError
@@ -25,7 +27,7 @@ from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.data import Scenes, collect
+from cgtorch.tabletop.data import WITHIN, Scenes, collect, motions_to_try
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.kinematics import (
     Robot,
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
     from cgtorch.graphs import Skill
 
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
+TRANSITIONS, LABELS = 2000, 5500  # random data of the paper's method
 MAX_BYTES = 64 * 2**20
 WORTH_SHARING = 16  # grasps
 THRIFT = {"kinematic": 1, "mujoco": 4}  # see `Scenes`
@@ -71,7 +74,7 @@ GRASPS: Mapping[str, _Asked] = {"way": graspable, "posture": has_posture}
 """What a successful grasp needs, by the setting `grasp`."""
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI, by the input of their networks."""
-SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=16, stall=15)}
+SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=32, stall=15)}
 """How missed scenarios are grouped, by the input of networks. Networks that read the percept itself
 can only solve scenarios that are close to each other. Networks in the edge's frame can solve many,
 if they are evolved on diverse ones."""
@@ -85,6 +88,7 @@ class Tabletop(Domain[Scenarios]):
         tabletop: The percept of table and object, a key of `cgtorch.tabletop.world.PERCEPTS`.
         obstacles: Maximum number of boxes in a scenario.
         networks: The input of networks, a key of `ACTIONS`.
+        published_data: Whether models are learned from as many random data as in the paper.
     """
 
     settings: TabletopSettings
@@ -115,13 +119,16 @@ class Tabletop(Domain[Scenarios]):
         obstacles: int = 0,
         networks: str = "edge",
         physics: Physics | None = None,
+        published_data: bool = False,
     ) -> None:
         """A tabletop; by default with the robot of the settings, which can raise a RobotError."""
         super().__init__(settings)
+        self.published_data = published_data
         self.robot = robot or load_robot(*self._files())
         if self.settings.world == "mujoco":
             mujoco()  # which is said before anything long begins if it is missing
         self.physics = physics or Physics(self.robot)
+        self.repeats = self.settings.noise == "seeded"
         self.tabletop, self.obstacles, self.networks = tabletop, obstacles, networks
         self.specialists = SPECIALISTS[networks]
         self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
@@ -132,7 +139,9 @@ class Tabletop(Domain[Scenarios]):
         tabletop = usual_percept(kind) if s.percept == "auto" else s.percept
         networks = "percept" if method == "paper" else "edge"
         networks = networks if s.networks == "auto" else s.networks
-        return self._with(tabletop, draw_of(kind)(0, Generator()).obstacles.shape[1], networks)
+        boxes = draw_of(kind)(0, Generator()).obstacles.shape[1]
+        given = tabletop, boxes, networks, self.physics, method == "paper"
+        return Tabletop(self.settings, self.robot, *given)
 
     def in_world(self, name: str) -> "Tabletop":
         """See `Domain.in_world`."""
@@ -182,7 +191,8 @@ class Tabletop(Domain[Scenarios]):
     def world(self, scenarios: Scenarios) -> ObservedTabletop:
         """See `Domain.world`."""
         footprint = self.robot.description.footprint
-        noise = Noise(self.settings.position_noise, self.settings.heading_noise)
+        s = self.settings
+        noise = Noise(s.position_noise, s.heading_noise, repeats=self.repeats)
         if self.settings.world == "mujoco":
             return MujocoWorld(
                 scenarios, self.physics, noise, percept=self.tabletop, touch=self.settings.touch
@@ -200,9 +210,20 @@ class Tabletop(Domain[Scenarios]):
 
     # Models
 
-    def explore(self, kind: str, transitions: int, tests: int, generator: Generator) -> Dataset:
-        """See `Domain.explore`: the robot drives around and tries grasps (section V)."""
-        return collect(self._scenes(kind), transitions, tests, generator)
+    def explore(self, about: Exploration) -> Dataset:
+        """See `Domain.explore`; the paper's method gets as many random data as it had."""
+        if not self.published_data:
+            return super().explore(about)
+        about.purse.pay(EXPLORATION, Asked(motions=TRANSITIONS, tests=LABELS))
+        return collect(self._scenes(about.kind), TRANSITIONS, LABELS, about.generator)
+
+    def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
+        """See `Domain.worth_trying`: most motions end near the object, in any direction."""
+        return motions_to_try(percept, count, generator)
+
+    def worth_testing(self, percept: Tensor) -> Tensor:
+        """See `Domain.worth_testing`: where the object may be within reach."""
+        return parts_of(percept).object.norm(dim=-1) < WITHIN
 
     def _scenes(self, kind: str) -> Scenes:
         return Scenes(self.world, kind, THRIFT[self.settings.world])

@@ -1,9 +1,8 @@
 """The settings of the tabletop."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from cgtorch.domains.settings import DomainSettings, option
 
@@ -14,7 +13,6 @@ WORLDS = "kinematic", "mujoco"
 class TabletopSettings(DomainSettings):
     """The robot, its world's noise and its percepts; SettingsError for an impossible value."""
 
-    run_defaults: ClassVar[Mapping[str, Any]] = {"labels": 5500}
     usual_stage: ClassVar[str] = "S2"
 
     robot: str = option(
@@ -44,6 +42,15 @@ class TabletopSettings(DomainSettings):
         least=0,
         most=10,
         when="Set it to what your robot's odometry has.",
+    )
+    noise: str = option(
+        "seeded",
+        "Whether noise repeats: seeded (a scenario has its own noise, so every trial can be made "
+        "again) or fresh (drawn anew at every motion and look, as for a real robot).",
+        "W was solved under it",
+        choices=("seeded", "fresh"),
+        when="Use fresh to see how a robot would learn that is never put back.",
+        before="seeded",
     )
     percept: str = option(
         "auto",

@@ -13,20 +13,22 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain
 from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.evolution.islands import derived_generator
 from cgtorch.graphs import Skill, merged
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import write_json
-from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import FreshTested, StageStarted
 from cgtorch.improvement.setup import Progress
+from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
 from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.storage import load_progress, load_result
-from cgtorch.training.context import Training, initial_progress
+from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
 from cgtorch.training.evaluate import Score, joined, try_on
-from cgtorch.training.stages import Exercise, stage_generator
-from cgtorch.training.train import Made, Tally, counts, make_stage
+from cgtorch.training.stages import stage_generator
+from cgtorch.training.train import Made, NotImprovedError, Tally, counts, make_stage
 
+TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
 
@@ -43,6 +45,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
         RunError: A file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
+    recall_spent(training)
     last = run.folder / run.stages[-1] if run.stages else None
     progress = load_progress(run, last) if last else initial_progress(training)
     results = [load_result(run.folder / name / "result.json") for name in run.stages]
@@ -54,8 +57,15 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     ):
         made += 1
         decisions = len(_decisions(results[first:]))
-        progress, result = _round(training, goal, made, decisions, progress)
+        try:
+            progress, result = _round(training, goal, made, decisions, progress)
+        except NotImprovedError:
+            if not training.purse.exhausted:
+                raise
+            break
         results.append(result)
+        if training.purse.exhausted:
+            break
     summary = {"stages": results, "reached": reached(goal, results[first:])}
     if ranks.first():
         write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.all_settings()})
@@ -63,7 +73,13 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
 
 
 def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
-    """Whether the last round's skill reaches the goal, given the results of all rounds."""
+    """Whether the last round's skill reaches the goal, given the results of all rounds.
+
+    Where the world does not repeat itself there is no test but practice: the skill has solved
+    enough fresh scenarios in a row.
+    """
+    if rounds and rounds[-1]["fresh"] is None:
+        return bool(rounds[-1]["in_a_row"] >= rounds[-1]["practice"])
     last = _decisions(rounds[-1:])
     if not last:
         return False
@@ -83,12 +99,8 @@ def _round(
 ) -> Made:
     """Make one round and store it in the run, after `decisions` decisive tests."""
     run, name = training.run, round_name(number)
-    generator = stage_generator(run.domain, run.settings.seed, name)
-    if not len(progress.missed):  # as at the very beginning
-        most = EPISODES if run.domain.rewarded else goal.screening
-        progress = _with(progress, act(run, progress.skill, most, generator))
-    if progress.skill is not None:
-        progress = replace(progress, members=specialists_of(progress.skill))
+    if run.domain.rewarded and not len(progress.missed):  # as at the very beginning
+        progress = _with(progress, act(run, progress.skill, EPISODES, _tests_generator(run, name)))
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
     training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
@@ -103,10 +115,13 @@ def _round(
         skill = after.skill
         if skill is None:
             return None
-        with training.working(f"testing {skill.name} on fresh scenarios"):
-            after, scores, met = _tested(training, goal, name, decisions, after, generator)
-        accepted, tests = tally.accepted, [counts(run.kind, score) for score in scores]
-        won = 0 if accepted is None else int(accepted.succeeded[~accepted.keep].sum())
+        accepted, scores, met = tally.accepted, list[Score](), False
+        if run.repeats:
+            with training.working(f"testing {skill.name} on fresh scenarios"):
+                about = training, goal, name, decisions, after
+                after, scores, met = _tested(*about, _tests_generator(run, name))
+        tests = [counts(run.kind, score) for score in scores]
+        won = 0 if accepted is None else int(accepted.succeeded[accepted.targets].sum())
         return after, {
             "stage": name,
             "scenarios": run.kind,
@@ -115,16 +130,21 @@ def _round(
             "targets": len(missed),
             "earlier_failures": 0,
             "earlier_failures_succeeded": 0,
-            **tally.result(progress, skill, tally.seconds),
-            "fresh": tests[0],
-            "overall": tests[-1],
+            **tally.result(progress, skill, tally.seconds, spent_of(training.purse)),
+            "fresh": tests[0] if tests else None,
+            "overall": tests[-1] if tests else None,
             "decisive": tests[1] if len(tests) > 1 else None,
             "mean_holds": met if run.domain.rewarded else None,
+            "in_a_row": tally.in_a_row,
+            "practice": training.practice,
         }
 
-    # Fresh scenarios are drawn at the round's end.
-    task = Exercise(missed, torch.ones(len(missed)).bool(), 0, lambda generator: run.like())
-    return make_stage(training, name, progress, task, generator, test)
+    return make_stage(training, name, run.kind, progress, run.like(), test)
+
+
+def _tests_generator(run: Run, name: str) -> Generator:
+    """The generator of the fresh scenarios on which a round's skill is tested."""
+    return derived_generator(stage_generator(run.domain, run.settings.seed, name), TESTS)
 
 
 def _tested(
@@ -178,8 +198,11 @@ def act(
         sum(p.tried - p.successes for p in parts) < enough
     ):
         fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
-        nothing = Score(fresh, torch.zeros(len(fresh), dtype=torch.bool))
-        parts.append(nothing if skill is None else try_on(skill, domain, fresh))
+        if skill is None:
+            seen = first_percepts(domain.world(fresh))
+            parts.append(Score(fresh, seen, torch.zeros(len(fresh), dtype=torch.bool)))
+        else:
+            parts.append(try_on(skill, domain, fresh))
     return joined(parts)
 
 
@@ -187,4 +210,8 @@ def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
     """W and M with the successes and failures."""
     solved = progress.solved.joined(score.scenarios[score.succeeded])
     missed = progress.missed.joined(score.scenarios[~score.succeeded])
-    return replace(progress, solved=solved, missed=missed)
+    seen = torch.cat([score.percepts[score.succeeded], score.percepts[~score.succeeded]])
+    known = seen[:0] if progress.seen is None else progress.seen
+    old, new = len(progress.solved), int(score.succeeded.sum())
+    parts = known[:old], seen[:new], known[old:], seen[new:]
+    return replace(progress, solved=solved, missed=missed, seen=torch.cat(parts))

@@ -3,19 +3,26 @@
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import torch
 from torch import Generator
 
-from cgtorch.domains.knowledge import fit_models, learn
+from cgtorch.domains.exploration import EXPLORATION, Exploration
+from cgtorch.domains.knowledge import Knowledge, fit_models, learn
+from cgtorch.domains.live import OnRobot
 from cgtorch.domains.summary import summary_of
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.environment import Environment
+from cgtorch.environment import Dataset, Environment, Live
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import (
+    COST,
     REWARDS,
+    ChanceOfSuccess,
     EvolutionSettings,
+    Fitness,
     chance_of_success,
     episode_return,
     lexicase,
@@ -23,24 +30,31 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.islands import derived_generator
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.files import whole_folder
+from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.events import ModelsFitted, Watch
+from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.run import Run
-from cgtorch.runs.storage import load_progress, save_progress
+from cgtorch.runs.storage import load_progress, read_asked, save_progress
+from cgtorch.simulation import Recording
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 """Makes a context that shows a message during a long step."""
 
+LANES = 2  # robots that explore side by side, where there can be several
 OWN = 40  # the generator of what C is judged by, derived like an island's
 
 
 SEARCHES = 4
-"""Evolutions of a specialist in the models, which take a second where a trial in the world of what
-they find takes ten."""
+"""Evolutions of a specialist in the models, which take a second where trials in the world of what
+they find take a robot minutes."""
+REPLAYS = 8  # of each scenario in the models, by which skills are compared
+IN_A_ROW, IN_A_ROW_ANYWHERE = 150, 24
+"""The default number of fresh scenarios to solve in a row, in a world that can be put back into any
+scenario, and in one where each trial takes its time."""
+SETTLED = 20  # generations without a better fitness after which a solved group is left
 
 
 @dataclass(frozen=True)
@@ -50,6 +64,7 @@ class Training:
     Attributes:
         run: The run.
         watch: Receives all events.
+        purse: Counts what the world is asked, and refuses what the budget does not cover.
         working: Shows a message during a long step.
         device: Where populations are evaluated.
         checkpoint_seconds: The least time between two checkpoints, s.
@@ -60,13 +75,20 @@ class Training:
     working: Working
     device: torch.device | str = "cpu"
     checkpoint_seconds: float = SECONDS
+    purse: Purse = field(default_factory=Purse)
+
+    @property
+    def practice(self) -> int:
+        """Number of fresh scenarios that a skill has to solve in a row."""
+        chosen = self.run.settings.practice
+        return chosen or (IN_A_ROW if self.run.repeats else IN_A_ROW_ANYWHERE)
 
     def setup(self, journal: Journal | None = None) -> Setup[Any]:
         """The run's settings in the form that improvement needs."""
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
         replicas = 2 if run.learns or domain.noisy_world else 1
-        budget = Budget(generations=s.generations, stall=specialists.stall)
+        budget = Budget(s.generations, patience=SETTLED, stall=specialists.stall)
         if domain.rewarded:
             # A return has no best value, so what solves all is improved for a little while.
             aim = domain.target_return
@@ -75,19 +97,24 @@ class Training:
             actions=run.actions,
             world_of=domain.world,
             imagine=self._imagine,
-            learn=learn if run.learns else None,
+            learn=partial(learn, domain) if run.learns else None,
             describe=summary_of,
             evolution=evolution_settings(run),
             budget=budget,
             group_of=specialists.group_of,
             group=specialists.group,
             replicas=replicas,
-            trials=3 if domain.noisy_world else 1,
+            replays=REPLAYS if run.learns else replicas,
+            practice=self.practice,
+            repeats=run.repeats,
+            noisy=domain.noisy_world,
+            live=domain.live,
             searches=SEARCHES if run.learns else 1,  # in the world itself they are not cheap
             attempts=s.attempts,
             max_transitions=s.max_transitions,
             device=self.device,
             journal=journal or Journal(),
+            purse=self.purse,
         )
 
     def _imagine(
@@ -109,7 +136,7 @@ def evolution_settings(run: Run) -> EvolutionSettings:
     common = EvolutionSettings(
         population=s.population,
         selection=tournament(s.tournament) if by_rank else lexicase,
-        fitness=episode_return if rewarded else chance_of_success,
+        fitness=_fitness(s.method, rewarded),
         islands=s.islands,
         migration=s.migration,
     )
@@ -121,6 +148,12 @@ def evolution_settings(run: Run) -> EvolutionSettings:
         first_graphs=REWARDS.first_graphs,
         lineages=s.lineages,
     )
+
+
+def _fitness(method: str, rewarded: bool) -> Fitness:
+    if rewarded:
+        return episode_return
+    return chance_of_success if method == "paper" else ChanceOfSuccess(COST)
 
 
 def initial_progress(training: Training) -> Progress[Any]:
@@ -138,24 +171,76 @@ def initial_progress(training: Training) -> Progress[Any]:
         return load_progress(run, start)
     settings, domain, kind = run.settings, run.domain, run.kind
     generator = Generator().manual_seed(settings.seed)
-    with working("collecting data: random transitions and labelled tests"):
-        dataset = domain.explore(kind, settings.transitions, settings.labels, generator)
+    before = training.purse.total
+    with working("exploring: motions that teach the models most"):
+        dataset = domain.explore(_exploration(training, generator))
+    asked = training.purse.total - before
+    training.watch(WorldAsked("start", EXPLORATION, asked))
     own = derived_generator(generator, OWN)
 
     def fresh(gamma: TransitionModel) -> Any:
         return domain.try_transition(kind, gamma, settings.labels, generator)
 
     began = time.perf_counter()
-    with working("fitting Γ and C, testing Γ on fresh transitions"):
+    judged = run.repeats and settings.labels > 0
+    with working("fitting Γ and C"):
         # Several ranks share out work in the world, which forked processes cannot.
         alone = ranks.count() > 1
-        knowledge, found = fit_models(domain, dataset, settings.seed, fresh, alone)
+        about = dataset, settings.seed, fresh if judged else lambda _: None, alone
+        knowledge, found = fit_models(domain, *about)
     seconds = time.perf_counter() - began
-    with working("testing C on fresh labels"):
-        summary = domain.summary(kind, knowledge, found, own)
+    summary = summary_of(knowledge)
+    if judged:
+        with working("testing C on fresh labels"):
+            summary = domain.summary(kind, knowledge, found, own)
     training.watch(ModelsFitted("start", summary, seconds))
     progress = Progress(None, nothing, nothing, knowledge)
     if ranks.first():
         with whole_folder(start) as folder:
             save_progress(folder, progress, settings.seed)
+            write_json(folder / "result.json", {"asked": spent_of(training.purse)})
     return progress
+
+
+def _exploration(training: Training, generator: Generator) -> Exploration:
+    """What an exploration works with; all that it asks is counted."""
+    run, domain = training.run, training.run.domain
+
+    def world(kind: str, count: int) -> Environment:
+        made = domain.world(domain.draw(kind, count, generator))
+        if isinstance(made, Live):
+            made.told(EXPLORATION, "start")
+        return Recording(made, training.purse, EXPLORATION)
+
+    def fit(data: Dataset) -> Knowledge:
+        return fit_models(domain, data, run.settings.seed, lambda _: None, alone=True)[0]
+
+    lanes = LANES if run.repeats else 1
+    about = run.settings.transitions, lanes, generator, training.purse
+    return Exploration(run.kind, world, fit, *about, known=_explored(training))
+
+
+def _explored(training: Training) -> Dataset | None:
+    """The data of a robot's exploration that was interrupted, which are paid for."""
+    domain = training.run.domain
+    if not isinstance(domain, OnRobot):
+        return None
+    data, asked = domain.robot.explored(len(domain.percept), len(domain.control))
+    training.purse.add(EXPLORATION, asked)
+    return data if asked.actions else None
+
+
+def spent_of(purse: Purse) -> dict[str, dict[str, int]]:
+    """What was asked, by phase, as plain data."""
+    return {phase: asdict(asked) for phase, asked in purse.spent.items()}
+
+
+def recall_spent(training: Training) -> None:
+    """Fill the purse with what the finished parts of the run have asked."""
+    run = training.run
+    last = (run.folder / name / "result.json" for name in (*reversed(run.stages), "start"))
+    known = next((path for path in last if path.is_file()), None)
+    training.purse.spent.clear()
+    if known is not None:
+        for phase, asked in read_asked(known).items():
+            training.purse.add(phase, Asked(**asked))

@@ -12,7 +12,7 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.robust_success import robust_success
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.improvement.trial import try_skill
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
 OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
@@ -21,16 +21,20 @@ FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the mem
 
 @dataclass(frozen=True)
 class Score:
-    """The result of a skill: `succeeded` (B,) bool, and `returns` (B,) with rewards."""
+    """The result of a skill: `succeeded` (B,) bool, and `returns` (B,) with rewards.
+
+    `percepts` (B, D) are the first ones.
+    """
 
     scenarios: Any
+    percepts: Tensor
     succeeded: Tensor
     returns: Tensor | None = None
 
     def of(self, rows: Tensor) -> "Score":
         """The score on some of the scenarios, given as a mask (B,)."""
         returns = None if self.returns is None else self.returns[rows]
-        return Score(self.scenarios[rows], self.succeeded[rows], returns)
+        return Score(self.scenarios[rows], self.percepts[rows], self.succeeded[rows], returns)
 
     @property
     def tried(self) -> int:
@@ -56,6 +60,7 @@ def joined(scores: list[Score]) -> Score:
     returns = [s.returns for s in scores if s.returns is not None]
     return Score(
         first.joined(*more),
+        torch.cat([s.percepts for s in scores]),
         torch.cat([s.succeeded for s in scores]),
         torch.cat(returns) if len(returns) == len(scores) else None,
     )
@@ -63,8 +68,8 @@ def joined(scores: list[Score]) -> Score:
 
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
     """The score of a skill on scenarios."""
-    trial = try_skill(skill, domain.world(scenarios), record=False)
-    return Score(scenarios, trial.succeeded, trial.returns)
+    trial = try_skill(skill, domain.world(scenarios))
+    return Score(scenarios, trial.percepts, trial.succeeded, trial.returns)
 
 
 def evaluate_skill(
@@ -100,7 +105,7 @@ def robust_successes(
 
     None if the models were learned from percepts of another length.
     """
-    percepts = first_percepts(domain.world(score.scenarios))
+    percepts = score.percepts
     if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
         return None
     generator = Generator().manual_seed(seed)

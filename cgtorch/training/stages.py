@@ -1,31 +1,15 @@
-"""The scenarios of stages and rounds, and their random numbers."""
+"""The stages and rounds of a run, and their random numbers."""
 
-from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Generator, Tensor
+from torch import Generator
 
 from cgtorch.domains.domain import Domain
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.improvement.interfaces import Draw
 from cgtorch.runs.run import AUTO, Run
 
 _SEED_STRIDE = 1_000_003
 _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
-
-
-@dataclass(frozen=True)
-class Exercise:
-    """The scenarios of a stage: its own tests, then earlier failures, then practice.
-
-    `targets` (B,) bool are all but practice; `draw` gives fresh scenarios to test accepted skills.
-    """
-
-    scenarios: Any
-    targets: Tensor
-    tests: int
-    draw: Draw[Any]
 
 
 def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
@@ -57,16 +41,3 @@ def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
     else:
         offset = _AUTO_SEEDS + int(stage.removeprefix(f"{AUTO}-"))
     return Generator().manual_seed(seed * _SEED_STRIDE + offset)
-
-
-def exercise(run: Run, stage: str, missed: Any, practice: int, generator: Generator) -> Exercise:
-    """The scenarios of a stage: its tests, earlier failures, and random practice."""
-    kind, domain = run.domain.stages[stage], run.domain
-
-    def draw(generator: Generator) -> Any:
-        return domain.draw(kind, practice, generator)
-
-    tests = domain.tests(kind)
-    scenarios = tests.joined(missed, draw(generator))
-    targets = torch.arange(len(scenarios)) < len(tests) + len(missed)
-    return Exercise(scenarios, targets, len(tests), draw)

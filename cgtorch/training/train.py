@@ -17,6 +17,7 @@ from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
     GenerationDone,
+    Practised,
     SkillAccepted,
     StageStarted,
 )
@@ -28,9 +29,9 @@ from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, load_result, save_progress
-from cgtorch.training.context import Training, initial_progress
+from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
-from cgtorch.training.stages import Exercise, exercise, stage_generator, stages_to_make
+from cgtorch.training.stages import stage_generator, stages_to_make
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 
@@ -55,6 +56,7 @@ class Tally:
     accepted: SkillAccepted[Any] | None = None
     champion: Population | None = None
     best: float = -inf  # its fitness
+    in_a_row: int = 0  # fresh scenarios that the last skill solved
 
     def count(self, event: Event) -> None:
         """Update by an event."""
@@ -64,6 +66,8 @@ class Tally:
             self._add(event.found.generations, event.found, event.found.seconds)
         elif isinstance(event, SkillAccepted):
             self.accepted = event
+        elif isinstance(event, Practised):
+            self.in_a_row = event.in_a_row
 
     def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
         self.generations += generations
@@ -72,8 +76,17 @@ class Tally:
         if found.best > self.best:
             self.champion, self.best = found.champion, found.best
 
-    def result(self, before: Progress[Any], skill: Skill, seconds: float) -> dict[str, Any]:
-        """The common part of the results of stages and rounds, given the progress before."""
+    def result(
+        self,
+        before: Progress[Any],
+        skill: Skill,
+        seconds: float,
+        asked: dict[str, dict[str, int]],
+    ) -> dict[str, Any]:
+        """The common part of the results of stages and rounds, given the progress before.
+
+        `asked` are the world actions of the run so far, by phase.
+        """
         accepted = self.accepted
         lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
         return {
@@ -85,6 +98,7 @@ class Tally:
             "transitions": self.transitions,
             "seconds": round(seconds, 1),
             "search_seconds": round(self.searching, 3),
+            "asked": asked,
         }
 
 
@@ -98,15 +112,23 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
     """
     run = training.run
     names = stages_to_make(run, stage)
+    recall_spent(training)
     progress = initial_progress(training)
     for name in names:
         if name in run.stages:
             progress = load_progress(run, run.folder / name)
             forget(run.folder, name)
-        else:
+            continue
+        try:
             progress = _stage(training, name, names, progress)
+        except NotImprovedError:
+            if not training.purse.exhausted:
+                raise
+        if training.purse.exhausted:
+            break
     ranks.wait()
-    results = [load_result(run.folder / name / "result.json") for name in names]
+    made = [name for name in names if name in run.stages]
+    results = [load_result(run.folder / name / "result.json") for name in made]
     if ranks.first():
         write_json(run.folder / "summary.json", {"stages": results, **run.all_settings()})
     return results
@@ -117,11 +139,9 @@ def _stage(
 ) -> Progress[Any]:
     """Make one stage and store it in the run."""
     run = training.run
-    generator = stage_generator(run.domain, run.settings.seed, name)
-    # The published protocol knows the tests only.
-    practice = run.settings.practice if run.settings.method == "compose" else 0
-    task = exercise(run, name, before.missed, practice, generator)
-    sizes = len(before.solved), len(task.scenarios)
+    kind = run.domain.stages[name]
+    tests = run.domain.tests(kind)
+    sizes = len(before.solved), len(tests) + len(before.missed)
     training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
@@ -129,32 +149,32 @@ def _stage(
         if accepted is None:
             return None
         skill, targets = accepted.skill, accepted.succeeded[accepted.targets]
-        kind, usual = run.domain.stages[name], run.domain.usual_kind
-        with training.working(f"testing {name} on fresh scenarios"):
-            seed = FRESH_SEED + run.settings.seed
-            fresh = evaluate_skill(skill, run.domain, kind, FRESH, seed)
-            overall = evaluate_skill(skill, run.domain, usual, OVERALL, seed)
-        return after, {
+        usual, seed = run.domain.usual_kind, FRESH_SEED + run.settings.seed
+        result = {
             "stage": name,
             "scenarios": kind,
-            "targets_succeeded": int(targets[: task.tests].sum()),
-            "targets": task.tests,
-            "earlier_failures": len(targets) - task.tests,
-            "earlier_failures_succeeded": int(targets[task.tests :].sum()),
-            **tally.result(before, skill, accepted.seconds),
-            "fresh": counts(kind, fresh),
-            "overall": counts(usual, overall),
+            "targets_succeeded": int(targets[: len(tests)].sum()),
+            "targets": len(tests),
+            "earlier_failures": len(targets) - len(tests),
+            "earlier_failures_succeeded": int(targets[len(tests) :].sum()),
+            **tally.result(before, skill, accepted.seconds, spent_of(training.purse)),
         }
+        if not run.domain.live:  # only a report wants these
+            with training.working(f"testing {name} on fresh scenarios"):
+                fresh = evaluate_skill(skill, run.domain, kind, FRESH, seed)
+                overall = evaluate_skill(skill, run.domain, usual, OVERALL, seed)
+            result |= {"fresh": counts(kind, fresh), "overall": counts(usual, overall)}
+        return after, result
 
-    return make_stage(training, name, before, task, generator, test)[0]
+    return make_stage(training, name, kind, before, tests, test)[0]
 
 
 def make_stage(
     training: Training,
     name: str,
+    kind: str,
     before: Progress[Any],
-    task: Exercise,
-    generator: Generator,
+    tests: Any,
     test: Callable[[Progress[Any], Tally], Made | None],
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
@@ -163,15 +183,19 @@ def make_stage(
     progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
+    generator = stage_generator(run.domain, run.settings.seed, name)
 
     def listen(event: Event) -> None:
         tally.count(event)
         training.watch(event)
 
+    def draw(count: int, generator: Generator) -> Any:
+        return run.domain.draw(kind, count, generator)
+
     with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
         stage = Stage(training.setup(journal), name, generator, listen)
         began, method = time.perf_counter(), METHODS[run.settings.method]
-        after = method(stage, before, task.scenarios, task.targets, task.draw)
+        after = method(stage, before, tests, draw)
         tally.seconds = time.perf_counter() - began
         made = test(after, tally)
         if made is not None:
@@ -193,7 +217,7 @@ def _keep(
     """Write the result of a stage or round, on the first rank only."""
     run, (after, result) = training.run, made
     again = None
-    if accepted is not None and run.domain.noisy_world:
+    if accepted is not None and run.domain.noisy_world and run.repeats:
         with training.working(f"testing {name} on W under other noise"):
             score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
         again = {"tried": score.tried, "succeeded": score.successes}

@@ -82,6 +82,7 @@ INLINE vwhole operator>>(vwhole a, int by) { return vwhole(a.part >> by); }
 INLINE vec load(const real *p) { return vec(*p); }
 INLINE void store(real *p, vec v) { *p = v.part; }
 INLINE vec vec_of(real x) { return vec(x); }
+INLINE vec as_numbers(vwhole x) { return vec((real)x.part); }
 INLINE vwhole every(whole x) { return vwhole(x); }
 INLINE vec select_vec(vwhole yes, vec a, vec b) { return yes.part ? a : b; }
 INLINE vwhole select_whole(vwhole yes, vwhole a, vwhole b) { return yes.part ? a : b; }

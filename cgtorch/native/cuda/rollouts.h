@@ -74,7 +74,7 @@ INLINE void write_worth(const Task *task, const Launch *launch, const Run *run, 
   vwhole finite;
   int64_t row = run->number * task->count + lanes->scenario[0];
   bool success = lanes->status[0] == SUCCESS;
-  task->score[row] = worth(layout, lanes, &finite)[0];
+  task->score[row] = worth(layout, lanes, task->cost, &finite)[0];
   task->succeeded[row] = success;
   if (!finite[0]) launch->bad[run->number] = NOT_FINITE;
   if (run->place < task->keep && !success) launch->lost[run->number] = 1;

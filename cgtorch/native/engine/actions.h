@@ -67,12 +67,15 @@ INLINE vwhole ask_chance(const ModelEnvironment *m, const int64_t *again, Layout
   return unknown;
 }
 
-/* The value of ended lanes by eq. 3, 0 where anything is not finite. */
-INLINE vec worth(Layout layout, const Lanes *lanes, vwhole *finite) {
+#define LEAST_LEFT (real)0.2 /* of a value, however many transitions it took */
+
+/* The value of ended lanes by eq. 3, less the cost of transitions, 0 where anything is not finite. */
+INLINE vec worth(Layout layout, const Lanes *lanes, real cost, vwhole *finite) {
   *finite = finite_vec(lanes->chance);
   for (int i = 0; i < layout.size; i++) *finite &= finite_vec(lanes->percept[i]);
   vec c = vec_max(vec_of(0), vec_min(vec_of(1), lanes->chance));
-  return select_vec(*finite, select_vec(lanes->status == SUCCESS, c, c / 2), vec_of(0));
+  vec left = vec_max(1 - cost * as_numbers(lanes->step), vec_of(LEAST_LEFT));
+  return select_vec(*finite, select_vec(lanes->status == SUCCESS, c, c / 2) * left, vec_of(0));
 }
 
 INLINE Done say(Lanes *lanes, const vec *said, int64_t count, vwhole here) {

@@ -18,6 +18,8 @@ typedef struct {
   int64_t graphs, count, keep, max_transitions, max_steps;
   const int64_t *again; /* (PARTS,) how often more each part is done, by which it can be timed; or NULL */
 
+  real cost; /* of a transition, as a share of the value of a rollout */
+
   real *percept, *state;
   int64_t *status, *transitions;
 

@@ -7,9 +7,9 @@ from cgtorch.environment import Lanes, start_lanes
 from cgtorch.environment.dataset import Dataset
 from cgtorch.ground.counted_work import counted
 from cgtorch.tabletop.data.labels import grasp_labels
+from cgtorch.tabletop.data.motions import random_motions
 from cgtorch.tabletop.data.poses import Scenes, poses_around
 
-MAX_MOVE = 2.0  # m
 MOVES = 8  # of each robot
 
 
@@ -52,12 +52,3 @@ def _either(first: Tensor, yes: Lanes, no: Lanes) -> Lanes:
     """Lanes from `yes` where `first` (n,), else from `no`."""
     pairs = zip(vars(yes).values(), vars(no).values(), strict=True)
     return Lanes(*(torch.where(first.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
-
-
-def random_motions(count: int, generator: Generator) -> Tensor:
-    """(n, 3) motions in random directions; a third turn very little, the others by any angle."""
-    draw = torch.rand(count, 4, generator=generator)
-    length, direction = MAX_MOVE * draw[:, 0], 2 * torch.pi * draw[:, 1]
-    turn = torch.pi * (2 * draw[:, 2] - 1)
-    turn = torch.where(draw[:, 3] < 1 / 3, turn / 12, turn)
-    return torch.stack([length * direction.cos(), length * direction.sin(), turn], 1)

@@ -15,7 +15,7 @@ from torch import Generator, Tensor
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import start_lanes
 from cgtorch.tabletop.data import Scenes
-from cgtorch.tabletop.data.collect import random_motions
+from cgtorch.tabletop.data.motions import random_motions
 from cgtorch.tabletop.data.poses import poses_around
 from cgtorch.tabletop.models.table_posterior import OUTLIER, placement_density, tables_behind
 from cgtorch.tabletop.world import motion_possible

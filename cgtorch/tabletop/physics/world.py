@@ -64,7 +64,7 @@ class MujocoWorld(ObservedTabletop):
         here = rectangle_in_frame(pose[:, None], torch.cat([table[:, None, :5], obstacles], 1))
         free = motion_possible(control, here, self.footprint)
         rows = free.nonzero()[:, 0]
-        goal = moved(pose, control + self.drift[lanes.scenario, looks])[rows]
+        goal = moved(pose, control + self.drift_at(lanes.scenario, looks))[rows]
         found = drives(self.physics, torch.cat([self.scene(lanes.state[rows]), goal], 1))
         state = lanes.state.clone()
         state[rows, :2], state[rows, 2] = found[:, :2], wrap(found[:, 2])

@@ -27,14 +27,21 @@ class Noise:
     Attributes:
         position: Of each coordinate after a motion, and of each number of a percept, m.
         heading: Of the heading after a motion, rad.
+        repeats: Whether a scenario's noise is always the same. If not, it is drawn anew at every
+            motion and look, from the operating system's random numbers.
     """
 
     position: float
     heading: float
+    repeats: bool = True
 
 
 LAB_NOISE = Noise(0.005, torch.pi / 360)
 """The noise of a good lab robot: 5 mm and 0.5°."""
+
+
+_CHANCE = Generator()
+_CHANCE.seed()  # from the operating system: noise that nothing can repeat
 
 
 def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
@@ -82,10 +89,12 @@ class ObservedTabletop(ABC):
         self.scenarios, self.looks = scenarios, looks
         self.footprint = torch.tensor(footprint)
         self.num_obstacles = scenarios.obstacles.shape[1]
+        self.noise = noise
         sizes = (3 + TABLETOP, self.tabletop - TABLETOP, BOX * self.num_obstacles)
-        drawn, *more = draw_noise(scenarios.seed, looks, *sizes)
-        scale = torch.tensor([noise.position, noise.position, noise.heading])
-        self.drift = drawn[..., :3] * scale
+        seed = scenarios.seed if noise.repeats else scenarios.seed[:0]
+        drawn, *more = draw_noise(seed, looks, *sizes)
+        self._scale = torch.tensor([noise.position, noise.position, noise.heading])
+        self.drift = drawn[..., :3] * self._scale
         self.blur = torch.cat([drawn[..., 3:], *more], 2) * noise.position
 
     @property
@@ -126,6 +135,16 @@ class ObservedTabletop(ABC):
         state, percept = self._perceive(lanes.state, lanes.scenario)
         return replace(lanes, state=state, percept=percept)
 
+    def drift_at(self, scenario: Tensor, look: Tensor) -> Tensor:
+        """(n, 3) by how much motions of scenarios (n,) miss: m, m and rad."""
+        return self._noise_at(self.drift, self._scale, scenario, look)
+
+    def _noise_at(self, seeded: Tensor, scale: Tensor, scenario: Tensor, look: Tensor) -> Tensor:
+        """(n, k) noise: that of the scenarios' seeds, or drawn anew if noise does not repeat."""
+        if self.noise.repeats:
+            return seeded[scenario, look]
+        return torch.randn(len(scenario), seeded.shape[2], generator=_CHANCE) * scale
+
     def _parts(self, state: Tensor) -> tuple[Tensor, ...]:
         """Pose (n, 3), table (n, 6), object (n, 2), whose noise (n,), obstacles (n, K, 5)."""
         boxes = 5 * self.num_obstacles
@@ -149,7 +168,7 @@ class ObservedTabletop(ABC):
         exact = self.exact(state)
         if self.tabletop > TABLETOP:
             exact = torch.cat([exact, side_seen(pose, table)], 1)
-        blur = self.blur[scenario, look]
+        blur = self._noise_at(self.blur, self._scale[:1], scenario, look)
         percept = exact + blur[:, : self.tabletop]
         if self.num_obstacles:
             noise = blur[:, self.tabletop :] * present(obstacles).repeat_interleave(BOX, 1)

@@ -46,7 +46,7 @@ class TabletopWorld(ObservedTabletop):
         things = torch.cat([table[:, None, :5], obstacles], 1)
         here = rectangle_in_frame(pose[:, None], things)
         free = motion_possible(control, here, self.footprint)
-        drift = self.drift[lanes.scenario, looks]
+        drift = self.drift_at(lanes.scenario, looks)
         state = torch.cat([moved(pose, control + drift), lanes.state[:, 3:]], 1)
         state, percept = self._perceive(state, lanes.scenario)
         state = torch.where(free[:, None], state, lanes.state)

@@ -1,0 +1,72 @@
+"""World actions: what a run asks of its world, which on a robot takes time and wear."""
+
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, field, fields
+
+from cgtorch.ground.errors import CgtorchError
+
+
+class BudgetSpentError(CgtorchError, RuntimeError):
+    """The next world action would exceed the budget of the run; it was not asked."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Numbers of things that were asked of a world.
+
+    Motions and tests are world actions: the world carries out a control, or tests success. Looks
+    are first percepts without an action, and each needs a placed scene. Episodes are trials of a
+    skill.
+    """
+
+    motions: int = 0
+    tests: int = 0
+    looks: int = 0
+    episodes: int = 0
+
+    def __add__(self, other: "Asked") -> "Asked":
+        return Asked(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def __sub__(self, other: "Asked") -> "Asked":
+        return Asked(*(a - b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    @property
+    def actions(self) -> int:
+        """The number of world actions."""
+        return self.motions + self.tests
+
+
+NAMES = tuple(f.name for f in fields(Asked))
+
+
+@dataclass
+class Purse:
+    """Counts what is asked, by phase, and refuses what the budget does not cover.
+
+    Attributes:
+        limits: The largest numbers by name; names without a limit are absent.
+        spent: What was asked so far, by phase.
+        exhausted: Whether something was refused.
+    """
+
+    limits: Mapping[str, float] = field(default_factory=dict)
+    spent: dict[str, Asked] = field(default_factory=dict)
+    exhausted: bool = False
+
+    @property
+    def total(self) -> Asked:
+        """What was asked in all phases."""
+        return sum(self.spent.values(), Asked())
+
+    def pay(self, phase: str, asked: Asked) -> None:
+        """Count what is asked next; BudgetSpentError, and nothing is counted, beyond a limit."""
+        after = self.total + asked
+        for name, limit in self.limits.items():
+            if getattr(asked, name) and getattr(after, name) > limit:
+                self.exhausted = True
+                raise BudgetSpentError(f"the budget of {limit:g} {name} is spent; raise --budget")
+        self.add(phase, asked)
+
+    def add(self, phase: str, asked: Asked) -> None:
+        """Count what was asked before, such as before an interruption."""
+        self.spent[phase] = self.spent.get(phase, Asked()) + asked

@@ -1,0 +1,57 @@
+"""An append-only file of JSON objects, one per line: the log of a run.
+
+Every line is written at once and reaches the disk before `append` returns, so a process that is
+killed loses at most the line that it was writing.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import writing
+
+
+class JsonLines:
+    """A log at a path, which is made with its first line."""
+
+    def __init__(self, path: Path):
+        """The log at `path`; a torn last line, which nobody has seen, is cut off."""
+        self.path = path
+        if path.is_file() and (torn := self._torn()):
+            with writing(path), path.open("r+b") as file:
+                file.truncate(path.stat().st_size - torn)
+
+    def append(self, row: dict[str, Any]) -> None:
+        """Write one more line; RunError if it cannot be written."""
+        data = (json.dumps(row, allow_nan=False) + "\n").encode()
+        with writing(self.path):
+            file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                os.write(file, data)
+                os.fsync(file)
+            finally:
+                os.close(file)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """All rows in order; RunError for a line that is no JSON object."""
+        if not self.path.is_file():
+            return
+        with self.path.open(encoding="utf-8", errors="replace") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    row = json.loads(line)
+                except ValueError:
+                    row = None
+                if not isinstance(row, dict):
+                    raise RunError(
+                        f"line {number} of {str(self.path)!r} is {line[:40]!r}; restore the file"
+                    )
+                yield row
+
+    def _torn(self) -> int:
+        """The number of bytes after the last whole line."""
+        data = self.path.read_bytes()
+        return len(data) - (data.rfind(b"\n") + 1)

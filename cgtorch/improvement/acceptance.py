@@ -1,0 +1,35 @@
+"""When a candidate replaces the skill that acts, judged by replays in Γ and C, and by counts.
+
+In a world that repeats itself, eq. 1 is exact: a candidate has to solve all of W in the world. In
+any other world a scenario cannot be tried again, so W and M are replayed in the models.
+"""
+
+from math import comb
+
+from torch import Tensor
+
+ERRORS = 2.0  # standard errors by which a candidate may be worse on W
+LEVEL = 0.05  # probability of a count at which a skill is called worse
+
+
+def no_worse(old: Tensor, new: Tensor, keep: Tensor) -> bool:
+    """Whether a candidate is not worse on W and better elsewhere, by shares (B,) of replays.
+
+    Both skills meet the same errors of Γ, so the differences on W (`keep` (B,) bool) are those of
+    pairs. Their mean may be at most `ERRORS` standard errors below 0.
+    """
+    change = new - old
+    inside, outside = change[keep], change[~keep]
+    slack = ERRORS * float(inside.std()) / len(inside) ** 0.5 if len(inside) > 1 else 0.0
+    worse = len(inside) > 0 and float(inside.mean()) < -slack - 1e-6
+    return not worse and float(outside.sum()) > 0
+
+
+def fewer(successes: int, tried: int, before: int, tried_before: int) -> bool:
+    """Whether a share is less than an earlier one (Fisher's exact test, one-sided, `LEVEL`)."""
+    good, n, every = successes + before, tried, tried + tried_before
+    bad = every - good
+    ways = sum(
+        comb(good, k) * comb(bad, n - k) for k in range(max(0, n - bad), successes + 1) if k <= good
+    )
+    return ways / comb(every, n) < LEVEL
