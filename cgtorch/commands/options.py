@@ -27,7 +27,8 @@ def _print_script(context: click.Context, parameter: click.Parameter, shell: str
         context.exit()
 
 
-def _importable(context: click.Context, parameter: click.Parameter, specs: Any) -> Any:
+def importable(context: click.Context, parameter: click.Parameter, specs: Any) -> Any:
+    """Let code of the user's be imported from the current folder."""
     import_from_here(specs if isinstance(specs, tuple) else [specs or ""])
     return specs
 
@@ -49,7 +50,7 @@ def common_options(function: F) -> F:
             "--actions",
             multiple=True,
             shell_complete=completion.declared_actions,
-            callback=_importable,
+            callback=importable,
             help="Additional action for skills: a name or package.module:Class. Repeat the option "
             "for several actions.",
         ),
@@ -81,7 +82,7 @@ skill_option = click.option(
 domain_option = click.option(
     "--domain",
     shell_complete=completion.domains,
-    callback=_importable,
+    callback=importable,
     help="The domain as package.module:Class, if the run's domain is your own code. For a skill "
     "file: the domain of the skill.  [tabletop]",
 )

@@ -11,7 +11,7 @@ import click
 from cgtorch.commands import completion
 from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.domain_command import DomainCommand
-from cgtorch.commands.options import common_options, epilog, number_option
+from cgtorch.commands.options import common_options, epilog, importable, number_option
 from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.goal import Goal
@@ -36,12 +36,23 @@ Examples:
 """
 
 
+def driver_of(options: dict[str, Any]) -> str:
+    """The driver of a new run: the one given, or the domain itself if it is one."""
+    from cgtorch.domains.live import DriverDomain
+
+    itself = issubclass(domain_class(options["domain"]), DriverDomain)
+    return options["driver"] or (options["domain"] if itself else "")
+
+
 def _options(spec: str) -> list[click.Option]:
     """The options of all settings of a run in a domain, and of its goal."""
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
-    skip, defaults = ("actions", "domain", "environment", "target_return"), defaults_of(own)
+    skip, defaults = (
+        ("actions", "domain", "driver", "environment", "target_return"),
+        defaults_of(own),
+    )
     every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
     kinds = domain_class(spec).kinds if is_code(spec) else ()
     helps = partial(help_of, domain=spec, kinds=kinds if isinstance(kinds, tuple) else ())
@@ -101,6 +112,17 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     help="With --resume: continue with another value of a setting. Repeat it for several.",
 )
 @click.option(
+    "--driver",
+    callback=importable,
+    help="The driver of a robot in place of the simulated world, as package.module:Class.",
+)
+@click.option(
+    "--budget",
+    metavar="NAME=N[,NAME=N]",
+    help="The largest numbers of motions, tests, looks and episodes to ask of the world, such as "
+    "motions=300,tests=200. A run that has spent them ends with the best skill so far.",
+)
+@click.option(
     "--device",
     default="auto",
     show_default=True,
@@ -135,7 +157,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     given = {name for name in options if context.get_parameter_source(name) is not default}
     own = settings_class(context.meta[completion.DOMAIN])
     of_domain = {f.name for f in fields(own)}
-    settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain"}
+    settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain", "driver"}
     wanted = {name: options[name] for name in given & settings}
     aims = {f.name: options[f.name] for f in fields(Goal)}
     goal_given = frozenset(given & set(aims))
@@ -148,6 +170,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         goal_given=goal_given,
         device=device_of(options["device"]),
         quiet=options["quiet"],
+        budget=_budget(options["budget"]),
         checkpoint_seconds=options["checkpoint_seconds"],
     )
     if options["resume"]:
@@ -155,7 +178,8 @@ def command(context: click.Context, /, **options: Any) -> None:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
         spec = options["domain"] if "domain" in given else None
         with together():
-            run = open_run(options["resume"], options["actions"], spec)
+            driver = options["driver"] or None
+            run = open_run(options["resume"], options["actions"], spec, driver)
             carry_on(run, wanted, overrides, wish)
         return
     if overrides:
@@ -163,11 +187,30 @@ def command(context: click.Context, /, **options: Any) -> None:
     domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
     values = {name: options[name] for name in settings & set(NAMES)}
     run_settings = RunSettings(
-        **values, actions=tuple(options["actions"]), domain=options["domain"]
+        **values,
+        actions=tuple(options["actions"]),
+        domain=options["domain"],
+        driver=driver_of(options),
     )
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
         begin(folder, run_settings, domain_settings, wish)
+
+
+def _budget(text: str | None) -> dict[str, float]:
+    """Limits by name, from NAME=N,NAME=N; SettingsError for others."""
+    from cgtorch.environment.asked import NAMES as ASKED
+
+    found = {}
+    for word in (text or "").split(",") if text else ():
+        name, _, number = word.strip().partition("=")
+        if name not in ASKED or not number.isdecimal():
+            raise SettingsError(
+                f"--budget {word!r:.40} is no limit; give NAME=N with one of {', '.join(ASKED)}, "
+                "such as motions=300,tests=200"
+            )
+        found[name] = float(number)
+    return found
 
 
 def _overrides(context: click.Context, known: set[str], words: Sequence[str]) -> dict[str, Any]:

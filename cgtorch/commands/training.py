@@ -16,14 +16,18 @@ from cgtorch.commands import guidance
 from cgtorch.commands.command import resumable
 from cgtorch.domains.registry import with_name
 from cgtorch.domains.settings import DomainSettings, to_plain
+from cgtorch.environment.asked import Purse
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.counted_work import listening
 from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.json_lines import JsonLines
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
 from cgtorch.report import ProgressDisplay, TensorBoardWatch, final_table
+from cgtorch.report.event_messages import asked_of
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.journal import recalled_generations
+from cgtorch.runs.log import LogWatch
 from cgtorch.runs.resume_settings import (
     TakenOver,
     goes_on_to,
@@ -32,7 +36,7 @@ from cgtorch.runs.resume_settings import (
     remember_goal,
     take_over,
 )
-from cgtorch.runs.run import AUTO, Run, only_begun, open_run, planned_run, write_run
+from cgtorch.runs.run import AUTO, LOG, Run, only_begun, open_run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.simulation.compiled_actions import WITH_MEMORY
 from cgtorch.training.auto import reached, train_until
@@ -55,6 +59,7 @@ class Wish:
         device: The device, or None for the fastest.
         checkpoint_seconds: Seconds between two checkpoints.
         quiet: Whether to print the result only.
+        budget: The largest numbers of what may be asked of the world, by name.
     """
 
     stage: str | None
@@ -62,6 +67,7 @@ class Wish:
     goal_given: frozenset[str]
     device: torch.device | None
     quiet: bool
+    budget: Mapping[str, float]
     checkpoint_seconds: float
 
 
@@ -70,7 +76,8 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
     domain_settings = with_name(settings.domain, domain_settings)
     given = {**to_plain(settings), **to_plain(domain_settings)}
     new = ranks.broadcast(not (folder / "run.json").is_file())
-    run = None if new else open_run(folder, settings.actions, settings.domain)
+    about = settings.actions, settings.domain, settings.driver or None
+    run = None if new else open_run(folder, *about)
     if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
         # On every rank, as they share what the world has to compute.
         run = planned_run(folder, settings, domain_settings, anew=not new)
@@ -185,15 +192,20 @@ def _train(run: Run, settings: RunSettings, wish: Wish) -> None:
             display.say(line)
         settled = run.all_settings() | (vars(goal) if auto else {})
         with listening(display.counted), _board(run, settled) as board:
+            log = LogWatch(JsonLines(run.folder / LOG)) if ranks.first() else board
 
             def watch(event: Event) -> None:
                 board(event)
+                log(event)
                 display(event)
 
             device = wish.device or fastest_device(run)
-            training = Training(run, watch, display.working, device, wish.checkpoint_seconds)
+            purse = Purse(wish.budget)
+            about = display.working, device, wish.checkpoint_seconds, purse
+            training = Training(run, watch, *about)
             results = train_until(training, goal) if auto else train(training, stage)
-        display.say(f"run {run.folder} {_outcome(run, goal, stage, results)}")
+        display.say(f"run {run.folder} {_outcome(run, goal, stage, results, purse)}")
+        display.say(asked_of("robot" if run.domain.live else "world", purse))
     if ranks.first():
         Console().print(final_table(results, run.domain))
     with ProgressDisplay(quiet=wish.quiet or not ranks.first()) as display:
@@ -237,8 +249,12 @@ def _board(run: Run, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
     )
 
 
-def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]]) -> str:
+def _outcome(run: Run, goal: Goal, stage: str, results: list[dict[str, Any]], purse: Purse) -> str:
     """The end of the sentence about a run's outcome, after its folder's name."""
+    if purse.exhausted:
+        limits = " and ".join(f"{limit:g} {name}" for name, limit in purse.limits.items())
+        last = f"the best skill is {results[-1]['stage']}" if results else "there is no skill yet"
+        return f"has spent its budget of {limits}; {last}; continue with --resume and more --budget"
     if stage != AUTO:
         return f"is complete up to {stage}"
     rounds = results[len(results) - len(run.rounds) :]

@@ -2,7 +2,7 @@
 
 Motions are drawn from those that the domain calls worth trying. As soon as there are models, most
 of them end where C is unsure, so one motion gives a transition and an informative test. Exploration
-ends when more data hardly improve Γ and both results of tests are known.
+ends when more data hardly improve Γ, and C expects success where it was met.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,6 +33,7 @@ FEWEST = 3  # tests of either result that C needs
 GOOD, GAIN = 0.2, 0.9
 """Γ is good enough at this share of the error without a machine, or if the last part of the data
 has not brought its error below this share of what it was."""
+BELIEVED = 0.5  # share of the successes that C has to expect, or no skill would ever test
 ADVICE = (
     "give scenarios that begin nearer to success, say which controls are worth trying "
     "(Domain.worth_trying), implement explore, or evolve in the world: --models none"
@@ -95,7 +96,8 @@ def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
         if _rarer(data) >= FEWEST and len(data.percept) >= LEAST:
             before, models = error, about.fit(data)
             error = _error(models)
-            if error <= GOOD or (before < float("inf") and error > GAIN * before):
+            settled = error <= GOOD or (before < float("inf") and error > GAIN * before)
+            if settled and _believed(models, data) >= BELIEVED:
                 return data
         if len(data.percept) >= about.most:
             break
@@ -177,6 +179,12 @@ def _chosen(
 def _rarer(data: Dataset) -> int:
     """The number of tests with the rarer result."""
     return min(int(data.succeeded.sum()), int((~data.succeeded).sum()))
+
+
+def _believed(models: "Knowledge", data: Dataset) -> float:
+    """The share of successful tests that C expects to succeed."""
+    with torch.no_grad():
+        return float((models.classifier(data.tested[data.succeeded]) > 0.5).float().mean())
 
 
 def _error(models: "Knowledge") -> float:

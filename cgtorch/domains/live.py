@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -291,7 +291,7 @@ class OnRobot(Domain[Placements]):
 
     live = True
     repeats = False
-    robot: Robot
+    actor: Robot
     simulated: Domain[Any]
 
     def draw(self, kind: str, count: int, generator: Generator) -> Placements:
@@ -300,7 +300,7 @@ class OnRobot(Domain[Placements]):
 
     def world(self, scenarios: Placements) -> LiveWorld:
         """See `Domain.world`."""
-        return LiveWorld(self, scenarios, self.robot)
+        return LiveWorld(self, scenarios, self.actor)
 
     def tests(self, kind: str) -> Placements:
         """See `Domain.tests`: as many as the simulated domain has."""
@@ -316,23 +316,19 @@ def on_robot(domain: Domain[Any], driver: RobotDriver, log: JsonLines) -> OnRobo
     live: OnRobot = copy.copy(domain)  # type: ignore[assignment]
     live.__class__ = kind
     live.repeats = False
-    live.robot = Robot(driver, routine_names(domain.actions()), log)
+    live.actor = Robot(driver, routine_names(domain.actions()), log)
     live.simulated = domain
     return live
 
 
 class DriverDomain(Domain[Placements]):
-    """The domain of a driver that names its percepts and controls."""
+    """The domain of a driver that names its percepts and controls.
 
-    def __init__(self, driver: RobotDriver) -> None:
-        """A domain with the fields and kinds of the driver; DomainError if it has none."""
-        super().__init__()
-        self.percept, self.control, self.kinds = driver.percept, driver.control, driver.kinds
-        if not self.percept or not self.control:
-            raise DomainError(
-                f"driver {type(driver).__name__} names no percept or no control; give a Field for "
-                "each number, or --domain"
-            )
+    Attributes:
+        driver: The driver's class.
+    """
+
+    driver: ClassVar[type[RobotDriver]]
 
     def draw(self, kind: str, count: int, generator: Generator) -> Placements:
         """See `Domain.draw`."""
@@ -340,4 +336,26 @@ class DriverDomain(Domain[Placements]):
 
     def world(self, scenarios: Placements) -> Any:
         """See `Domain.world`; it needs a robot."""
-        raise DomainError("a driver's domain has no world without a robot; use on_robot")
+        raise DomainError(
+            f"{self.driver.__name__} is a robot and has no simulated world; only cgtorch-train "
+            "works with it"
+        )
+
+    @property
+    def rewarded(self) -> bool:
+        """See `Domain.rewarded`: a robot gives none."""
+        return False
+
+
+def domain_of_driver(driver: type[RobotDriver]) -> type[DriverDomain]:
+    """The class of a driver's own domain; DomainError if it does not name its numbers."""
+    if not driver.percept or not driver.control:
+        raise DomainError(
+            f"driver {driver.__name__} names no percept or no control; give a Field for each "
+            "number, or --domain and --driver"
+        )
+    about = {
+        "driver": driver, "percept": driver.percept, "control": driver.control,
+        "kinds": driver.kinds,
+    }  # fmt: skip
+    return type(driver.__name__, (DriverDomain,), about)

@@ -12,6 +12,7 @@ from cgtorch.ground.errors import CgtorchError, DomainError
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
+    from cgtorch.domains.robot_driver import RobotDriver
 
 ENTRY_POINTS = "cgtorch.domains"
 TABLETOP, GYMNASIUM = "tabletop", "gymnasium"
@@ -44,6 +45,8 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     "cgtorch.domains" of an installed package, or "package.module:Class".
     """
     from cgtorch.domains.domain import Domain
+    from cgtorch.domains.live import domain_of_driver
+    from cgtorch.domains.robot_driver import RobotDriver
 
     place = _CLASSES.get(spec.partition(":")[0], spec)
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
@@ -54,9 +57,29 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
     found = _foreign(entry.load, f"cannot import domain {spec!r}", NOT_FOUND)
+    if isinstance(found, type) and issubclass(found, RobotDriver):
+        return domain_of_driver(found)
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
     return found
+
+
+def make_driver(spec: str) -> "RobotDriver":
+    """The driver of a robot, "package.module:Class"; DomainError if there is none."""
+    from cgtorch.domains.robot_driver import RobotDriver
+
+    if ":" not in spec:
+        raise DomainError(f"driver {spec!r:.60} is no name; give package.module:Class")
+    entry = EntryPoint("driver", spec, ENTRY_POINTS)
+    found = _foreign(entry.load, f"cannot import driver {spec!r}", NOT_FOUND)
+    if not (isinstance(found, type) and issubclass(found, RobotDriver)):
+        raise DomainError(f"driver {spec!r} is {found!r:.80}; give a subclass of RobotDriver")
+    if missing := sorted(getattr(found, "__abstractmethods__", ())):
+        raise DomainError(f"driver {spec!r} lacks {' and '.join(missing)}; implement it")
+    made: RobotDriver = _foreign(
+        found, f"driver {spec!r} cannot be made", "give it a constructor without arguments"
+    )
+    return made
 
 
 def settings_class(spec: str) -> type[DomainSettings]:

@@ -2,8 +2,11 @@
 
 from typing import Any
 
+from cgtorch.environment.asked import Purse
 from cgtorch.improvement import events
 from cgtorch.report.estimate import as_time, place_of
+
+SECONDS = 30  # of a robot's motion or grasp, with all that belongs to it
 
 
 def message_of(event: events.Event) -> str:
@@ -56,6 +59,17 @@ def _asked(event: events.WorldAsked) -> str:
     asked = event.asked
     tried = f", {event.succeeded} of {asked.episodes} succeeded" if asked.episodes else ""
     return f"{event.phase}: {asked.motions} motions and {asked.tests} tests{tried}"
+
+
+def asked_of(whom: str, purse: Purse) -> str:
+    """What was asked in all phases, such as of a robot, and how long that takes one."""
+    total = purse.total
+    hours = total.actions * SECONDS / 3600
+    phases = ", ".join(f"{phase} {a.actions}" for phase, a in purse.spent.items() if a.actions)
+    return (
+        f"asked of the {whom}: {total.motions} motions, {total.tests} tests, {hours:.1f} h at "
+        f"{SECONDS} s ({phases}); {total.looks} scenes were looked at"
+    )
 
 
 def few_kept(solved: int, kept: int) -> str:

@@ -7,6 +7,7 @@ The folder contains:
     start/              the state before the first stage: data, Γ, C
     S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
     auto-1/ auto-2/ …   each finished round of --stage auto: the same
+    log.jsonl           what happened, a line each, with every action of a robot
     journal/            the results so far of an unfinished stage or round
     set-aside/          journals of stages that were repeated with other settings or versions
     ledger/             every accepted skill, with the evidence for eq. 1
@@ -27,20 +28,24 @@ from cgtorch import native
 from cgtorch.actions import Action, ActionSet, MoveBase, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
+from cgtorch.domains.live import DriverDomain, on_robot
 from cgtorch.domains.registry import (
     check_options,
     domain_class,
     is_code,
     make_domain,
+    make_driver,
     settings_class,
 )
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import read_versioned, whole_folder, write_json, writing
+from cgtorch.ground.json_lines import JsonLines
 from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
+LOG = "log.jsonl"
 FORMAT, VERSION = "cgtorch-run", 3
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
@@ -127,7 +132,7 @@ def planned_run(
     """
     check_options(settings.domain, NAMES)
     domain = make_domain(settings.domain, domain_settings)
-    run = _checked(folder, settings, domain)
+    run = _checked(folder, settings, domain, settings.driver)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
     if folder.resolve() == Path.cwd():
@@ -158,7 +163,12 @@ def write_run(run: Run) -> None:
         write_json(new / "run.json", about)
 
 
-def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Run:
+def open_run(
+    folder: Path,
+    trusted: Sequence[str] = (),
+    domain: str | None = None,
+    driver: str | None = None,
+) -> Run:
     """Open a run.
 
     Args:
@@ -166,6 +176,7 @@ def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = Non
         trusted: "package.module:Class" of actions that may be imported. A name in a file is never
             enough to import code.
         domain: "package.module:Class" of the domain, if it is your own code; else None.
+        driver: "package.module:Class" of the robot's driver, to act; None to leave the robot alone.
 
     Raises:
         RunError: There is no run, it has another version, or it is damaged.
@@ -196,8 +207,15 @@ def open_run(folder: Path, trusted: Sequence[str] = (), domain: str | None = Non
                 f"run {str(folder)!r} uses action {spec!r}, which is code of its own; if you trust "
                 f"it, add --actions {spec}"
             )
+    if driver is not None and driver != settings.driver:
+        began = repr(settings.driver) if settings.driver else "no driver"
+        raise DomainError(
+            f"run {str(folder)!r} was begun with {began}, not {driver!r}; give that, or another "
+            "--run-dir for a new run"
+        )
     own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
-    return _checked(folder, settings, domain_class(settings.domain).read(own, folder))
+    read = domain_class(settings.domain).read(own, folder)
+    return _checked(folder, settings, read, driver or "")
 
 
 def read_about(folder: Path) -> dict[str, Any]:
@@ -207,19 +225,26 @@ def read_about(folder: Path) -> dict[str, Any]:
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 
-def _checked(folder: Path, settings: RunSettings, domain: Domain[Any]) -> Run:
-    """The run, after a dry run of its domain, and of its actions unless the library made both."""
+def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: str) -> Run:
+    """The run, after a dry run of its domain, and of its actions unless the library made both.
+
+    With a `driver`, the world is a robot, of which nothing is asked here.
+    """
     kind = kind_of(settings, domain)
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
     domain = domain.for_run(kind, settings.method)
+    if driver:
+        domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
+    elif isinstance(domain, DriverDomain):
+        return Run(folder, settings, domain, domain.actions(), repeats=False)
     repeats = check_domain(domain, kind)
     sizes = len(domain.percept), len(domain.control)
     actions = resolve_actions(settings.actions, domain.actions(), sizes)
     every = zip(actions.names, actions.actions, strict=True)
     foreign = _foreign(domain)
     own = {name: action for name, action in every if foreign or _foreign(action)}
-    if own:
+    if own and not domain.live:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
         for name, action in own.items():
             _check_sizes(name, action, *sizes)

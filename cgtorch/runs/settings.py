@@ -119,6 +119,13 @@ class RunSettings:
         "W and M contain such scenarios",
         when="Change it to train on another kind of scenarios.",
     )
+    driver: str = option(
+        "",
+        "The driver of a robot in place of the simulated world, as package.module:Class.",
+        "the robot has acted in the run",
+        when="Give it to learn on a robot.",
+        before="",
+    )
     actions: tuple[str, ...] = option(
         (),
         "Additional actions: names or package.module:Class.",

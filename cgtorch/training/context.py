@@ -225,7 +225,7 @@ def _explored(training: Training) -> Dataset | None:
     domain = training.run.domain
     if not isinstance(domain, OnRobot):
         return None
-    data, asked = domain.robot.explored(len(domain.percept), len(domain.control))
+    data, asked = domain.actor.explored(len(domain.percept), len(domain.control))
     training.purse.add(EXPLORATION, asked)
     return data if asked.actions else None
 
