@@ -9,6 +9,8 @@ from math import comb
 from torch import Tensor
 
 ERRORS = 2.0  # standard errors by which a candidate may be worse on W
+MOST = 0.05  # share of replays by which it may be worse, however few there are
+BELIEVED = 0.6  # share of W that the old skill has to solve in models that are believed
 LEVEL = 0.05  # probability of a count at which a skill is called worse
 
 
@@ -16,13 +18,17 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor) -> bool:
     """Whether a candidate is not worse on W and better elsewhere, by shares (B,) of replays.
 
     Both skills meet the same errors of Γ, so the differences on W (`keep` (B,) bool) are those of
-    pairs. Their mean may be at most `ERRORS` standard errors below 0.
+    pairs. Their mean may be at most `ERRORS` standard errors below 0, and at most `MOST`. Models in
+    which the old skill does not solve what it has solved in the world are not believed.
     """
     change = new - old
     inside, outside = change[keep], change[~keep]
-    slack = ERRORS * float(inside.std()) / len(inside) ** 0.5 if len(inside) > 1 else 0.0
-    worse = len(inside) > 0 and float(inside.mean()) < -slack - 1e-6
-    return not worse and float(outside.sum()) > 0
+    if len(inside):
+        slack = ERRORS * float(inside.std(correction=0)) / len(inside) ** 0.5
+        worse = float(inside.mean()) < -min(slack, MOST) - 1e-6
+        if worse or float(old[keep].mean()) < BELIEVED:
+            return False
+    return float(outside.sum()) > 0 and float(change.sum()) > 0
 
 
 def fewer(successes: int, tried: int, before: int, tried_before: int) -> bool:

@@ -137,7 +137,7 @@ class Practised(Event):
     """`skill` has solved `in_a_row` fresh scenarios, of the `wanted` after which a stage ends."""
 
     stage: str
-    skill: str
+    skill: Skill
     in_a_row: int
     wanted: int
 

@@ -36,6 +36,7 @@ from cgtorch.improvement.trial import attempt, looked
 DECISIVE = 30  # solved scenarios that tell whether success is chance
 SAME, CONFIDENCE = 0.8, 0.95
 OTHER = 1000  # the number of the other noise
+FIRST = 1.6  # episodes before a stage ends, as a multiple of those to solve in a row
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 BATCH = 3  # fresh scenarios of the first batch; later batches double
 
@@ -179,11 +180,11 @@ def _acted(
     setup, experience, done, in_a_row = stage.setup, list[Dataset](), False, 0
     try:
         state, lost = _on_known(stage, state, candidate, experience)
-        size = 1 if setup.live else BATCH
-        while not lost and (len(state.waiting) or in_a_row < setup.practice):
+        size = BATCH if state.repeats else 1
+        while not lost and (len(state.waiting) or in_a_row < _wanted(stage, state)):
             tests, fresh = len(state.waiting) > 0, state.waiting[:size]
             if not tests:
-                fresh = draw(min(size, setup.practice - in_a_row), stage.generator)
+                fresh = draw(min(size, _wanted(stage, state) - in_a_row), stage.generator)
             state = replace(state, waiting=state.waiting[size:])
             most = None if state.repeats else state.most
             trial = attempt(stage, candidate.skill, fresh, "practice", most)
@@ -193,18 +194,29 @@ def _acted(
             state = state.after(candidate, rows, trial)
             if not trial.succeeded.all():
                 break
-            in_a_row, size = in_a_row + len(fresh), size if setup.live else 2 * size
+            in_a_row, size = in_a_row + len(fresh), 2 * size if state.repeats else 1
         missed = state.repeats and bool((state.targets & ~state.keep).any())
-        done = not lost and in_a_row >= setup.practice and not missed
+        done = not lost and in_a_row >= _wanted(stage, state) and not missed
     except BudgetSpentError:
         done = True
-    stage.watch(Practised(stage.name, candidate.skill.name, in_a_row, setup.practice))
+    stage.watch(Practised(stage.name, candidate.skill, in_a_row, setup.practice))
     if experience and not done:
         more = experience[0]
         for each in experience[1:]:
             more = more.extended(each)
         state = replace(state, knowledge=learned(stage, state.knowledge, more))
     return state, in_a_row, done
+
+
+def _wanted(stage: Stage[S], state: StageState[S]) -> int:
+    """The number of fresh scenarios to solve in a row.
+
+    Where nothing can be tried twice, a skill that nothing has corrected yet has to solve more.
+    """
+    practice = stage.setup.practice
+    if state.repeats or int(state.tried.sum()) >= FIRST * practice:
+        return practice
+    return int(FIRST * practice)
 
 
 def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:

@@ -38,7 +38,8 @@ def message_of(event: events.Event) -> str:
             )
         case events.Practised():
             return (
-                f"{event.skill}: {event.in_a_row} of {event.wanted} fresh scenarios solved in a row"
+                f"{event.skill.name}: {event.in_a_row} of {event.wanted} fresh scenarios solved in "
+                "a row"
             )
         case events.SkillAccepted():
             return _skill_accepted(event)

@@ -48,9 +48,16 @@ def row_of(event: events.Event) -> Mapping[str, Any] | None:
         case events.WorldAsked() if not event.recalled:
             about = {"stage": event.stage, "phase": event.phase, "succeeded": event.succeeded}
             return {"event": "asked", **about, **asdict(event.asked)}
-        case events.Practised() | events.ChanceFound():
-            name = "practised" if isinstance(event, events.Practised) else "chance"
-            return {"event": name, **asdict(event)}
+        case events.Practised():
+            about = {"stage": event.stage, "skill": event.skill.name}
+            return {
+                "event": "practised",
+                **about,
+                "in_a_row": event.in_a_row,
+                "wanted": event.wanted,
+            }
+        case events.ChanceFound():
+            return {"event": "chance", **asdict(event)}
         case events.FreshTested():
             return {"event": "tested", **asdict(event)}
         case events.SkillAccepted():

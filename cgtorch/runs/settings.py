@@ -94,7 +94,7 @@ class RunSettings:
     practice: int = option(
         0,
         "Number of fresh scenarios that a skill solves in a row before its stage ends; 0 for 150 "
-        "where the world repeats itself, and 24 where it does not.",
+        "where the world repeats itself, else 20, or 10 in a stage.",
         least=0,
         when="Raise it for a surer skill, lower it to ask less of a robot.",
     )

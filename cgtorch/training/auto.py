@@ -136,7 +136,7 @@ def _round(
             "decisive": tests[1] if len(tests) > 1 else None,
             "mean_holds": met if run.domain.rewarded else None,
             "in_a_row": tally.in_a_row,
-            "practice": training.practice,
+            "practice": training.practice(name),
         }
 
     return make_stage(training, name, run.kind, progress, run.like(), test)

@@ -50,10 +50,12 @@ OWN = 40  # the generator of what C is judged by, derived like an island's
 SEARCHES = 4
 """Evolutions of a specialist in the models, which take a second where trials in the world of what
 they find take a robot minutes."""
+LOOKS = 64  # first percepts of fresh scenarios
 REPLAYS = 8  # of each scenario in the models, by which skills are compared
-IN_A_ROW, IN_A_ROW_ANYWHERE = 150, 24
+IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
-scenario, and in one where each trial takes its time."""
+scenario, and in one where each trial takes its time. A stage there asks for half as many, since
+other stages follow."""
 SETTLED = 20  # generations without a better fitness after which a solved group is left
 
 
@@ -77,14 +79,17 @@ class Training:
     checkpoint_seconds: float = SECONDS
     purse: Purse = field(default_factory=Purse)
 
-    @property
-    def practice(self) -> int:
-        """Number of fresh scenarios that a skill has to solve in a row."""
-        chosen = self.run.settings.practice
-        return chosen or (IN_A_ROW if self.run.repeats else IN_A_ROW_ANYWHERE)
+    def practice(self, name: str) -> int:
+        """Number of fresh scenarios to solve in a row in a stage or round."""
+        if self.run.domain.rewarded:  # rounds try skills on fresh episodes by themselves
+            return 0
+        if chosen := self.run.settings.practice:
+            return chosen
+        few = LIVE_IN_A_ROW // 2 if name in self.run.domain.stages else LIVE_IN_A_ROW
+        return IN_A_ROW if self.run.repeats else few
 
-    def setup(self, journal: Journal | None = None) -> Setup[Any]:
-        """The run's settings in the form that improvement needs."""
+    def setup(self, name: str, journal: Journal | None = None) -> Setup[Any]:
+        """The run's settings in the form that improvement needs for a stage or round."""
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
         replicas = 2 if run.learns or domain.noisy_world else 1
@@ -105,7 +110,8 @@ class Training:
             group=specialists.group,
             replicas=replicas,
             replays=REPLAYS if run.learns else replicas,
-            practice=self.practice,
+            practice=self.practice(name),
+            looks=0 if domain.rewarded else LOOKS,
             repeats=run.repeats,
             noisy=domain.noisy_world,
             live=domain.live,

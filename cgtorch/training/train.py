@@ -197,7 +197,7 @@ def make_stage(
         return run.domain.draw(kind, count, generator)
 
     with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
-        stage = Stage(training.setup(journal), name, generator, listen)
+        stage = Stage(training.setup(name, journal), name, generator, listen)
         began, method = time.perf_counter(), METHODS[run.settings.method]
         after = method(stage, before, tests, draw)
         tally.seconds = time.perf_counter() - began
