@@ -128,7 +128,8 @@ def _values(f: Field[Any]) -> str:
     if isinstance(f.default, str | tuple):
         return "text" if isinstance(f.default, str) else "texts"
     most = "" if about["most"] >= MOST else f" to {about['most']:g}"
-    return f"{about['least']:g}{most or ' or more'}"
+    also = "".join(f"{value}, " for value in about["also"])
+    return f"{also}{about['least']:g}{most or ' or more'}"
 
 
 if __name__ == "__main__":

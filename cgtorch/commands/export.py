@@ -1,4 +1,4 @@
-"""`cgtorch-export`: write a skill in a format that other programs read or run."""
+"""`cgtorch-export`: write a skill, or a run's data, in a format that other programs read or run."""
 
 from functools import partial
 from pathlib import Path
@@ -19,9 +19,13 @@ Examples:
   cgtorch-export runs/reference/S1 --format graphml --output S1.graphml
   cgtorch-export runs/auto --skill auto-1 --format json --output auto-1.json
   cgtorch-export skill.json --format mermaid --output skill.mmd --force
+  cgtorch-export runs/auto --format data --output log.csv
 """
 
-FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid")
+FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid", "data")
+
+ENDS = {"module": (".pt2",), "data": (".csv", ".parquet")}
+"""How the name of the file has to end, where a format requires it."""
 
 
 @click.command(
@@ -37,7 +41,8 @@ FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid
     required=True,
     help="json: a skill file; module: a torch.nn.Module for torch.export.load; onnx: the same for "
     "any ONNX runtime; state-machine: a Python file with classes to fill in; dot, graphml, "
-    "mermaid: drawings as text.",
+    "mermaid: drawings as text; data: all transitions and tests of the run as a table, CSV or "
+    "Parquet, for cgtorch-train --data.",
 )
 @options.output_option("The file to write.")
 @options.skill_option
@@ -57,10 +62,15 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
     a skill file.
     """
     options.check_output(output, force)
-    if form == "module" and output.suffix != ".pt2":
+    ends = ENDS.get(form, (output.suffix,))
+    if output.suffix not in ends:
         raise click.UsageError(
-            f"--output is {str(output)!r}; give a name that ends in .pt2 for --format module"
+            f"--output is {str(output)!r}; give a name that ends in {' or '.join(ends)} for "
+            f"--format {form}"
         )
+    if form == "data":
+        _write_data(path, output, **rest)
+        return
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.export import SIZED
     from cgtorch.ground.files import write_bytes
@@ -74,6 +84,18 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **res
         data = WRITERS[form](skill, **sizes)
     write_bytes(output, data)
     click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
+
+
+def _write_data(path: Path, output: Path, **rest: Any) -> None:
+    """Write all data of a run."""
+    from cgtorch.domains.data_files import write_data
+    from cgtorch.runs.stored_data import stored_data
+
+    found = stored_data(path, rest["name"], rest["actions"], rest["domain"])
+    data, domain = found.dataset, found.run.domain
+    write_data(output, data, domain.percept, domain.control)
+    counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
+    click.echo(f"data of {found.part}: {output}, {counts}")
 
 
 main = partial(run_command, command)

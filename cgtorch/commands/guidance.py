@@ -38,7 +38,10 @@ def before(plan: Plan) -> Iterator[str]:
         stages = ", ".join(stages_to_make(run, plan.stage))
         yield f"New run {run.folder}: evolve one skill for each of {stages} ({about})."
     if run.learns:
-        yield "  1. Collect data, and fit the transition model Γ and the success classifier C."
+        read = "Read the data that you give" if settings.data else ""
+        collect = "collect more" if read else "Collect data"
+        parts = ", ".join(part for part in (read, settings.transitions and collect) if part)
+        yield f"  1. {parts}, and fit the transition model Γ and the success classifier C."
         yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
         yield "  3. Accept a skill if it forgets nothing and solves something new."
     else:

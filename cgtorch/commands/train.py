@@ -30,6 +30,7 @@ Examples:
   cgtorch-train --stage S3 --world mujoco --run-dir runs/physics
   cgtorch-train --domain gymnasium:CartPole-v1 --run-dir runs/cartpole
   cgtorch-train --domain my_package.cart:Cart --run-dir runs/cart
+  cgtorch-train --domain my_package.cart:Cart --data log.csv --transitions 0
   cgtorch-train --domain my_package.cart:Cart --help
   cgtorch-train --stage S1 --actions my_package.actions:Wait
   torchrun --nproc-per-node 4 -m cgtorch.commands.train --stage S3
@@ -50,7 +51,7 @@ def _options(spec: str) -> list[click.Option]:
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
     skip, defaults = (
-        ("actions", "domain", "driver", "environment", "target_return"),
+        ("actions", "data", "domain", "driver", "environment", "target_return"),
         defaults_of(own),
     )
     every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
@@ -115,6 +116,14 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     "--driver",
     callback=importable,
     help="The driver of a robot in place of the simulated world, as package.module:Class.",
+)
+@click.option(
+    "--data",
+    multiple=True,
+    type=click.Path(),
+    help="Logged transitions and tests from which Γ and C are learned: a CSV or Parquet file, or "
+    "the folder of a Minari dataset. Repeat the option for several. With --transitions 0 the run "
+    "explores no further.",
 )
 @click.option(
     "--budget",

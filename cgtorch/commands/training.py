@@ -41,6 +41,7 @@ from cgtorch.runs.settings import RunSettings
 from cgtorch.simulation.compiled_actions import WITH_MEMORY
 from cgtorch.training.auto import reached, train_until
 from cgtorch.training.context import Training
+from cgtorch.training.given_data import given_data
 from cgtorch.training.stages import stages_to_make
 from cgtorch.training.train import finished_generations, train
 
@@ -82,6 +83,8 @@ def begin(folder: Path, settings: RunSettings, domain_settings: DomainSettings, 
         # On every rank, as they share what the world has to compute.
         run = planned_run(folder, settings, domain_settings, anew=not new)
         _stage(run, wish, {})
+        if settings.data:
+            given_data(run)  # what is wrong with the files is said before anything is written
         ranks.wait()  # all have seen the folder before anyone writes
         if ranks.first():
             write_run(run)

@@ -20,6 +20,7 @@ def option(
     choices: tuple[str, ...] = (),
     least: float = 1,
     most: float = MOST,
+    also: tuple[int, ...] = (),
     when: str = "",
     before: Any = None,
 ) -> Any:
@@ -32,12 +33,13 @@ def option(
         choices: The possible values of a text; any if empty.
         least: The least value of a number.
         most: The largest value of a number.
+        also: Further whole numbers that are possible.
         when: When to change the setting.
         before: The value in runs that began before the setting existed.
     """
     about = {
         "help": text, "fixed": fixed, "choices": choices, "least": least, "most": most,
-        "when": when, "before": before,
+        "also": also, "when": when, "before": before,
     }  # fmt: skip
     return field(default=default, metadata=about)
 
@@ -49,8 +51,9 @@ def check_options(settings: Any) -> None:
         least, most = about.get("least", 1), about.get("most", MOST)
         said = f"is {value!r:.40}"
         if isinstance(f.default, int):
-            usable = type(value) is int and least <= value <= most
-            wanted = f"give a whole number of at least {least}"
+            also = about.get("also", ())
+            usable = type(value) is int and (least <= value <= most or value in also)
+            wanted = " or ".join([f"give a whole number of at least {least}", *map(str, also)])
         elif isinstance(f.default, float):  # no comparison holds for nan
             usable = type(value) in (int, float) and least <= value <= most
             wanted = f"give a number from {least} to {most}"

@@ -10,6 +10,7 @@ from torch import Tensor
 
 ERRORS = 2.0  # standard errors by which a candidate may be worse on W
 MOST = 0.05  # share of replays by which it may be worse, however few there are
+CLEAR = 0.7  # standard errors by which it has to be better on all scenarios together
 BELIEVED = 0.6  # share of W that the old skill has to solve in models that are believed
 LEVEL = 0.05  # probability of a count at which a skill is called worse
 
@@ -28,7 +29,8 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor) -> bool:
         worse = float(inside.mean()) < -min(slack, MOST) - 1e-6
         if worse or float(old[keep].mean()) < BELIEVED:
             return False
-    return float(outside.sum()) > 0 and float(change.sum()) > 0
+    gain = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
+    return float(outside.sum()) > 0 and float(change.mean()) > gain
 
 
 def fewer(successes: int, tried: int, before: int, tried_before: int) -> bool:

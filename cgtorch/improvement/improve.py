@@ -36,7 +36,8 @@ from cgtorch.improvement.trial import attempt, looked
 DECISIVE = 30  # solved scenarios that tell whether success is chance
 SAME, CONFIDENCE = 0.8, 0.95
 OTHER = 1000  # the number of the other noise
-FIRST = 1.6  # episodes before a stage ends, as a multiple of those to solve in a row
+FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
+REFLECT = 8  # episodes after which the models learn, however well all went
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 BATCH = 3  # fresh scenarios of the first batch; later batches double
 
@@ -58,15 +59,17 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     first, accepted, best, idle = state, False, (0, 0), 0
     for number in range(1, stage.setup.attempts + 1):
         candidate, state = _candidate(stage, replace(state, number=number))
-        state, in_a_row, done = _acted(stage, state, candidate, draw)
+        state, done = _acted(stage, state, candidate, draw)
         state = _without_chance(stage, state)
         accepted |= bool((state.keep & ~_kept(first, state)).any())
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
-        idle = 0 if solved > best[0] or in_a_row > best[1] else idle + 1
-        best = max(best[0], solved), max(best[1], in_a_row)
-        if done or idle == IDLE:
+        idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
+        best = max(best[0], solved), max(best[1], state.in_a_row)
+        if done or (state.repeats and idle == IDLE):
             break
-    progress = replace(progress, knowledge=state.knowledge, specialists=state.population)
+    chance = progress.chance or state.repeats != stage.setup.repeats
+    about = state.knowledge, state.population
+    progress = replace(progress, knowledge=about[0], specialists=about[1], chance=chance)
     if not accepted or state.current is None:
         return progress
     old = state.current.skill
@@ -92,7 +95,8 @@ def _kept(first: StageState[S], state: StageState[S]) -> Tensor:
 def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
     """A coreset of W, the tests, M, and first percepts to practise on in the models."""
     setup, solved, missed = stage.setup, progress.solved, progress.missed
-    waiting, tests = (tests[:0], tests) if setup.repeats else (tests, tests[:0])
+    repeats = setup.repeats and not progress.chance
+    waiting, tests = (tests[:0], tests) if repeats else (tests, tests[:0])
     if setup.live:  # each look would need a scene that somebody arranges
         seen = progress.knowledge.dataset.percept[: setup.looks]
         looks = draw(len(seen), stage.generator)
@@ -120,7 +124,7 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         trust=torch.ones(sum(sizes), len(members)),
         population=progress.specialists,
         current=None if skill is None else Candidate(skill),
-        repeats=setup.repeats,
+        repeats=repeats,
     )
 
 
@@ -169,22 +173,26 @@ def _rates(stage: Stage[S], state: StageState[S]) -> Tensor:
 
 def _acted(
     stage: Stage[S], state: StageState[S], candidate: Candidate, draw: Draw[S]
-) -> tuple[StageState[S], int, bool]:
+) -> tuple[StageState[S], bool]:
     """The state after a candidate acted in the world, and whether the stage is finished.
 
-    Also returned is the number of fresh scenarios that it solved in a row.
-
     In a world that repeats itself, the candidate does not replace the current skill if it loses
-    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row.
+    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row. Where
+    trials take a robot's time, the models learn from successes, too, and may know a better skill
+    before the next failure.
     """
-    setup, experience, done, in_a_row = stage.setup, list[Dataset](), False, 0
+    setup, experience, done = stage.setup, list[Dataset](), False
+    if state.repeats and candidate is not state.current:
+        state = replace(state, in_a_row=0)
     try:
         state, lost = _on_known(stage, state, candidate, experience)
         size = BATCH if state.repeats else 1
-        while not lost and (len(state.waiting) or in_a_row < _wanted(stage, state)):
+        while not lost and (wanted := _wanted(stage, state) - state.in_a_row) > 0:
+            if not state.repeats and len(experience) == REFLECT:
+                break
             tests, fresh = len(state.waiting) > 0, state.waiting[:size]
             if not tests:
-                fresh = draw(min(size, _wanted(stage, state) - in_a_row), stage.generator)
+                fresh = draw(min(size, wanted), stage.generator)
             state = replace(state, waiting=state.waiting[size:])
             most = None if state.repeats else state.most
             trial = attempt(stage, candidate.skill, fresh, "practice", most)
@@ -193,30 +201,32 @@ def _acted(
             state = state.extended(fresh, trial.percepts, targets=tests)
             state = state.after(candidate, rows, trial)
             if not trial.succeeded.all():
+                state = replace(state, in_a_row=0)
                 break
-            in_a_row, size = in_a_row + len(fresh), 2 * size if state.repeats else 1
+            size = 2 * size if state.repeats else 1
+            state = replace(state, in_a_row=state.in_a_row + len(fresh))
         missed = state.repeats and bool((state.targets & ~state.keep).any())
-        done = not lost and in_a_row >= _wanted(stage, state) and not missed
+        done = not lost and state.in_a_row >= _wanted(stage, state) and not missed
     except BudgetSpentError:
         done = True
-    stage.watch(Practised(stage.name, candidate.skill, in_a_row, setup.practice))
+    stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, setup.practice))
     if experience and not done:
         more = experience[0]
         for each in experience[1:]:
             more = more.extended(each)
         state = replace(state, knowledge=learned(stage, state.knowledge, more))
-    return state, in_a_row, done
+    return state, done
 
 
 def _wanted(stage: Stage[S], state: StageState[S]) -> int:
-    """The number of fresh scenarios to solve in a row.
+    """The number of fresh scenarios to solve in a row, and the tests that still wait.
 
     Where nothing can be tried twice, a skill that nothing has corrected yet has to solve more.
     """
-    practice = stage.setup.practice
+    practice, waiting = stage.setup.practice, len(state.waiting)
     if state.repeats or int(state.tried.sum()) >= FIRST * practice:
-        return practice
-    return int(FIRST * practice)
+        return max(practice, state.in_a_row + waiting)
+    return max(int(FIRST * practice), state.in_a_row + waiting)
 
 
 def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:

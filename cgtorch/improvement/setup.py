@@ -94,6 +94,7 @@ class Progress(Generic[S]):
         missed: M, the scenarios on which it fails.
         knowledge: Data and models.
         specialists: Graphs evolved so far, seeds of later populations; None before the first.
+        chance: Whether what was solved was found to be chance, so that W is no fact.
         seen: (|W| + |M|, D) the first percepts of W and M; None before the first trial.
     """
 
@@ -103,3 +104,4 @@ class Progress(Generic[S]):
     knowledge: Models
     specialists: Population | None = None
     seen: Tensor | None = None
+    chance: bool = False

@@ -24,7 +24,7 @@ from cgtorch.simulation import rollout
 FEW = 8  # members of a team: 15 nodes with the branches to them
 RELIABLE = 0.9  # share of replays from which a skill counts as solving a scenario
 BLAME = 0.8  # what a failure in the world leaves of a member's share there
-MOST = 8  # world actions of a trial before successes are known
+MOST = 7  # world actions of a trial before successes are known
 PATIENCE = 2.0  # by which a trial may exceed what almost all successes take
 FEWEST = 4  # missed scenarios, to which solved ones are added for a group
 OTHERS = 8  # solved scenarios that are added
@@ -67,6 +67,7 @@ class StageState(Generic[S]):
         population: Graphs of specialists, seeds of later ones; None before the first.
         current: The skill that acts in the world; None before the first.
         number: Number of candidates so far.
+        in_a_row: Number of fresh scenarios solved one after the other.
         repeats: Whether W is tried again in the world, so that eq. 1 is exact.
         judged: Whether it is known if what was solved is chance.
         actions: World actions of each success so far.
@@ -85,6 +86,7 @@ class StageState(Generic[S]):
     population: Population | None = None
     current: Candidate | None = None
     number: int = 0
+    in_a_row: int = 0
     repeats: bool = True
     judged: bool = False
     actions: tuple[int, ...] = ()

@@ -46,7 +46,8 @@ def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
     for name, value in given.items():
         if not _differs(value, was := known[name]):
             continue
-        about = f"run {str(run.folder)!r} has {option_of(name)} {was}, not {value}"
+        told = list(value) if isinstance(value, tuple) else value
+        about = f"run {str(run.folder)!r} has {option_of(name)} {was}, not {told}"
         if name in fixed:
             raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
         raise SettingsError(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from cgtorch.domains.settings import DomainSettings, check_options, option
+from cgtorch.ground.errors import SettingsError
 
 METHODS = ("compose", "paper")
 MODELS = ("auto", "learned", "none")
@@ -100,9 +101,11 @@ class RunSettings:
     )
     transitions: int = option(
         2000,
-        "Largest number of motions to explore before the first skill.",
+        "Largest number of motions to explore before the first skill, those of --data counted; 0 "
+        "with --data to explore no further.",
         "the first models were learned from them",
         least=12,
+        also=(0,),
         when="Lower it if motions are dear and success is easily met.",
     )
     labels: int = option(
@@ -132,9 +135,22 @@ class RunSettings:
         "the graphs of the run contain them",
         when="Add actions that you wrote.",
     )
+    data: tuple[str, ...] = option(
+        (),
+        "Logged transitions and tests from which Γ and C are learned: CSV or Parquet files, or "
+        "folders of Minari datasets.",
+        "the first models were learned from them",
+        when="Give the logs that you have, to explore less or not at all.",
+        before=(),
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.transitions == 0 and not self.data:
+            raise SettingsError(
+                "transitions is 0, and there is nothing else to learn Γ and C from; give at least "
+                "12, or files of logged transitions with --data"
+            )
 
 
 NAMES = tuple(f.name for f in fields(RunSettings))

@@ -26,6 +26,7 @@ from cgtorch.runs.run import Run
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
+DATA, ASIDE = "data.safetensors", "aside.safetensors"
 MAX_BYTES = 2**30
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 """Functions that make unfitted models, by class name; see `Domain.unfitted`."""
@@ -63,10 +64,10 @@ def load_dataset(path: Path) -> Dataset:
 
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
     """Write data, Γ and C into a folder."""
-    save_tensors(folder / "data.safetensors", vars(knowledge.dataset), notes)
+    save_tensors(folder / DATA, vars(knowledge.dataset), notes)
     said = [a.reason for a in knowledge.acceptances or ()]
     learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
-    save_tensors(folder / "aside.safetensors", vars(knowledge.aside), {**notes, **learned})
+    save_tensors(folder / ASIDE, vars(knowledge.aside), {**notes, **learned})
     save_model(folder / GAMMA, knowledge.gamma, knowledge.gamma_report)
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
@@ -81,8 +82,8 @@ def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
     ModelError if a model file is damaged; RunError if it is another model's, or has no report.
     """
     gamma, classifier, report, second = load_models(folder, unfitted)
-    data = load_dataset(folder / "data.safetensors")
-    aside = load_dataset(folder / "aside.safetensors")
+    data = load_dataset(folder / DATA)
+    aside = load_dataset(folder / ASIDE)
     return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, report, second, aside)
 
 
@@ -240,9 +241,12 @@ def _check_numbers(values: Any, shape: Sequence[int], dtype: torch.dtype, what: 
         raise RunError(f"{what} is {values!r:.60}; give whole numbers")
 
 
-def save_scenarios(path: Path, solved: ScenarioBatch, missed: ScenarioBatch) -> None:
-    """Write W and M."""
-    write_json(path, {"W": scenarios_to_list(solved), "M": scenarios_to_list(missed)})
+def save_scenarios(
+    path: Path, solved: ScenarioBatch, missed: ScenarioBatch, chance: bool = False
+) -> None:
+    """Write W and M, and whether what was solved was found to be chance."""
+    both = {"W": scenarios_to_list(solved), "M": scenarios_to_list(missed)}
+    write_json(path, {**both, "chance": chance})
 
 
 def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]:
@@ -260,7 +264,7 @@ def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
     """Write everything that the next stage needs into a folder."""
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
-    save_scenarios(folder / "scenarios.json", progress.solved, progress.missed)
+    save_scenarios(folder / "scenarios.json", progress.solved, progress.missed, progress.chance)
     if (seen := progress.seen) is not None:
         save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
     if progress.knowledge is not None:
@@ -274,7 +278,8 @@ def load_progress(run: Run, folder: Path) -> Progress[Any]:
     """Read the files of `save_progress`."""
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
     knowledge = load_knowledge(folder, run.domain.unfitted()) if run.learns else None
-    progress = Progress(None, solved, missed, knowledge)
+    chance = read_json(folder / "scenarios.json").get("chance") is True
+    progress = Progress(None, solved, missed, knowledge, chance=chance)
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if (folder / "seen.safetensors").is_file():

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any, TypeAlias
 
 import torch
@@ -39,6 +39,7 @@ from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, read_asked, save_progress
 from cgtorch.simulation import Recording
+from cgtorch.training.given_data import given_data, known_at_last
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 """Makes a context that shows a message during a long step."""
@@ -51,7 +52,7 @@ SEARCHES = 4
 """Evolutions of a specialist in the models, which take a second where trials in the world of what
 they find take a robot minutes."""
 LOOKS = 64  # first percepts of fresh scenarios
-REPLAYS = 8  # of each scenario in the models, by which skills are compared
+REPLAYS = 16  # of each scenario in the models, by which skills are compared
 IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
@@ -178,10 +179,10 @@ def initial_progress(training: Training) -> Progress[Any]:
     settings, domain, kind = run.settings, run.domain, run.kind
     generator = Generator().manual_seed(settings.seed)
     before = training.purse.total
-    with working("exploring: motions that teach the models most"):
-        dataset = domain.explore(_exploration(training, generator))
+    dataset = _first_data(training, generator)
     asked = training.purse.total - before
-    training.watch(WorldAsked("start", EXPLORATION, asked))
+    if asked != Asked():
+        training.watch(WorldAsked("start", EXPLORATION, asked))
     own = derived_generator(generator, OWN)
 
     def fresh(gamma: TransitionModel) -> Any:
@@ -208,7 +209,21 @@ def initial_progress(training: Training) -> Progress[Any]:
     return progress
 
 
-def _exploration(training: Training, generator: Generator) -> Exploration:
+def _first_data(training: Training, generator: Generator) -> Dataset:
+    """The data for the first Γ and C: from the run's files, from its world, or both."""
+    run = training.run
+    if run.settings.data and run.settings.transitions == 0:
+        with training.working("reading the data"):
+            return given_data(run)
+    with training.working("exploring: motions that teach the models most"):
+        given = given_data(run) if run.settings.data else None
+        parts = [part for part in (given, _explored(training)) if part is not None]
+        known = reduce(Dataset.extended, parts) if parts else None
+        found = run.domain.explore(_exploration(training, generator, known))
+    return known_at_last(known, found)
+
+
+def _exploration(training: Training, generator: Generator, known: Dataset | None) -> Exploration:
     """What an exploration works with; all that it asks is counted."""
     run, domain = training.run, training.run.domain
 
@@ -223,7 +238,7 @@ def _exploration(training: Training, generator: Generator) -> Exploration:
 
     lanes = LANES if run.repeats else 1
     about = run.settings.transitions, lanes, generator, training.purse
-    return Exploration(run.kind, world, fit, *about, known=_explored(training))
+    return Exploration(run.kind, world, fit, *about, known=known)
 
 
 def _explored(training: Training) -> Dataset | None:
