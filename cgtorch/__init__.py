@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from cgtorch.actions import paper_actions as paper_actions
     from cgtorch.actions import resolve_actions as resolve_actions
     from cgtorch.domains.domain import Domain as Domain
+    from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
+    from cgtorch.domains.robot_driver import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
@@ -51,7 +53,16 @@ _FOLDERS = {
         "paper_actions",
         "resolve_actions",
     ),
-    "domains": ("Domain", "DomainSettings", "Field", "ScenarioBatch", "World", "option"),
+    "domains": (
+        "Domain",
+        "DomainSettings",
+        "Field",
+        "ProtectiveStop",
+        "RobotDriver",
+        "ScenarioBatch",
+        "World",
+        "option",
+    ),
     "environment": ("Environment", "Lanes"),
     "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),
     "graphs": ("Skill", "load_skill", "save_skill"),

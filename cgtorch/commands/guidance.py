@@ -54,7 +54,8 @@ def before(plan: Plan) -> Iterator[str]:
 
 def resuming(run: Run) -> str:
     """The command that continues a run."""
-    return f"cgtorch-train --resume {run.folder}{_code(run)}"
+    driver = f" --driver {run.settings.driver}" if run.settings.driver else ""
+    return f"cgtorch-train --resume {run.folder}{_code(run)}{driver}"
 
 
 def after(plan: Plan) -> Iterator[str]:

@@ -8,9 +8,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cgtorch.domains.data_files import read_data as read_data
+    from cgtorch.domains.data_files import write_data as write_data
     from cgtorch.domains.domain import Domain as Domain
     from cgtorch.domains.domain import Specialists as Specialists
     from cgtorch.domains.knowledge import Knowledge as Knowledge
+    from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
+    from cgtorch.domains.robot_driver import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
@@ -24,11 +28,15 @@ _HOME = {
     "DomainSettings": "cgtorch.domains.settings",
     "Field": "cgtorch.environment.fields",
     "Knowledge": "cgtorch.domains.knowledge",
+    "ProtectiveStop": "cgtorch.domains.robot_driver",
+    "RobotDriver": "cgtorch.domains.robot_driver",
     "ScenarioBatch": "cgtorch.environment",
     "Specialists": "cgtorch.domains.domain",
     "World": "cgtorch.domains.world",
     "named": "cgtorch.environment.fields",
     "option": "cgtorch.domains.settings",
+    "read_data": "cgtorch.domains.data_files",
+    "write_data": "cgtorch.domains.data_files",
 }
 __all__ = [*_HOME]
 

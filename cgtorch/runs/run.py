@@ -28,7 +28,7 @@ from cgtorch import native
 from cgtorch.actions import Action, ActionSet, MoveBase, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
-from cgtorch.domains.live import DriverDomain, on_robot
+from cgtorch.domains.live import DriverDomain, Placements, on_robot
 from cgtorch.domains.registry import (
     check_options,
     domain_class,
@@ -87,7 +87,9 @@ class Run:
         return (self.domain.models if chosen == "auto" else chosen) == "learned"
 
     def like(self) -> ScenarioBatch:
-        """A batch of 0 scenarios of the run's kind."""
+        """A batch of 0 scenarios of the run's kind, as its files have them."""
+        if self.settings.driver:
+            return Placements(torch.zeros(0).long(), torch.zeros(0).long())
         return self.domain.draw(self.kind, 0, torch.Generator())
 
     def all_settings(self) -> dict[str, Any]:

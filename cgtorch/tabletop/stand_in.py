@@ -14,6 +14,7 @@ import socketserver
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import click
@@ -23,6 +24,7 @@ from torch import Generator
 from cgtorch.domains.robot_driver import RobotDriver
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import RobotError
+from cgtorch.ground.json_lines import JsonLines
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
 
 ADDRESS = "CGTORCH_STAND_IN"
@@ -79,6 +81,7 @@ class Scene:
 
     settings: TabletopSettings
     speed: float
+    done: JsonLines | None = None
     world: Environment | None = None
     lanes: Lanes | None = None
 
@@ -103,6 +106,7 @@ class Scene:
         world, lanes = self._here()
         self._takes(MOTION)
         self.lanes, done = world.step(lanes, torch.tensor([control]))
+        self._count("motion")
         return bool(done)
 
     def grasp(self) -> bool:
@@ -110,6 +114,7 @@ class Scene:
         world, lanes = self._here()
         self._takes(GRASP)
         self.lanes, good = world.success(lanes)
+        self._count("test")
         return bool(good > 0.5)
 
     def _here(self) -> tuple[Environment, Lanes]:
@@ -117,6 +122,10 @@ class Scene:
             self.arrange("perimeter")
         assert self.world is not None and self.lanes is not None  # noqa: S101, PT018
         return self.world, self.lanes
+
+    def _count(self, what: str) -> None:
+        if self.done is not None:
+            self.done.append({"what": what})
 
     def _takes(self, seconds: float) -> None:
         if self.speed:
@@ -141,11 +150,12 @@ class _Server(socketserver.ThreadingTCPServer):
     show_default=True,
     help="How many times faster than a robot it acts: 1 for real time, 0 for as fast as possible.",
 )
-def main(port: int, robot: str, world: str, speed: float) -> None:
+@click.option("--count", type=click.Path(path_type=Path), help="Note every action in this file.")
+def main(port: int, robot: str, world: str, speed: float, count: Path | None) -> None:
     """Be a robot on this machine, for drivers that connect to the port."""
     torch.set_num_threads(1)
     settings = replace(TabletopSettings(), robot=robot, world=world, noise="fresh")
-    scene = Scene(settings, speed)
+    scene = Scene(settings, speed, JsonLines(count) if count else None)
 
     class Handler(socketserver.StreamRequestHandler):
         """One driver's connection; each line is a call, and its answer is a line."""

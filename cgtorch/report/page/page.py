@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from cgtorch.domains.registry import is_code
+from cgtorch.environment.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import place_of
 from cgtorch.ground.interval import wilson
@@ -57,6 +58,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "about": domain.about(),
         "stages": stage_sections(contents),
         "results": [stage.result for stage in contents.stages],
+        "asked": _asked_by_phase(contents),
         "usual": run.kind == domain.usual_kind,
         "film": film,
         "missing": [*_missing(contents), *undrawn],
@@ -85,7 +87,7 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
     Also, why it could not be drawn.
     """
     solved = [stage for stage in contents.stages if len(stage.solved)]
-    if not solved:
+    if not solved or contents.run.settings.driver:
         return "", []
     skill, scenarios = solved[-1].skill, solved[-1].solved
     try:
@@ -93,6 +95,15 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
     except CgtorchError as e:
         return "", [f"There is no film of {skill.name}: {e}."]
     return "data:image/webp;base64," + b64encode(data).decode() if data else "", []
+
+
+def _asked_by_phase(contents: Contents) -> list[tuple[str, int, int, int, int]]:
+    """What was asked of the world: phase, motions, tests, looks and episodes, and all together."""
+    if not contents.stages:
+        return []
+    spent = contents.stages[-1].result["asked"]
+    rows = [(phase, *(asked[name] for name in ASKED)) for phase, asked in spent.items()]
+    return [*rows, ("all", *(sum(row[i] for row in rows) for i in range(1, 1 + len(ASKED))))]
 
 
 def _missing(contents: Contents) -> list[str]:

@@ -8,6 +8,7 @@ from markupsafe import Markup
 from torch import Tensor
 
 from cgtorch.domains.domain import Domain, Published
+from cgtorch.domains.live import Placements
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import printable
 from cgtorch.report.graph_picture import draw_clusters
@@ -70,6 +71,8 @@ def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup
     if not solved + missed:
         return NONE, f"{stage.skill.name}: nothing was tried"
     words = f"{stage.skill.name}: {solved} scenarios {domain.solved[0]}, {missed} missed"
+    if isinstance(stage.solved, Placements):  # of which nobody knows where things were
+        return NONE, words
     everything = stage.solved.joined(stage.missed)
     good = torch.arange(solved + missed) < solved
     targets = _among(everything, None if kind is None else domain.tests(kind))
