@@ -131,7 +131,7 @@ def _shortest(value: Any, exact: float) -> str:
     """A float32 number as text."""
     if math.isnan(exact):
         return ""
-    short = str(value)
+    short = str(value).removesuffix(".0")
     # A number between two of float32 may be rounded twice.
     return short if type(value)(float(short)) == value else repr(exact)
 

@@ -24,6 +24,8 @@ FILE = "main_data.hdf5"
 SUCCESS = ("success", "is_success")
 MOST_NUMBERS = 2**27  # of one part of an episode
 DEEPEST = 8  # groups within one another
+BROKEN = (OSError, LookupError, TypeError, ValueError, RuntimeError, MemoryError, AttributeError)
+"""What h5py raises for damaged files, and for parts that are of another kind than they should."""
 
 
 def read_minari(folder: Path, percept: Sequence[Field], control: Sequence[Field]) -> Dataset:
@@ -55,7 +57,7 @@ def read_minari(folder: Path, percept: Sequence[Field], control: Sequence[Field]
                 parts.append(_episode(file[match[0]], percept, control, where))
     except DataError:
         raise
-    except (OSError, LookupError, TypeError, ValueError, RuntimeError, MemoryError) as e:
+    except BROKEN as e:
         raise DataError(f"cannot read {str(path)!r} ({e}); is it a whole Minari dataset?") from e
     if not parts:
         raise DataError(f"{str(path)!r} has no episode; give a Minari dataset with some")

@@ -168,6 +168,9 @@ def _rates(stage: Stage[S], state: StageState[S]) -> Tensor:
             sent = current.sent_to(state.percepts)
             sure = (state.keep & (sent >= 0)).nonzero()[:, 0]
             rates[sure, sent[sure]] = 1.0
+            for i, member in enumerate(state.members):
+                if member is current.skill:
+                    rates[:, i] = rates[:, -1]
     return rates
 
 
@@ -271,7 +274,7 @@ def _on_known(
     stage.watch(WorldTested(stage.name, candidate.skill.name, *counts))
     after = state.after(candidate, rows, trial)
     if again and bool((state.keep[rows] & ~trial.succeeded).any()):
-        return replace(state, trust=after.trust), True
+        return _with_current(replace(state, trust=after.trust)), True
     return replace(after, current=candidate), False
 
 
@@ -284,8 +287,21 @@ def _on_rest(
     if not held.all():
         lost = percepts[~held]
         state = state.extended(scenarios[~held], lost, kept=True)
-        state = replace(state, rest=(scenarios[held], percepts[held]))
+        state = _with_current(replace(state, rest=(scenarios[held], percepts[held])))
     return state, bool(held.all())
+
+
+def _with_current(state: StageState[S]) -> StageState[S]:
+    """The state with the skill that acts as a member, which solves all of W.
+
+    Where gating networks over specialists lose some of W, they need to learn only what goes to
+    somebody else.
+    """
+    skill = None if state.current is None else state.current.skill
+    if skill is None or any(member is skill for member in state.members):
+        return state
+    trust = torch.cat([state.trust, torch.ones(len(state.trust), 1)], 1)
+    return replace(state, members=(*state.members, skill), trust=trust)
 
 
 def _report_accepted(

@@ -94,7 +94,9 @@ class Training:
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
         replicas = 2 if run.learns or domain.noisy_world else 1
-        budget = Budget(s.generations, patience=SETTLED, stall=specialists.stall)
+        budget = Budget(s.generations, stall=specialists.stall)
+        if not run.repeats:  # where an action costs more than a generation
+            budget = replace(budget, patience=SETTLED)
         if domain.rewarded:
             # A return has no best value, so what solves all is improved for a little while.
             aim = domain.target_return
@@ -110,7 +112,7 @@ class Training:
             group_of=specialists.group_of,
             group=specialists.group,
             replicas=replicas,
-            replays=REPLAYS if run.learns else replicas,
+            replays=(8 if run.repeats else REPLAYS) if run.learns else replicas,
             practice=self.practice(name),
             looks=0 if domain.rewarded else LOOKS,
             repeats=run.repeats,

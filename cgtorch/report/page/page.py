@@ -139,7 +139,7 @@ def _asked(contents: Contents) -> list[str]:
 
 def _success(contents: Contents) -> Markup:
     stages, domain = contents.stages, contents.run.domain
-    if not stages:
+    if not any(s.result[kind]["tried"] for s in stages for kind in ("fresh", "overall")):
         return Markup("")
     shares, others = (
         [(s.name, s.result[kind]["succeeded"], s.result[kind]["tried"]) for s in stages]
