@@ -149,8 +149,8 @@ def _records(table: Table, d: int) -> Dataset:
         fault = _fault(table.names, filled[row].tolist(), lacks[row].tolist(), d)
         raise DataError(f"{table.place(row)} {fault}")
     p, u, q = values[moves, :-1].split([d, values.shape[1] - 2 * d - 1, d], 1)
-    tested = values[tests, :d]
-    return Dataset(*(part.contiguous() for part in (p, u, q, tested)), values[tests, -1] == 1)
+    rows = p.contiguous(), u.contiguous(), q.contiguous(), values[tests, :d].contiguous()
+    return Dataset(*rows, values[tests, -1] == 1)
 
 
 def _fault(names: Sequence[str], filled: Sequence[bool], lacks: Sequence[bool], d: int) -> str:

@@ -103,7 +103,7 @@ def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
             break
         data = data.extended(robots.moved(models, max(FIRST, len(data.percept) // 2)))
     if models is None:
-        met = "met" if _rarer(data) == int(data.succeeded.sum()) else "missed"
+        met = "missed" if _rarer(data) == int(data.succeeded.sum()) else "met"
         raise DataError(
             f"success was {met} in {len(data.succeeded) - _rarer(data)} of {len(data.succeeded)} "
             f"tests of {len(data.percept)} motions, and {FEWEST} of either result are needed; "

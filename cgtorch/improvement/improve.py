@@ -23,6 +23,7 @@ from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.team import (
+    BLAME,
     RELIABLE,
     Candidate,
     StageState,
@@ -143,6 +144,8 @@ def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageS
     if state.current is None:
         return new, state
     now = shares(stage, state, [state.current.skill, new.skill])
+    failed = state.tried & ~state.keep  # as the models do not know by themselves
+    now[failed, 0] *= 0.0 if state.repeats else BLAME
     better = no_worse(now[:, 0], now[:, 1], state.keep)
     return (new if better else state.current), state
 
@@ -184,7 +187,7 @@ def _acted(
     trials take a robot's time, the models learn from successes, too, and may know a better skill
     before the next failure.
     """
-    setup, experience, done = stage.setup, list[Dataset](), False
+    experience, done = list[Dataset](), False
     if state.repeats and candidate is not state.current:
         state = replace(state, in_a_row=0)
     try:
@@ -212,7 +215,7 @@ def _acted(
         done = not lost and state.in_a_row >= _wanted(stage, state) and not missed
     except BudgetSpentError:
         done = True
-    stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, setup.practice))
+    stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, _wanted(stage, state)))
     if experience and not done:
         more = experience[0]
         for each in experience[1:]:
