@@ -1,10 +1,10 @@
-"""Gymnasium's MountainCarContinuous-v0, in a Γ learned from a few hundred pushes.
+"""Gymnasium's MountainCarContinuous-v0, in a Γ learned from random pushes.
 
     cgtorch-train --domain examples.mountain_car:MountainCar --run-dir runs/car
 
 A car in a valley must swing itself up to a flag. A push is a force that is held for ten steps. It
 costs what Gymnasium subtracts from the 100 points of the flag. A start is solved at the flag with
-90 points, Gymnasium's own threshold.
+90 points, Gymnasium's own threshold. Errors of Γ add up in a swing, so `explore` wants many pushes.
 """
 
 from collections.abc import Mapping
@@ -14,8 +14,11 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch import Domain, Field, ScenarioBatch, World
+from cgtorch.domains.exploration import Exploration, random_controls
+from cgtorch.environment import Dataset, start_lanes
 
 HELD, STEPS = 10, 999  # steps that a push is held, and of an episode
+PUSHES = 12  # of each car in an exploration
 POWER, GRAVITY, FASTEST = 0.0015, 0.0025, 0.07
 LEFT, FLAG = -1.2, 0.45
 SOLVED = 90.0
@@ -81,3 +84,17 @@ class MountainCar(Domain[Starts]):
     def world(self, scenarios: Starts) -> Valley:
         """See `Domain.world`."""
         return Valley(scenarios)
+
+    def explore(self, about: Exploration) -> Dataset:
+        """See `Domain.explore`; half of the pushes are the way the car rolls."""
+        cars, chance, rows = about.most // PUSHES, about.generator, list[tuple[Tensor, ...]]()
+        world = about.worlds(about.kind, cars)
+        lanes = start_lanes(world, torch.arange(cars), 0, 0)
+        for _ in range(PUSHES):
+            force = random_controls(self.control, cars, chance)
+            onwards = lanes.percept[:, 1:2].sign() * force.abs()
+            force = torch.where(torch.rand(cars, 1, generator=chance) < 0.5, onwards, force)
+            seen, (lanes, _) = lanes.percept, world.step(lanes, force)
+            _, reached = world.success(lanes)
+            rows.append((seen, force, lanes.percept, lanes.percept, reached > 0.5))
+        return Dataset(*(torch.cat(part) for part in zip(*rows, strict=True)))

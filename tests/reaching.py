@@ -1,9 +1,10 @@
 """A tabletop with a formula for its arms, and models that were really fitted to its world."""
 
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any
 
+import torch
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
@@ -15,10 +16,11 @@ from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop
-from cgtorch.tabletop.world import Scenarios, TabletopWorld
+from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
 
 BASE: Any = SimpleNamespace(description=SimpleNamespace(footprint=FOOTPRINT, name="base"))
 """A robot of which nothing but its footprint is asked."""
+FRESH_NOISE = Noise(LAB_NOISE.position, LAB_NOISE.heading, repeats=False)
 
 
 def reachable(at: Tensor, table: Tensor) -> Tensor:
@@ -28,6 +30,11 @@ def reachable(at: Tensor, table: Tensor) -> Tensor:
 
 def world_of(scenarios: Scenarios) -> TabletopWorld:
     return TabletopWorld(scenarios, reachable, FOOTPRINT)
+
+
+def unrepeatable(scenarios: Scenarios) -> TabletopWorld:
+    """The same world, whose noise nothing repeats."""
+    return TabletopWorld(scenarios, reachable, FOOTPRINT, FRESH_NOISE)
 
 
 class Reaching(Tabletop):
@@ -52,19 +59,29 @@ def small_knowledge() -> Knowledge:
 
 
 def small_setup() -> Setup[Scenarios]:
-    """A small search."""
+    """A small search in the models."""
     return Setup(
         actions=paper_actions(),
         world_of=world_of,
         imagine=imagined,
-        learn=learn,
+        learn=partial(learn, TABLE),
         evolution=EvolutionSettings(population=60, capacity=12),
         budget=Budget(generations=12),
-        attempts=3,
-        rounds=2,
+        attempts=4,
+        practice=6,
+        looks=16,
+        replays=4,
+        noisy=True,
     )
 
 
 def imagined(knowledge: Knowledge, scenarios: Scenarios, percepts: Tensor, *given: Any) -> Any:
     """`Imagine` of the table."""
     return TABLE.imagine(knowledge, percepts, *given)
+
+
+def in_the_world(knowledge: None, scenarios: Scenarios, percepts: Tensor, *given: Any) -> Any:
+    """`Imagine` without models: the world itself, where copies have other noise."""
+    copies = [scenarios.with_noise(copy) for copy in range(given[0])]
+    rows = torch.arange(given[0] * len(scenarios)).view(given[0], -1).T.flatten()
+    return world_of(copies[0].joined(*copies[1:])[rows])

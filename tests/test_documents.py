@@ -62,7 +62,8 @@ def commands() -> list[tuple[str, list[str]]]:
 def test_every_command_in_the_documents_is_understood(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written(ROOT / "docs" / "tutorial.md", tmp_path)
+    for page in ("tutorial.md", "robot.md"):
+        written(ROOT / "docs" / page, tmp_path)
     package = tmp_path / "my_package"  # somebody's own, of which the helps speak
     package.mkdir()
     shutil.copy(ROOT / "examples" / "cart.py", package)

@@ -8,8 +8,12 @@ import pytest
 import torch
 from support import seeded
 
+from cgtorch.domains import Domain
 from cgtorch.domains.check import check_domain
-from cgtorch.environment import ScenarioBatch
+from cgtorch.domains.exploration import Exploration
+from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.environment import Dataset, Environment, ScenarioBatch
+from cgtorch.environment.asked import Purse
 from cgtorch.evolution import episode_return, evolve
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.simulation import Rollouts, rollout
@@ -28,6 +32,20 @@ def page() -> dict[str, Any]:
     return names
 
 
+def explored(domain: Domain[Any], most: int) -> Dataset:
+    """The data of an exploration of a domain with at most so many motions."""
+    generator = seeded(0)
+
+    def worlds(kind: str, count: int) -> Environment:
+        return domain.world(domain.draw(kind, count, generator))
+
+    def fit(data: Dataset) -> Knowledge:
+        return fit_models(domain, data, 0, lambda _: None, alone=True)[0]
+
+    about = domain.usual_kind, worlds, fit, most, 2, generator, Purse()
+    return domain.explore(Exploration(*about))
+
+
 def share(runs: Rollouts) -> float:
     return float(runs.succeeded.float().mean())
 
@@ -39,7 +57,7 @@ def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
     assert actions["hasty"] < actions["tried"]
 
 
-@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Far", "GustyCart"])
+@pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Guided", "Far", "GustyCart"])
 def test_its_domains_keep_the_interface(page: dict[str, Any], name: str) -> None:
     domain = page[name]()
     check_domain(domain, domain.usual_kind)
@@ -49,8 +67,19 @@ def test_experience_begins_nearer_to_success(page: dict[str, Any]) -> None:
     far = page["Far"]()
     assert far.usual_kind == "far"
     assert far.draw("far", 50, seeded(0)).place.abs().min() >= 2
-    data, same = (d.explore(d.usual_kind, 200, 200, seeded(0)) for d in (far, page["Cart"]()))
+    data, same = explored(far, 40), explored(page["Cart"](), 40)
     assert torch.equal(data.tested, same.tested)
+
+
+def test_most_that_is_tried_leads_towards_success(page: dict[str, Any]) -> None:
+    data = explored(page["Guided"](), 40)
+    towards = data.control[:, 0] * data.percept[:, 0] < 0
+    assert 0.6 < float(towards.float().mean()) < 1
+
+
+def test_a_world_that_does_not_repeat_itself_is_no_error(page: dict[str, Any]) -> None:
+    assert check_domain(page["Cart"](), "any")
+    assert not check_domain(page["Unrepeated"](), "any")
 
 
 def test_noise_belongs_to_scenarios(page: dict[str, Any]) -> None:

@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from made_once import made_once, shared_folder
 from safetensors.torch import load
 from support import create_run
 from torch import Tensor
 
+from cgtorch.environment import Lanes
 from cgtorch.improvement.events import Event, WorldTested
 from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.svm.storage import notes_of
+from cgtorch.tabletop.world import TabletopWorld
 from cgtorch.training.context import Training
 from cgtorch.training.train import train
 
@@ -28,7 +31,7 @@ SMALL = RunSettings(
     seed=6,
     population=60,
     generations=15,
-    attempts=3,
+    attempts=5,
     practice=4,
     transitions=200,
     labels=240,
@@ -92,6 +95,17 @@ def begin_last(run: Run) -> dict[str, Tensor]:
     with suppress(KeyboardInterrupt):
         train(Training(run, stop, lambda message: nullcontext()), STAGE)
     return first_evolution(run.folder / "journal")
+
+
+def without_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no grasp on the tabletop succeed any more, whatever is attempted."""
+    success = TabletopWorld.success
+
+    def fails(self: TabletopWorld, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        lanes, found = success(self, lanes)
+        return lanes, torch.zeros_like(found)
+
+    monkeypatch.setattr(TabletopWorld, "success", fails)
 
 
 def first_evolution(journal: Path) -> dict[str, Tensor]:

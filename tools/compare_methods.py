@@ -2,8 +2,9 @@
 
     python tools/compare_methods.py FOLDER [--seeds 0:10] [--methods ...] [--budget N]
 
-For each seed, data and models are made once and all methods begin with them. After each accepted
-skill it is tried on fresh perimeter placements in the world, which costs it nothing. FOLDER keeps
+For each seed, data and models are made once for the default, by its exploration, and once for the
+paper's method, from as many random data as it had. After each accepted skill it is tried on fresh
+perimeter placements in the world, which costs it nothing. FOLDER keeps
 one JSON file per seed and method; what is there is not made again, so that a long comparison can
 be interrupted, and the table, FOLDER/table.md, is made from all files. Evaluations are actions
 executed in the models, seconds are CPU seconds of one thread.
@@ -36,7 +37,7 @@ from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
 from cgtorch.training.context import Training, initial_progress
 from cgtorch.training.evaluate import evaluate_skill
-from cgtorch.training.stages import exercise, stage_generator
+from cgtorch.training.stages import stage_generator
 from cgtorch.training.train import NotImprovedError, train
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
@@ -118,13 +119,13 @@ def published(setup: Setup[Any]) -> Setup[Any]:
 def paper(run: Run, meter: Meter, budget: float) -> None:
     """The paper's method with its own settings."""
     training = Training(run, meter, quietly)
-    grow_all(training, published(training.setup()), meter, budget)
+    grow_all(training, published(training.setup("S0")), meter, budget)
 
 
 def paper_here(run: Run, meter: Meter, budget: float) -> None:
     """The paper's method with the run's population, tournament and end of evolutions."""
     training = Training(run, meter, quietly)
-    grow_all(training, training.setup(), meter, budget)
+    grow_all(training, training.setup("S0"), meter, budget)
 
 
 METHODS: dict[str, Callable[[Run, Meter, float], None]] = {
@@ -152,7 +153,7 @@ def grow_all(training: Training, setup: Setup[Any], meter: Meter, budget: float)
             return
         generator = stage_generator(run.domain, run.settings.seed, name)
         if name in stages:
-            todo = exercise(run, name, progress.missed, 0, generator).scenarios
+            todo = run.domain.tests(run.domain.stages[name]).joined(progress.missed)
         elif progress.skill is None:
             raise NotImprovedError(f"nothing was accepted in {', '.join(stages)}")
         else:
@@ -179,10 +180,9 @@ def grow_once(
     """One evolution on all that is missed, which ends at `end` transitions at the latest."""
     left = replace(setup.budget, transitions=end - meter.transitions)
     once = replace(setup, attempts=1, budget=left)
-    missed = progress.missed
-    targets = torch.ones(len(missed), dtype=torch.bool)
+    nothing = progress.missed[:0]  # all that is to be solved is in M already
     stage = Stage(once, name, generator, meter)
-    return grow(stage, progress, missed, targets, lambda _: missed)
+    return grow(stage, progress, nothing, lambda *_: nothing)
 
 
 def quietly(message: str) -> nullcontext[None]:
@@ -206,8 +206,6 @@ def compare(
     made = {name: folder / f"seed-{seed}-{name}.json" for name in METHODS}
     if all(made[name].is_file() for name in methods):
         return
-    common = begun(folder / f"seed-{seed}" / "begin", settings)
-    initial_progress(Training(common, lambda event: None, quietly))
     for name in methods:
         if made[name].is_file():
             continue
@@ -220,8 +218,9 @@ def compare(
             limit = math.inf if name in DEFAULTS else budget
         place = folder / f"seed-{seed}" / name
         shutil.rmtree(place, ignore_errors=True)  # one that was interrupted
-        run = begun(place, replace(settings, method="compose" if name in DEFAULTS else "paper"))
-        shutil.copytree(common.folder / "start", place / "start")
+        own = replace(settings, method="compose" if name in DEFAULTS else "paper")
+        run, begin = begun(place, own), beginning(folder, own)
+        shutil.copytree(begin.folder / "start", place / "start")
         meter, failure = Meter(run, placements), None
         try:
             METHODS[name](run, meter, limit)
@@ -240,6 +239,13 @@ def compare(
             },
         )
         click.echo(f"seed {seed}, {name}: {summary(read_json(made[name]))}", err=True)
+
+
+def beginning(folder: Path, settings: RunSettings) -> Run:
+    """A run with the first data and models of a seed and method, made unless it is there."""
+    run = begun(folder / f"seed-{settings.seed}" / f"begin-{settings.method}", settings)
+    initial_progress(Training(run, lambda event: None, quietly))
+    return run
 
 
 def begun(folder: Path, settings: RunSettings) -> Run:

@@ -9,14 +9,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+import torch
 from chromium import Visit, served, visit
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from cgtorch.graphs import save_skill
+from cgtorch.improvement.compose import branching_action, compose
+from cgtorch.runs.skills import last_skill
+
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 EYE, LOOKED_AT = np.array([-2.6, -4.4, 3.6]), np.array([-0.3, -0.2, 0.3])  # as the page begins
 COARSE = "?fixedDpr=0.5"  # without a graphics card, pixels take most of the time
-FAR_DOWN = str(REFERENCE / "S2"), "--scenarios", "near"
 FIRST = re.compile(r"^step 1 of \d+: S3 · EdgeBranchingNN_0")
 
 Array = npt.NDArray[np.float64]
@@ -99,10 +103,15 @@ def test_the_robot_moves_while_the_skill_runs(opened: Visit) -> None:
 
 
 @pytest.fixture
-def far_down(chromium: Browser) -> Iterator[Visit]:
-    """A placement of which a skill two levels below is in charge."""
+def far_down(chromium: Browser, tmp_path: Path) -> Iterator[Visit]:
+    """A placement of which a skill two levels below is in charge, in a team of two teams."""
+    (run, one), (_, other) = (last_skill(REFERENCE / name) for name in ("S1", "S2"))
+    branches = torch.zeros(1, branching_action(run.actions)[1].num_parameters)
+    team = compose("both", [one, other], branches, run.actions, one.max_transitions)
+    save_skill(tmp_path / "both.json", team)
+    words = str(tmp_path / "both.json"), "--scenarios", "near"
     with (
-        served("cgtorch.commands.view", *FAR_DOWN, "--port", "0") as at,
+        served("cgtorch.commands.view", *words, "--port", "0") as at,
         visit(chromium, at + COARSE, 1600, 900) as opened,
     ):
         expect(headline(opened.page)).to_contain_text("step 1 of")

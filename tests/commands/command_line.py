@@ -29,9 +29,10 @@ MAIN: dict[str, Callable[[], None]] = {
 
 
 def as_options(settings: RunSettings) -> list[str]:
-    """Settings as words for `cgtorch-train`, without actions of one's own."""
+    """Settings as words for `cgtorch-train`, without a user's actions, data and driver."""
     values = to_plain(settings)
-    return [f"--{n.replace('_', '-')}={v}" for n, v in values.items() if n != "actions"]
+    others = ("actions", "data", "driver")
+    return [f"--{n.replace('_', '-')}={v}" for n, v in values.items() if n not in others]
 
 
 class Ended(NamedTuple):

@@ -188,16 +188,21 @@ def test_a_skill_file_with_parameters_that_are_no_numbers(shell: Shell, run_fold
 
 def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
-    for version in (1, 3, 0, "2", None, [2]):
+    for version in (1, 2, 4, 0, "3", None, [3]):
         edited(run_folder / "run.json", version=version)
         for words in (
             (TRAIN, "--resume", run_folder),
             (TRAIN, "--run-dir", run_folder),
             (EVALUATE, run_folder),
             (EVALUATE, run_folder / "S0"),
+            ("cgtorch-report", run_folder, "--output", run_folder.parent / "page.html"),
+            ("cgtorch-export", run_folder, "--format", "dot", "--output", run_folder.parent / "x"),
+            ("cgtorch-view", run_folder),
         ):
-            assert "this cgtorch reads 2; use the version" in shell.refuses(*words)
-    edited(run_folder / "run.json", version=2, format="other")
+            message = shell.refuses(*words)
+            said = f"is of version {version!r}, this cgtorch reads 3; use the version that wrote it"
+            assert said in message
+    edited(run_folder / "run.json", version=3, format="other")
     assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)
     assert listing(run_folder) == before
 

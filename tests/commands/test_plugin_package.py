@@ -75,13 +75,16 @@ def test_it_is_found_by_name(installed: Path) -> None:
 
 
 def test_a_run_is_trained_with_it_and_tried_again(run: tuple[Path, Ended]) -> None:
-    """Its actions take part in evolution, and the skill is read again without naming them."""
+    """It is said which of its actions the skill uses, and it is read again without naming them."""
     folder, ended = run
     assert ended.code == 0, ended.err
     assert json.loads((folder / "run.json").read_text())["settings"]["actions"] == list(NAMES)
     skill = json.loads((folder / "S0" / "skill.json").read_text())
     every = [skill, *skill["skills"].values()]
-    assert {n["action"] for one in every for n in one["nodes"]} & set(NAMES)
+    used = {n["action"] for one in every for n in one["nodes"]}
+    for name in NAMES:
+        uses = f"S0 uses the action {name}.", f"No node of S0 is {name}: the search found no use"
+        assert [line in ended.err for line in uses] == [name in used, name not in used]
     result = json.loads((folder / "S0" / "result.json").read_text())
     words = ["--scenarios", "near", "--count", "40", "--seed", "5", "--json"]
     tried = in_a_shell("cgtorch-evaluate", str(folder), *words)

@@ -9,8 +9,8 @@ from trained import SMALL, Trained, copied
 
 TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
 OPTIONS = as_options(SMALL)
-HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", "--practice=0"]
-LITTLE = ["--transitions=50", "--labels=60"]
+HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", "--practice=4"]
+LITTLE = ["--transitions=50", "--labels=0"]
 
 
 ACTIONS = '''
@@ -36,6 +36,23 @@ class Wait(Action):
 '''
 
 
+HOPELESS = '''
+
+from cgtorch.improvement import trial
+
+
+class Never(trial.Recording):
+    """The world of a trial, in which nothing succeeds; exploration has one of its own."""
+
+    def success(self, lanes):
+        lanes, result = super().success(lanes)
+        return lanes, 0 * result
+
+
+trial.Recording = Never
+'''
+
+
 def test_help_has_examples() -> None:
     ended = in_a_shell(TRAIN, "--help")
     assert ended.code == 0
@@ -53,7 +70,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
 
     A module in the current folder is enough for an action of one's own.
     """
-    (tmp_path / "waiting_actions.py").write_text(ACTIONS)
+    (tmp_path / "waiting_actions.py").write_text(ACTIONS + HOPELESS)
     own = ["--actions", "waiting_actions:Wait"]
     words = ["--stage", "S2", "--run-dir", "run", *HASTY, *LITTLE, *own]
     ended = in_a_shell(TRAIN, *words, folder=tmp_path)
@@ -72,9 +89,11 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
         "gamma.safetensors",
         "classifier.safetensors",
         "scenarios.json",
+        "result.json",
     }
     assert left == {
         "run.json",
+        "log.jsonl",
         "by_rows",
         "robot",
         "robot/robot.urdf",

@@ -12,6 +12,6 @@ def knowledge() -> Knowledge:
     return small_knowledge()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def setup() -> Setup:
     return small_setup()

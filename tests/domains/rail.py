@@ -3,11 +3,15 @@
 from dataclasses import dataclass
 
 import torch
+from support import seeded
 from torch import Generator, Tensor
 
 from cgtorch.domains import Domain, DomainSettings, Field, ScenarioBatch, World, option
+from cgtorch.domains.exploration import random_controls
+from cgtorch.environment import Dataset, start_lanes
 
 END = 3.0  # m from the middle of the rail to either end
+MOVES = 12  # pushes of each cart that is driven
 PLACE, WIND, LAMP, GEAR = range(4)
 
 
@@ -87,3 +91,24 @@ class SeeingCart(Cart):
 
     def success_features(self, percept: Tensor) -> Tensor:
         return percept[..., :1].abs()
+
+
+def driven(transitions: int, tests: int, seed: int) -> Dataset:
+    """What carts meet that are pushed at random; three of ten tests have the rarer result."""
+    cart, generator, count = Cart(), seeded(seed), 16 + max(transitions, tests) // MOVES
+    world = cart.world(cart.draw("any", count, generator))
+    lanes, rows, seen = start_lanes(world, torch.arange(count), 0, 0), [], []
+    for _ in range(MOVES):
+        seen.append(lanes.percept)
+        control = random_controls(Cart.control, count, generator)
+        after, _ = world.step(lanes, control)
+        rows.append((lanes.percept, control, after.percept))
+        lanes = after
+    p, u, q = (torch.cat(part) for part in zip(*rows, strict=True))
+    pick, at = torch.randperm(len(p), generator=generator)[:transitions], torch.cat(seen)
+    at = at[torch.randperm(len(at), generator=generator)]
+    succeeded = world.succeeded(at)
+    rarer, rest = sorted((at[succeeded], at[~succeeded]), key=len)
+    tested = torch.cat([rarer[: int(0.3 * tests)], rest])[:tests]
+    tested = tested[torch.randperm(tests, generator=generator)]
+    return Dataset(p[pick], u[pick], q[pick], tested, world.succeeded(tested))

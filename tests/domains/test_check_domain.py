@@ -4,10 +4,12 @@ import itertools
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from driven_cart import CartDriver, cart
 from rail import Cart, Carts, Rail, SeeingCart
 from support import seeded
 from torch import Tensor
@@ -38,7 +40,7 @@ def refused(domain: Cart, scenarios: str = "any") -> str:
 
 @pytest.mark.parametrize("kind", [Cart, SeeingCart])
 def test_good_domains_pass(kind: type[Cart]) -> None:
-    check_domain(kind(), "any")
+    assert check_domain(kind(), "any")
 
 
 @pytest.mark.parametrize("name", ["percept", "control"])
@@ -140,8 +142,8 @@ def test_a_generator_that_is_left_alone_is_no_error() -> None:
     check_domain(cart_with(draw=lambda self, kind, count, generator: same[:count]), "any")
 
 
-@pytest.mark.parametrize("method", ["first_state", "next_state", "perceived", "succeeded"])
-def test_a_world_that_draws_numbers_by_itself_is_refused(method: str) -> None:
+def drawing(method: str) -> dict[str, Any]:
+    """A method of a world that draws numbers by itself."""
     calls = itertools.count()
 
     def noisy(self: Rail, *given: Tensor) -> Tensor:
@@ -149,12 +151,43 @@ def test_a_world_that_draws_numbers_by_itself_is_refused(method: str) -> None:
         number = next(calls)
         return known ^ (number % 2 == 1) if known.dtype == torch.bool else known + number
 
-    with pytest.raises(WorldError) as caught:
-        check_domain(rail_with(**{method: noisy}), "any")
-    assert str(caught.value).startswith("Track.")
-    assert str(caught.value).endswith(
-        "noise belongs to a scenario, so draw its numbers in Domain.draw"
-    )
+    return {method: noisy}
+
+
+METHODS = ["first_state", "next_state", "perceived", "succeeded"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_world_that_draws_numbers_by_itself_does_not_repeat_itself(method: str) -> None:
+    assert check_domain(rail_with(**drawing(method)), "any") is False
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_that_gives_rewards_has_to_repeat_itself(method: str) -> None:
+    own = rail_with(**drawing(method), over=over, returns=returns)
+    message = refused(own)
+    assert message.startswith("Own gives rewards, and its world gave something else when")
+    assert message.endswith("noise belongs to a scenario, so draw its numbers in Domain.draw")
+
+
+def test_a_domain_may_say_itself_that_nothing_repeats() -> None:
+    """As where differences are too rare to be seen at the door."""
+    assert check_domain(Cart(), "any") is True
+    assert check_domain(cart_with(repeats=False), "any") is False
+    rewarding = rail_with(over=over, returns=returns)
+    assert check_domain(rewarding, "any") is True
+    rewarding.repeats = False
+    assert "gives rewards" in refused(rewarding)
+
+
+def test_a_robot_is_asked_nothing(tmp_path: Path) -> None:
+    driver = CartDriver()
+    domain = cart(tmp_path / "log", driver)
+    assert check_domain(domain, "near") is False
+    assert not driver.calls
+    assert not (tmp_path / "log").exists()
+    with pytest.raises(DomainError, match="has no scenarios 'storm'; use one of near, far"):
+        check_domain(domain, "storm")
 
 
 def test_a_world_that_fails_where_it_has_moved_is_named() -> None:

@@ -1,34 +1,128 @@
-"""Acting at random: what Γ and C of any domain learn from."""
+"""Exploring: few motions from which Γ and C of any domain learn much."""
 
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import count
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rail import END, GEAR, LAMP, PLACE, WIND, Cart, Carts, Rail
+from rail import END, LAMP, PLACE, Cart, Rail, SeeingCart, driven
 from support import seeded
 from torch import Generator, Tensor
 
 from cgtorch.domains import Field
-from cgtorch.domains.exploration import SHARE, random_controls
-from cgtorch.environment import Dataset
+from cgtorch.domains.exploration import (
+    BOLD,
+    CANDIDATES,
+    CHAIN,
+    EXPLORATION,
+    FEWEST,
+    FIRST,
+    GAIN,
+    GOOD,
+    LEAST,
+    TRIES,
+    Exploration,
+    _chosen,
+    random_controls,
+)
+from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.environment import Dataset, Environment, Lanes
+from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.errors import DataError, DomainError
+from cgtorch.simulation import Recording
 
 
-def explored(seed: int, transitions: int = 100, tests: int = 80, **parts: Any) -> Dataset:
-    """Of a cart of which some methods may be others."""
-    own = type("Own", (Cart,), parts)()
-    return own.explore("any", transitions, tests, seeded(seed))
+def cart_with(**parts: Any) -> Cart:
+    """A cart of which some attributes or methods are others."""
+    return type("Own", (Cart,), parts)()
+
+
+def on_track(track: dict[str, Any], **parts: Any) -> Cart:
+    """A cart in whose world some methods are others."""
+    kind = type("Track", (Rail,), track)
+    return cart_with(world=lambda self, scenarios: kind(scenarios), **parts)
+
+
+class Tracked:
+    """A world that notes all motions and tests, as the robot itself would."""
+
+    def __init__(self, world: Rail, log: "Log"):
+        self.world, self.log = world, log
+        self.num_scenarios, self.percept_size = world.num_scenarios, world.percept_size
+        self.control_size, self.observe = world.control_size, world.observe
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        self.log.starts.append(len(scenario))
+        return self.world.start(scenario)
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        self.log.motions += len(lanes)
+        assert self.log.motions < 2000, "it never ends"
+        after, done = self.world.step(lanes, control)
+        rows = zip(lanes.percept, control, after.percept, done, strict=True)
+        self.log.moved += [row[:3] for row in rows if row[3]]
+        return after, done
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        after, chance = self.world.success(lanes)
+        self.log.tested += zip(lanes.percept, chance > 0.5, strict=True)
+        return after, chance
+
+
+@dataclass
+class Log:
+    motions: int = 0
+    starts: list[int] = field(default_factory=list)
+    moved: list[tuple[Tensor, ...]] = field(default_factory=list)
+    tested: list[tuple[Tensor, Tensor]] = field(default_factory=list)
+
+
+def believing(error: float, chance: float = 1.0) -> Any:
+    """Models that err by a share of what errs without them, and expect success so surely."""
+    report = SimpleNamespace(error=[error, error], baseline_error=[1.0, 0.0])
+    return SimpleNamespace(
+        gamma_report=report,
+        gamma=lambda percept, control: percept + control.sum(1, keepdim=True),
+        classifier=lambda percept: torch.full((len(percept),), chance),
+    )
+
+
+def fits(*errors: float) -> Callable[[Dataset], Any]:
+    """What fits models that err by these shares, one after the other; the last one for good."""
+    number = count()
+    return lambda data: believing(errors[min(next(number), len(errors) - 1)])
+
+
+def about(domain: Cart, seed: int = 0, log: Log | None = None, **given_: Any) -> Exploration:
+    generator, purse, watched = seeded(seed), given_.pop("purse", Purse()), log or Log()
+
+    def worlds(kind: str, number: int) -> Environment:
+        made: Any = Tracked(domain.world(domain.draw(kind, number, generator)), watched)
+        return Recording(made, purse, EXPLORATION)
+
+    usual: dict[str, Any] = {"fit": fits(100.0), "most": 60, "lanes": 2, **given_}
+    return Exploration("any", worlds, generator=generator, purse=purse, **usual)
+
+
+def explored(domain: Cart, seed: int = 0, **given_: Any) -> tuple[Dataset, Log]:
+    log = Log()
+    return domain.explore(about(domain, seed, log, **given_)), log
 
 
 @given(st.integers(0, 200), st.integers(0, 2**31))
-def test_controls_are_within_the_bounds_of_their_fields(count: int, seed: int) -> None:
-    found = random_controls(Cart.control, count, seeded(seed))
-    assert found.shape == (count, 3)
+def test_controls_are_within_the_bounds_of_their_fields(number: int, seed: int) -> None:
+    found = random_controls(Cart.control, number, seeded(seed))
+    assert found.shape == (number, 3)
     low, high = (torch.tensor([getattr(f, b) for f in Cart.control]) for b in ("low", "high"))
     assert ((found >= low) & (found <= high)).all()
     assert torch.equal(found[:, 2], found[:, 2].round())
+    assert torch.equal(Cart().worth_trying(torch.zeros(4), number, seeded(seed)), found)
 
 
 def test_controls_are_uniform() -> None:
@@ -41,42 +135,99 @@ def test_controls_are_uniform() -> None:
 @pytest.mark.parametrize("bounds", [{"low": 0}, {"high": 0}, {}])
 def test_a_control_without_bounds_is_named(bounds: dict[str, float]) -> None:
     control = (*Cart.control, Field("horn", **bounds))
-    with pytest.raises(DomainError, match=r"control 'horn' has no bounds.*implement explore"):
-        explored(0, control=control)
+    with pytest.raises(DomainError, match=r"control 'horn' has no bounds.*implement worth_trying"):
+        explored(cart_with(control=control))
 
 
-@settings(max_examples=15)
-@given(st.integers(1, 300), st.integers(20, 900), st.integers(0, 2**31))
-def test_there_are_as_many_as_asked_for_and_they_are_true(
-    transitions: int, tests: int, seed: int
+def decaying(start: float = 100.0, by: float = 0.5) -> Callable[[Dataset], Any]:
+    """Models that become better with each part, and never good enough."""
+    return fits(*(start * by**i + 1 for i in range(60)))
+
+
+@settings(max_examples=40)
+@given(
+    most=st.integers(1, 120),
+    lanes=st.integers(1, 4),
+    seed=st.integers(0, 2**31),
+    live=st.booleans(),
+)
+def test_data_are_true_and_paid_and_no_more_than_one_part_too_many(
+    most: int, lanes: int, seed: int, live: bool
 ) -> None:
-    data = explored(seed, transitions, tests)
+    domain, purse, log = cart_with(live=live), Purse(), Log()
+    known = driven(20, 30, seed)
+    given_ = about(domain, seed, log, most=most, lanes=lanes, fit=decaying(), purse=purse)
+    data = domain.explore(replace(given_, known=known))
+    new = slice(20, None), slice(30, None)
     assert data.whole(4)
-    assert len(data.percept) == transitions
-    assert len(data.tested) == tests
+    for name, rows in vars(known).items():
+        assert torch.equal(vars(data)[name][: len(rows)], rows)
+    motions, tests = len(data.percept) - 20, len(data.tested) - 30
+    part = -(-max(FIRST, max(most - 1, 20) // 2) // lanes) * lanes
+    assert (motions == 0) if most <= 20 else (most - 20 <= motions <= most - 21 + part)
+    assert motions == tests == log.motions == len(log.tested)
+    starts = (motions > 0) if live else -(-motions // (CHAIN * lanes))
+    assert log.starts == [lanes] * starts
+    asked = Asked(motions=motions, tests=tests, looks=lanes * starts)
+    assert purse.spent == ({EXPLORATION: asked} if motions else {})
+    if motions:
+        moved = [torch.stack(part) for part in zip(*log.moved, strict=True)]
+        named = data.percept, data.control, data.next_percept
+        assert all(torch.equal(rows[new[0]], one) for rows, one in zip(named, moved, strict=True))
+        assert torch.equal(data.tested[new[1]], torch.stack([p for p, _ in log.tested]))
+        assert torch.equal(data.succeeded[new[1]], torch.stack([s for _, s in log.tested]))
     world = Rail(Cart().draw("any", 1, seeded(0)))
     after = world.next_state(data.percept, data.control, torch.zeros(0))
     assert torch.equal(after, data.next_percept)
     assert torch.equal(data.succeeded, world.succeeded(data.tested))
-    rarer = min(int(data.succeeded.sum()), int((~data.succeeded).sum()))
-    assert rarer >= int(SHARE * tests)
 
 
-def test_carts_are_met_where_they_begin_and_where_they_come_to() -> None:
-    data = explored(0, 500)
-    assert data.percept[:, PLACE].abs().max() == END
-    assert data.percept[:, WIND].abs().max() <= 0.25
-    assert set(data.percept[:, GEAR].tolist()) == {0, 1, 2}
-    assert data.percept[:, LAMP].histc(4, -torch.pi, torch.pi).min() > 80
+@settings(max_examples=30)
+@given(st.lists(st.floats(0.05, 3), min_size=1, max_size=6), st.booleans(), st.integers(0, 2**31))
+def test_it_ends_as_soon_as_more_would_hardly_help(
+    errors: list[float], believed: bool, seed: int
+) -> None:
+    """Both results are known, Γ is good or better hardly, and C expects what was met."""
+    seen: list[tuple[Dataset, float]] = []
+
+    def fit(data: Dataset) -> Any:
+        error = errors[min(len(seen), len(errors) - 1)]
+        seen.append((data, error))
+        return believing(error, 0.9 if believed else 0.1)
+
+    data, _ = explored(Cart(), seed, most=150, fit=fit)
+    before = float("inf")
+    for i, (at, error) in enumerate(seen):
+        rarer = min(int(at.succeeded.sum()), int((~at.succeeded).sum()))
+        assert rarer >= FEWEST
+        assert len(at.percept) >= LEAST
+        settled = error <= GOOD or (before < float("inf") and error > GAIN * before)
+        ends = settled and believed
+        assert ends <= (i == len(seen) - 1)
+        before = error
+    last = seen[-1][0]
+    assert len(last.percept) == len(data.percept)
+    assert ends or len(data.percept) >= 150
+    if not believed:
+        assert len(data.percept) >= 150
 
 
-def test_the_generator_decides() -> None:
-    first, again, other = (vars(explored(seed)) for seed in (1, 1, 2))
-    assert all(torch.equal(rows, again[name]) for name, rows in first.items())
-    assert not torch.equal(first["percept"], other["percept"])
+def test_what_is_not_known_at_first_is_explored_until_it_is() -> None:
+    """Success is met after a while only, and models are not fitted before."""
+    domain = on_track({"succeeded": lambda self, state: state[:, PLACE] > 2.4})
+    sizes: list[int] = []
+
+    def fit(data: Dataset) -> Any:
+        sizes.append(int(data.succeeded.sum()))
+        return believing(0.1)
+
+    data, _ = explored(domain, 3, most=400, fit=fit)
+    assert len(sizes) == 1
+    assert sizes[0] >= FEWEST
+    assert len(data.percept) > 2 * FIRST
 
 
-def stuck(self: Rail, lanes: Any, control: Tensor) -> Any:
+def stuck(self: Rail, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
     return lanes, torch.zeros(len(lanes), dtype=torch.bool)
 
 
@@ -91,42 +242,154 @@ def always(self: Rail, state: Tensor) -> Tensor:
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"step": stuck}, "only 0 random controls could be carried out, and 100 are needed"),
-        ({"succeeded": never}, "success was met in 0 of .* random tests, and 2 are needed"),
-        ({"succeeded": always}, "success was missed in 0 of .* random tests, and 2 are needed"),
+        ({"succeeded": never}, r"success was missed in (\d+) of \1 tests of \1 motions, and 3 of"),
+        ({"succeeded": always}, r"success was met in (\d+) of \1 tests of \1 motions, and 3 of"),
     ],
 )
 def test_where_there_is_nothing_to_learn_is_said(parts: dict[str, Any], message: str) -> None:
-    kind = type("Track", (Rail,), parts)
     with pytest.raises(DataError, match=f"{message}.*--models none") as caught:
-        explored(0, world=lambda self, scenarios: kind(scenarios))
+        explored(on_track(parts), most=30)
     assert "\n" not in str(caught.value)
+
+
+def test_a_success_or_two_are_told() -> None:
+    met = iter([True, True])
+
+    def rarely(self: Rail, state: Tensor) -> Tensor:
+        return torch.tensor([next(met, False) for _ in state])
+
+    with pytest.raises(DataError, match=r"success was missed in \d+ of \d+ tests") as caught:
+        explored(on_track({"succeeded": rarely}), most=30)
+    missed, tests, motions, *_ = map(int, re.findall(r"\d+", str(caught.value)))
+    assert missed == tests - 2 == motions - 2
+
+
+def test_a_robot_that_never_moves_is_not_asked_for_ever() -> None:
+    log = Log()
+    domain = on_track({"step": stuck})
+    with pytest.raises(DataError):
+        domain.explore(about(domain, log=log, most=30))
+    assert log.motions <= 30 + 30 // 2 + 2
 
 
 def test_controls_that_cannot_be_carried_out_tell_nothing() -> None:
     class Blocked(Rail):
-        def step(self, lanes: Any, control: Tensor) -> Any:
+        def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
             after, _ = super().step(lanes, control)
             return after, control[:, 0] > 0
 
-    data = explored(0, world=lambda self, scenarios: Blocked(scenarios))
-    assert len(data.control) == 100
+    domain, purse = cart_with(world=lambda self, scenarios: Blocked(scenarios)), Purse()
+    data, log = explored(domain, most=40, fit=decaying(), purse=purse)
     assert (data.control[:, 0] > 0).all()
+    assert log.motions > len(data.control)
+    assert purse.total.motions == log.motions  # the robot has tried, and it took its time
 
 
-def test_success_that_is_rare_is_looked_for() -> None:
-    """It is met in few tests, and yet three of ten that are kept have it."""
-    met: list[Tensor] = []
+def test_what_a_domain_calls_worth_trying_and_testing_is_what_is_tried_and_tested() -> None:
+    def slow(self: Cart, percept: Tensor, number: int, generator: Generator) -> Tensor:
+        assert percept.shape == (4,)
+        return 0.1 * random_controls(self.control, number, generator)
 
-    def watched(self: Rail, state: Tensor) -> Tensor:
-        met.append(Rail.succeeded(self, state))
-        return met[-1]
+    def near(self: Cart, percept: Tensor) -> Tensor:
+        return percept[:, PLACE].abs() < 1
 
-    def far(self: Cart, kind: str, count: int, generator: Generator) -> Carts:
-        drawn = Cart.draw(self, kind, count, generator)
-        return Carts(2 + drawn.place.abs() / 2, drawn.wind, drawn.lamp, drawn.gear)
+    domain = cart_with(worth_trying=slow, worth_testing=near)
+    data, _ = explored(domain, most=60, fit=decaying())
+    assert (data.control.abs() <= 0.1 * torch.pi).all()
+    assert (data.tested[:, PLACE].abs() < 1).all()
+    assert torch.equal(data.tested, data.next_percept[data.next_percept[:, PLACE].abs() < 1])
+    assert 0 < len(data.tested) < len(data.percept)
+    nowhere = cart_with(worth_testing=lambda self, percept: torch.zeros(len(percept)) > 0)
+    with pytest.raises(DataError, match=r"in 0 of 0 tests of \d+ motions"):
+        explored(nowhere, most=30)
 
-    kind = type("Track", (Rail,), {"succeeded": watched})
-    data = explored(0, 100, 100, draw=far, world=lambda self, scenarios: kind(scenarios))
-    assert float(torch.cat(met).float().mean()) < 0.1
-    assert int(data.succeeded.sum()) == int(SHARE * 100)
+
+def chosen_plainly(domain: Cart, models: Any, percept: Tensor, generator: Generator) -> Tensor:
+    """The control to try, one candidate at a time."""
+    for _ in range(TRIES):
+        drawn = domain.worth_trying(percept, CANDIDATES, generator)
+        able = [u for u in drawn if bool(domain.possible(percept[None], u[None]))]
+        if able:
+            break
+    else:
+        return drawn[0]
+    bold = float(torch.rand((), generator=generator)) < BOLD
+    if models is None or not bold:
+        return able[0]
+    doubts = [
+        abs(float(models.classifier(models.gamma(percept[None], u[None]))) - 0.5) for u in able
+    ]
+    return able[doubts.index(min(doubts))]
+
+
+class Careful(Cart):
+    """It is pushed far only where its lamp looks ahead, and nowhere if it looks back."""
+
+    def possible(self, percept: Tensor, control: Tensor) -> Tensor:
+        ahead = percept[:, LAMP].cos() > 0
+        back = percept[:, LAMP].cos() < -0.9
+        return (ahead | (control[:, 0].abs() < 0.05)) & ~back
+
+
+def curious() -> Any:
+    models = believing(1.0)
+    models.gamma = lambda percept, control: percept + 0.5 * control[:, :1]
+    models.classifier = lambda percept: torch.sigmoid(2 - 2 * percept[:, PLACE])
+    return models
+
+
+@given(st.integers(0, 2**31), st.booleans(), st.booleans())
+def test_most_motions_end_where_c_is_unsure(seed: int, fitted: bool, careful: bool) -> None:
+    domain, models = Careful() if careful else Cart(), curious() if fitted else None
+    percept = driven(1, 1, seed).percept[0]
+    found = _chosen(domain, models, percept, about(domain, seed))
+    generator = seeded(seed)
+    assert torch.equal(found, chosen_plainly(domain, models, percept, generator)[None])
+
+
+def test_some_motions_are_drawn_blindly() -> None:
+    """Γ learns from them what C is not curious about."""
+    percept, given_ = torch.tensor([0.0, 0, 0, 2]), about(Cart())
+    ends = torch.cat([_chosen(Cart(), curious(), percept, given_) for _ in range(400)])
+    doubt = (0.5 * ends[:, 0] - 1).abs()  # C is unsure at 1, of which a push reaches a half
+    assert float((doubt < 0.55).float().mean()) == pytest.approx(BOLD, abs=0.08)
+
+
+def test_the_generator_decides() -> None:
+    first, again, other = (vars(explored(Cart(), seed)[0]) for seed in (1, 1, 2))
+    assert all(torch.equal(rows, again[name]) for name, rows in first.items())
+    assert not torch.equal(first["percept"], other["percept"])
+
+
+@pytest.mark.parametrize("limits", [{"motions": 7}, {"actions": 20}, {"looks": 3}, {"tests": 0}])
+def test_no_more_is_asked_than_the_budget_allows(limits: dict[str, float]) -> None:
+    purse, log = Purse(limits), Log()
+    with pytest.raises(BudgetSpentError):
+        Cart().explore(about(Cart(), log=log, purse=purse, fit=decaying()))
+    ((name, limit),) = limits.items()
+    assert getattr(purse.total, name) <= limit
+    assert purse.total.motions == log.motions
+    assert purse.total.tests == len(log.tested)
+
+
+def test_models_of_what_was_explored_are_of_use() -> None:
+    """Some sixty motions, instead of the hundreds that a blind search would take."""
+    domain, fresh = SeeingCart(), driven(300, 300, 9)
+    right, off, motions = list[float](), list[float](), list[int]()
+
+    def fit(data: Dataset) -> Knowledge:
+        return fit_models(domain, data, 0, lambda gamma: None, alone=True)[0]
+
+    for seed in (1, 2, 3):
+        data, log = explored(domain, seed, most=60, fit=fit)
+        known = fit(data)
+        with torch.no_grad():
+            said = (known.classifier(fresh.tested) > 0.5) == fresh.succeeded
+            error = known.gamma(fresh.percept, fresh.control) - fresh.next_percept
+        right += [float(said[each].float().mean()) for each in (fresh.succeeded, ~fresh.succeeded)]
+        off.append(float(error[:, PLACE].abs().mean()))
+        motions.append(log.motions)
+    still = float((fresh.percept - fresh.next_percept)[:, PLACE].abs().mean())
+    assert sum(right) / len(right) > 0.7
+    assert sum(off) / len(off) < 0.5 * still
+    assert max(motions) < 100

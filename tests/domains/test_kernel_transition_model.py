@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from rail import END, GEAR, LAMP, PLACE, WIND, Cart, SeeingCart
+from rail import END, GEAR, LAMP, PLACE, WIND, Cart, SeeingCart, driven
 from support import seeded
 from torch import Tensor
 
@@ -26,7 +26,7 @@ NUMBER = st.floats(-20, 20, width=32)
 
 
 def experience(seed: int, count: int = 400) -> Dataset:
-    return Cart().explore("any", count, 60, seeded(seed))
+    return driven(count, 60, seed)
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 import torch
-from rail import GEAR, LAMP, PLACE, WIND, Cart, Rail, SeeingCart
+from rail import GEAR, LAMP, PLACE, WIND, Cart, Rail, SeeingCart, driven
 from support import seeded
 from torch import Tensor
 
 from cgtorch.domains.compiled_models import compiled_models
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn, taken
+from cgtorch.domains.knowledge import Knowledge, fit_models, learn, learn_more, taken
 from cgtorch.domains.robust_success import robust_success
 from cgtorch.environment import Dataset, start_lanes
 from cgtorch.evolution import EvolutionSettings, evolve
@@ -22,18 +22,16 @@ PERCEPTS = Cart().world(Cart().draw("any", 5, seeded(9))).start(torch.arange(5))
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), Cart().explore("any", 240, 240, seeded(0)), 0, lambda gamma: None)[0]
+    return fit_models(Cart(), driven(300, 300, 0), 0, lambda gamma: None)[0]
 
 
 def test_fits_are_asked_for_and_what_else_is_wanted_is_found_with_gamma() -> None:
-    data = Cart().explore("any", 80, 120, seeded(1))
+    data = driven(80, 120, 1)
     knowledge, found = fit_models(SeeingCart(), data, 0, lambda gamma: type(gamma).__name__)
     assert found == "KernelTransitionModel"
-    assert len(knowledge.dataset.percept) == 72
-    assert len(knowledge.aside.percept) == 8
-    assert len(knowledge.aside.tested) == 12
-    assert knowledge.gamma_report.rows == 72
-    assert knowledge.classifier_report.rows == 108
+    assert len(knowledge.dataset.percept) == knowledge.gamma_report.rows == 80
+    assert len(knowledge.dataset.tested) == knowledge.classifier_report.rows == 120
+    assert len(knowledge.aside.percept) == len(knowledge.aside.tested) == 0
     assert knowledge.acceptances is None
     assert knowledge.gamma.features(data.percept, data.control).shape[1] == 10
     assert knowledge.classifier.features(data.tested).shape[1] == 6
@@ -85,13 +83,28 @@ def test_what_is_imagined_is_much_like_the_world(known: Knowledge) -> None:
 
 
 def test_good_data_are_taken(known: Knowledge) -> None:
-    new, fresh = (Cart().explore("any", 300, 300, seeded(s)) for s in (3, 4))
-    after = learn(known, new, seeded(5))
+    new, fresh = (driven(300, 300, s) for s in (3, 4))
+    after = learn_more(known, new, seeded(5))
     assert after.acceptances is not None
     assert all(a.accepted for a in after.acceptances)
     assert len(after.dataset.percept) > len(known.dataset.percept)
     assert errors(after, fresh) < errors(known, fresh)
     assert after.gamma_report is known.gamma_report
+
+
+def test_few_rows_are_all_fitted_anew(known: Knowledge) -> None:
+    """With hyper-parameters of their own, and errors that are cross-validated again."""
+    new, fresh = (driven(300, 300, s) for s in (3, 4))
+    after = learn(Cart(), known, new, seeded(5))
+    assert after.acceptances is None
+    rows = len(after.dataset.percept), len(after.dataset.tested)
+    assert rows == (after.gamma_report.rows, after.classifier_report.rows)
+    assert rows == pytest.approx((540, 540), abs=2)
+    assert rows[0] + len(after.aside.percept) == rows[1] + len(after.aside.tested) == 600
+    assert errors(after, fresh) < errors(known, fresh)
+    assert sum(after.gamma_report.error) < sum(known.gamma_report.error)
+    again = learn(Cart(), known, new, seeded(5))
+    assert torch.equal(again.gamma.machine.weights, after.gamma.machine.weights)
 
 
 def errors(knowledge: Knowledge, data: Dataset) -> float:
@@ -104,9 +117,9 @@ def test_wrong_data_are_refused_and_leave_everything_as_it_was(
     known: Knowledge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cgtorch.domains.knowledge.MOST_NEW", 300)
-    new = Cart().explore("any", 300, 300, seeded(3))
+    new = driven(300, 300, 3)
     wrong = replace(new, control=-new.control, succeeded=~new.succeeded)
-    after = learn(known, wrong, seeded(5))
+    after = learn_more(known, wrong, seeded(5))
     assert after.acceptances is not None
     assert [a.accepted for a in after.acceptances] == [False, False]
     for name in ("gamma", "swift", "classifier"):
@@ -135,7 +148,8 @@ def test_the_summary_tells_of_each_number(known: Knowledge) -> None:
     ):
         assert part in told.text
     assert told.text.startswith("Γ errs by ")
-    assert told.text.endswith("; 216 transitions and 216 labels")
+    rows = len(known.dataset.percept), len(known.dataset.tested)
+    assert told.text.endswith("; {} transitions and {} labels".format(*rows))
     assert told.scalars["gamma/error_lamp"] == known.gamma_report.error[LAMP]
     assert told.curves["gamma"] is known.gamma_report.learning_curve
 
@@ -161,7 +175,7 @@ def test_a_skill_that_was_evolved_in_the_models_works_in_the_world(known: Knowle
 
 
 def test_parts_of_a_dataset_are_taken_row_by_row() -> None:
-    data = Cart().explore("any", 20, 30, seeded(0))
+    data = driven(20, 30, 0)
     some = taken(data, torch.tensor([3, 1]), torch.arange(30) < 7)
     assert torch.equal(some.control, data.control[[3, 1]])
     assert torch.equal(some.next_percept, data.next_percept[[3, 1]])

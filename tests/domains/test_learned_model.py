@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from rail import Cart, SeeingCart
-from support import seeded
+from rail import Cart, SeeingCart, driven
 from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
@@ -17,8 +16,8 @@ from cgtorch.ground.errors import DataError
 from cgtorch.svm import fit_reduced_set
 
 GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
-DATA = Cart().explore("any", 300, 300, seeded(0))
-FRESH = Cart().explore("any", 400, 400, seeded(1))
+DATA = driven(300, 300, 0)
+FRESH = driven(400, 400, 1)
 MOVES = DATA.percept, DATA.control, DATA.next_percept
 TESTS = DATA.tested, DATA.succeeded
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from rail import GEAR, LAMP, PLACE, Cart, SeeingCart
-from support import seeded
+from rail import GEAR, LAMP, PLACE, Cart, SeeingCart, driven
 
+from cgtorch.domains import success
 from cgtorch.domains.reports import SuccessReport
-from cgtorch.domains.success import SuccessClassifier, calibration, fit_success_classifier
+from cgtorch.domains.success import FOLDS, SuccessClassifier, calibration, fit_success_classifier
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
@@ -21,7 +21,7 @@ GRID: dict[str, Any] = {"C": [100.0], "gamma": [0.5]}
 
 
 def experience(seed: int, count: int = 500) -> Dataset:
-    return Cart().explore("any", 40, count, seeded(seed))
+    return driven(40, count, seed)
 
 
 @pytest.fixture(scope="module")
@@ -125,12 +125,42 @@ def test_bad_data_are_refused() -> None:
         (rows, torch.ones(60), "1 classes"),
         (rows, labels[:-1], "59"),
         (rows * torch.nan, labels, "NaN"),
-        (rows[:22], torch.arange(22) < 3, "fewer than the 5 folds"),
+        (rows[:22], torch.arange(22) < 1, "one class has 1 rows, fewer than the 2 folds"),
     ):
         with pytest.raises(DataError, match=message):
             fit_success_classifier(SuccessClassifier(Cart.percept), bad, said, **GRID)
     with pytest.raises(ModelError, match="fitted"):
         SuccessClassifier(Cart.percept)(rows)
+
+
+@pytest.mark.parametrize("rarer", [3, 4, 5, 6, 9])
+@pytest.mark.parametrize("met", [True, False])
+def test_few_rows_of_one_class_are_shared_by_fewer_folds(
+    rarer: int, met: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each fold has a row of either class to be judged by, and all rows are judged once."""
+    asked: list[int] = []
+
+    def watched(name: str) -> None:
+        plain = getattr(success, name)
+
+        def spy(*rows: Any, folds: int, **how: Any) -> Any:
+            asked.append(folds)
+            return plain(*rows, folds=folds, **how)
+
+        monkeypatch.setattr(success, name, spy)
+
+    for name in ("grid_search", "learning_values"):
+        watched(name)
+    data = experience(3, 60)
+    rare, rest = data.tested[data.succeeded == met], data.tested[data.succeeded != met]
+    rows = torch.cat([rare[:rarer], rest[:30]])
+    labels = (torch.arange(len(rows)) < rarer) == met
+    model, report = fit_success_classifier(SuccessClassifier(Cart.percept), rows, labels, **GRID)
+    assert asked == [min(FOLDS, rarer)] * 2
+    assert sum(count for _, _, count in report.reliability) == report.rows == len(rows)
+    assert report.positive == pytest.approx(float(labels.float().mean()))
+    assert model(rows).isfinite().all()
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))

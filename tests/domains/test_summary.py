@@ -7,8 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from rail import Cart
-from support import seeded
+from rail import Cart, driven
 
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.domains.summary import SHOWN, rows_of, scalars_of, summary_of
@@ -17,7 +16,7 @@ from cgtorch.svm import Acceptance
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), Cart().explore("any", 60, 80, seeded(0)), 0, lambda gamma: None)[0]
+    return fit_models(Cart(), driven(60, 80, 0), 0, lambda gamma: None)[0]
 
 
 def with_numbers(known: Knowledge, *numbers: tuple[str, float, str]) -> Knowledge:
@@ -38,7 +37,7 @@ def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
     right = 100 * known.classifier_report.balanced_accuracy
     assert told.text == (
         f"Γ errs by 2 on gear, 0.12 rad on lamp, the balanced accuracy of C is {right:.1f} %; "
-        "54 transitions and 72 labels"
+        "60 transitions and 80 labels"
     )
     assert told.first
     assert told.curves == {
@@ -61,7 +60,7 @@ def test_scalars_have_tags_without_spaces(known: Knowledge) -> None:
     scalars = scalars_of(with_numbers(known, ("object x", 0.5, "m"), ("gear", 2.0, "")))
     assert scalars["gamma/error_object_x"] == 0.5
     assert scalars["gamma/error_gear"] == 2.0
-    assert scalars["models/rows"] == 54
+    assert scalars["models/rows"] == 60
     report = known.classifier_report
     assert scalars["classifier/balanced_accuracy"] == report.balanced_accuracy
     assert scalars["classifier/calibration_error"] == report.calibration_error
@@ -83,15 +82,15 @@ def test_later_it_is_told_what_was_accepted(
     }
     assert told.text == (
         f"{said[gamma].format('Γ')}; {said[classifier].format('C')}; "
-        "now from 54 transitions and 72 labels"
+        "now from 60 transitions and 80 labels"
     )
     assert not told.first
-    assert told.scalars == {"models/rows": 54}
+    assert told.scalars == {"models/rows": 60}
     assert not told.curves
 
 
 def test_rows_are_those_that_were_learned_from(known: Knowledge) -> None:
-    assert rows_of(known) == "54 transitions and 72 labels"
+    assert rows_of(known) == "60 transitions and 80 labels"
     doubled = known.dataset.extended(known.dataset)
-    assert rows_of(replace(known, dataset=doubled)) == "108 transitions and 144 labels"
-    assert torch.equal(doubled.percept[54:], known.dataset.percept)
+    assert rows_of(replace(known, dataset=doubled)) == "120 transitions and 160 labels"
+    assert torch.equal(doubled.percept[60:], known.dataset.percept)

@@ -2,19 +2,22 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import pytest
 import torch
+from reaching import unrepeatable
 from support import Counter, custom_actions, model, nested_actions, seeded, world
 from torch import Tensor
 
 from cgtorch.actions import paper_actions
 from cgtorch.environment import Environment, Lanes
-from cgtorch.environment.dry_run import check_environment
+from cgtorch.environment.dry_run import check_environment, repeats_itself
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.ground.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.world import random_scenarios
 
 SETTINGS = EvolutionSettings(population=8, capacity=8, initial_nodes=(2, 6))
 PERCEPTS = torch.rand(5, 7, generator=torch.Generator().manual_seed(0))
@@ -49,6 +52,43 @@ def test_good_environments_pass() -> None:
     Plain.num_scenarios = 1
     check_environment(own)
     Plain.num_scenarios = 3
+
+
+@pytest.mark.parametrize("method", ["start", "step", "success"])
+@pytest.mark.parametrize("late", [False, True])
+def test_what_differs_when_it_is_asked_again_does_not_repeat_itself(
+    method: str, late: bool
+) -> None:
+    """Whichever method draws the numbers, and in whichever of its results they are seen."""
+    calls = count()
+
+    def drawn(self: Any, *given: Any) -> Any:
+        one, two = getattr(Plain, method)(self, *given)
+        odd = next(calls) % 2
+        if method == "start":
+            return one, two + odd
+        if method == "step":
+            if late:
+                return one, two ^ (odd == 1)
+            return replace(one, percept=one.percept + odd), two
+        return one, two * (1 - odd / 2)
+
+    assert repeats_itself(Plain())
+    assert not repeats_itself(type("Own", (Plain,), {method: drawn})())
+    assert repeats_itself(world(0, 3))
+    assert repeats_itself(model(0, 3))
+    assert not repeats_itself(unrepeatable(random_scenarios("near", 3, seeded(0))))
+
+
+def test_what_is_no_number_twice_is_the_same() -> None:
+    def blind(self: Any, scenario: Tensor) -> Any:
+        state, percept = Plain.start(self, scenario)
+        return state, percept * torch.nan
+
+    def never(self: Any, lanes: Lanes) -> Any:
+        return lanes, torch.zeros(len(lanes))
+
+    assert repeats_itself(type("Own", (Plain,), {"start": blind, "success": never})())
 
 
 def in_place(lanes: Lanes) -> Lanes:

@@ -20,11 +20,13 @@ from measure_ranks import torchrun
 
 from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
+from cgtorch.runs.storage import read_asked
 
 RESTARTED = """
 import os, signal, sys
 import torch
 from cgtorch.ground import distributed as ranks
+from cgtorch.runs.storage import read_asked
 
 with ranks.together():
     if int(os.environ["TORCHELASTIC_RESTART_COUNT"]) < 2:
@@ -108,20 +110,18 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("count", [2, 3])
 def test_any_number_of_ranks_makes_the_same_run(count: int, alone: Path, tmp_path: Path) -> None:
     """60 individuals and 13 scenarios do not divide evenly by all of these."""
-    given = {k: v for k, v in to_plain(SMALL).items() if v != getattr(type(SMALL), k, None)}
-    options = [
-        part
-        for name, value in given.items()
-        if name != "actions"
-        for part in (f"--{name.replace('_', '-')}", str(value))
-    ]
+    usual = to_plain(type(SMALL)())
+    given = {name: value for name, value in to_plain(SMALL).items() if value != usual[name]}
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
     run = tmp_path / "run"
     words = ["--stage", "S0", "--quiet", "--run-dir", str(run), *options]
     printed = on_ranks(count, train, words, output=tmp_path / "printed.txt")
     assert printed.count("S0 on perimeter: ") == 1  # only one of them says so
-    for name in ("start/gamma", "start/classifier", "S0/data", "S0/specialists"):
+    for name in ("start/gamma", "start/classifier", "S0/data", "S0/seen", "S0/specialists"):
         path = f"{name}.safetensors"
         assert (run / path).read_bytes() == (alone / path).read_bytes(), path
-    for path in ("S0/skill.json", "S0/scenarios.json", "ledger/S0.json"):
+    for path in ("start/result.json", "S0/skill.json", "S0/scenarios.json", "ledger/S0.json"):
         assert (run / path).read_bytes() == (alone / path).read_bytes(), path
+    asked = [read_asked(folder / "S0" / "result.json") for folder in (run, alone)]
+    assert asked[0] == asked[1]
     assert len(list(run.glob("events.*"))) == 1

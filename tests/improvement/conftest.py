@@ -13,12 +13,12 @@ def knowledge() -> Knowledge:
     return small_knowledge()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def setup() -> Setup[Scenarios]:
     return small_setup()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def nothing_yet(knowledge: Knowledge) -> Progress[Scenarios]:
     """Before the first stage."""
     none = stage_scenarios("near", 0)

@@ -1,23 +1,28 @@
 """The coreset of W: what stays covers what goes, and what goes is not forgotten."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
+from reaching import world_of
 from support import seeded
-from torch import Generator, Tensor
+from torch import Tensor
+from watched import NONE, Watched, along, keys, known, of_kind, recruited, stage_of, without_models
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import GenerationDone, SkillAccepted
+from cgtorch.improvement.events import Event, SkillAccepted, WorldTested
 from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup, Stage
-from cgtorch.improvement.team import StageState, compose_team
+from cgtorch.improvement.setup import Progress, Stage
+from cgtorch.improvement.team import StageState
 from cgtorch.improvement.trial import try_skill
-from cgtorch.tabletop.world import Scenarios, random_scenarios
+from cgtorch.tabletop.world import random_scenarios
+
+EARLIER, FAR = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
 
 
 @given(st.integers(0, 2**31), st.integers(0, 60), st.integers(1, 70))
@@ -49,134 +54,107 @@ def test_it_is_at_most_twice_as_far_as_with_the_best_choice() -> None:
     assert distance < 0.3
 
 
-def test_acceptance_is_checked_on_all_of_w(setup: Setup, nothing_yet: Progress) -> None:
+@pytest.fixture(scope="module")
+def begun() -> Progress[Any]:
+    """W is what the earlier skill solves, and M what only the far one does."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    world = world_of(scenarios)
+    first, second = (try_skill(m, world).succeeded for m in (EARLIER, FAR))
+    assert (first & second).any()
+    assert (first & ~second).any()
+    rows = (first & second).nonzero()[:, 0], (first & ~second).nonzero()[:, 0]
+    return known(world_of, EARLIER, scenarios[torch.cat(rows)], scenarios[second & ~first])
+
+
+def far_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the models the far one solves all, and others what they solve in the world."""
+
+    def shares(stage: Stage[Any], state: StageState[Any], skills: list[Skill]) -> Tensor:
+        world = world_of(state.scenarios)
+        found = [try_skill(skill, world).succeeded.float() for skill in skills]
+        trusted = [skill.depth == 1 and skill.num_nodes == 3 for skill in skills]
+        own = [skill.name != "S0" for skill in skills]
+        return torch.stack(
+            [
+                torch.ones_like(share) if few and other else share
+                for share, few, other in zip(found, trusted, own, strict=True)
+            ],
+            1,
+        )
+
+    monkeypatch.setattr("cgtorch.improvement.improve.shares", shares)
+
+
+@pytest.mark.parametrize("core", [1, 2, 6, 1000])
+def test_acceptance_is_checked_on_all_of_w(
+    begun: Progress[Any], core: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Eq. 1a holds for scenarios that no member was tried on; those once lost are not lost again.
 
-    With a member that solves the coreset and what is missed, but not all of W, the branches would
-    send everything to it.
+    The models believe that one member solves everything, and branches send everything to it, until
+    the world has said where it does not.
     """
-    scenarios = random_scenarios("perimeter", 60, seeded(5))
-    world = setup.world_of(scenarios)
-    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
-    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
-    both, only_first, only_second = first & second, first & ~second, second & ~first
-    assert both.any()
-    assert only_first.any()
-    order = torch.cat([both.nonzero()[:, 0], only_first.nonzero()[:, 0]])
-    missed = scenarios[only_second.nonzero()[:, 0]]
-    progress = replace(
-        nothing_yet, skill=earlier, members=(far,), solved=scenarios[order], missed=missed
-    )
-    told: list[object] = []
-    small = replace(setup, core=2, attempts=1, rounds=1)
-    after = improve(
-        Stage(small, "S1", seeded(1), told.append),
-        progress,
-        missed,
-        torch.ones(len(missed), dtype=torch.bool),
-        lambda generator: random_scenarios("near", 0, generator),
-    )
+    recruited(monkeypatch, FAR)
+    far_is_trusted(monkeypatch)
+    told: list[Event] = []
+    setup = without_models(core=core, practice=0, looks=4, attempts=24)
+    after = improve(stage_of(setup, told.append), begun, NONE, along("near"))
     assert after.skill is not None
-    assert after.skill is not earlier
-    assert try_skill(after.skill, small.world_of(progress.solved)).succeeded.all()
-    assert len(after.solved) + len(after.missed) == len(order) + len(missed)
-    (accepted,) = (e for e in told if isinstance(e, SkillAccepted))
-    assert len(accepted.scenarios) == len(order) + len(missed)
-    assert int(accepted.keep.sum()) == len(order)
-    again = try_skill(accepted.skill, small.world_of(accepted.scenarios)).succeeded
+    assert after.skill is not EARLIER
+    assert try_skill(after.skill, world_of(begun.solved)).succeeded.all()
+    both = keys(after.solved) + keys(after.missed)
+    assert sorted(both) == sorted(keys(begun.solved) + keys(begun.missed))
+    assert len(after.solved) > len(begun.solved)
+    assert set(keys(after.solved)) >= set(keys(begun.solved))
+    (accepted,) = of_kind(told, SkillAccepted)
+    assert len(accepted.scenarios) == len(both)
+    assert set(keys(accepted.scenarios[accepted.keep])) == set(keys(begun.solved))
+    again = try_skill(accepted.skill, world_of(accepted.scenarios)).succeeded
     assert torch.equal(again, accepted.succeeded)
     assert again[accepted.keep].all()
 
 
-def two_members(setup: Setup, nothing_yet: Progress) -> Progress:
-    """A skill with what it solves as W, what it misses as M, and a member who solves all of M."""
-    scenarios = random_scenarios("perimeter", 60, seeded(5))
-    world = setup.world_of(scenarios)
-    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
-    first, second = (try_skill(m, world).succeeded for m in (earlier, far))
-    solved, missed = (scenarios[rows.nonzero()[:, 0]] for rows in (first, second & ~first))
-    return replace(nothing_yet, skill=earlier, members=(far,), solved=solved, missed=missed)
-
-
-def test_no_scenario_is_dropped_where_a_further_try_fails(
-    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("core", [2, 1000])
+def test_who_loses_something_of_w_is_not_accepted(
+    begun: Progress[Any], core: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a failed try had lost of the rest of W is still W under the skill accepted before."""
-    progress = two_members(setup, nothing_yet)
-    solved, missed = progress.solved, progress.missed
-    accepted: list[SkillAccepted] = []
-    losing: list[Skill] = []
-
-    def watch(event: object) -> None:
-        if isinstance(event, SkillAccepted):
-            accepted.append(event)
-
-    def forgetful(
-        stage: Stage, state: StageState, progress: Progress
-    ) -> tuple[Skill, Tensor] | None:
-        """A team that loses something, and then none, once a skill was accepted."""
-        if not accepted:
-            return compose_team(stage, state, progress)
-        losing.append(nearly(1.5))
-        return (losing[0], state.keep) if len(losing) == 1 else None
-
-    def draw(generator: Generator) -> Scenarios:
-        return random_scenarios("perimeter", 20, generator)
-
-    monkeypatch.setattr("cgtorch.improvement.improve.compose_team", forgetful)
-    few = replace(setup, core=2, attempts=0, rounds=2)
-    everything = torch.ones(len(missed), dtype=torch.bool)
-    after = improve(Stage(few, "S1", seeded(0), watch), progress, missed, everything, draw)
-    assert len(accepted) == 1
-    assert len(losing) == 2
-    assert len(after.solved) + len(after.missed) == len(solved) + len(missed) + 20
-    assert after.skill is accepted[0].skill
-    assert try_skill(after.skill, setup.world_of(after.solved)).succeeded.all()
+    """Even where the models believe in it: the world has the last word."""
+    recruited(monkeypatch, FAR)
+    far_is_trusted(monkeypatch)
+    told: list[Event] = []
+    watched = Watched()
+    setup = without_models(world_of=watched, core=core, practice=0, looks=4, attempts=1)
+    after = improve(stage_of(setup, told.append), begun, NONE, along("near"))
+    assert len(watched.trials) >= 1
+    assert all(e.solved_w < e.size_w for e in of_kind(told, WorldTested))
+    assert after.skill is EARLIER
+    assert after.solved is begun.solved
+    assert after.missed is begun.missed
+    assert not of_kind(told, SkillAccepted)
 
 
-def test_where_no_team_can_be_composed_one_more_is_recruited(
-    setup: Setup, nothing_yet: Progress, monkeypatch: pytest.MonkeyPatch
+def test_a_scenario_that_was_lost_is_tried_first_from_then_on(
+    begun: Progress[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Though members solve all that is missed, so that nobody seemed to be needed."""
-    progress = two_members(setup, nothing_yet)
-    missed = progress.missed
-    teams: list[StageState] = []
-    evolved: set[str] = set()
-
-    def failing_once(
-        stage: Stage, state: StageState, progress: Progress
-    ) -> tuple[Skill, Tensor] | None:
-        teams.append(state)
-        return compose_team(stage, state, progress) if len(teams) > 1 else None
-
-    def watch(event: object) -> None:
-        if isinstance(event, GenerationDone):
-            evolved.add(event.candidate)
-
-    monkeypatch.setattr("cgtorch.improvement.improve.compose_team", failing_once)
-    everything = torch.ones(len(missed), dtype=torch.bool)
-    once = replace(
-        setup, trials=1, attempts=1, rounds=1, budget=replace(setup.budget, generations=3)
-    )
-    stage = Stage(once, "S1", seeded(0), watch)
-    after = improve(stage, progress, missed, everything, lambda _: missed[:0])
-    assert len(teams) == 2
-    assert evolved == {"S1.1"}
-    assert after.skill is not None
-    assert after.skill.name == "S1"
-    nobody = Stage(replace(once, attempts=0), "S1", seeded(0), watch)
-    teams.clear()
-    same = improve(nobody, progress, missed, everything, lambda _: missed[:0])
-    assert len(teams) == 1
-    assert same.skill is progress.skill
+    """What a failed try has lost of the rest of W joins those that skills are compared on."""
+    recruited(monkeypatch, FAR)
+    far_is_trusted(monkeypatch)
+    watched = Watched()
+    setup = without_models(world_of=watched, core=1, practice=0, looks=4, attempts=24)
+    improve(stage_of(setup), begun, NONE, along("near"))
+    first, second, *_ = watched.trials
+    rest = set(keys(begun.solved)) & set(first.keys)
+    lost = {first.keys[i] for i in first.actions if i not in first.succeeded}
+    assert len(rest) == len(begun.solved) - 1
+    assert lost
+    assert set(second.keys) == rest - lost
 
 
-def test_with_nothing_missed_all_stays(setup: Setup, nothing_yet: Progress) -> None:
-    progress = two_members(setup, nothing_yet)
-    nothing = progress.missed[:0]
-    progress = replace(progress, members=(), missed=nothing)
-    none = torch.zeros(0, dtype=torch.bool)
-    stage = Stage(setup, "S1", seeded(0), lambda event: None)
-    after = improve(stage, progress, nothing, none, lambda _: nothing)
-    assert after.skill is progress.skill
-    assert len(after.solved) == len(progress.solved)
+def test_where_a_candidate_would_be_no_better_all_stays(begun: Progress[Any]) -> None:
+    setup = without_models(practice=0, looks=0, attempts=3)
+    seen = begun.seen
+    assert seen is not None
+    alone = replace(begun, missed=NONE, seen=seen[: len(begun.solved)])
+    after = improve(stage_of(setup), alone, NONE, along("near"))
+    assert after.skill is EARLIER
+    assert after.solved is begun.solved

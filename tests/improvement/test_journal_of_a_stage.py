@@ -1,5 +1,6 @@
 """A stage that is interrupted anywhere and goes on ends as if it had not been."""
 
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -8,15 +9,22 @@ from pathlib import Path
 import pytest
 import torch
 from support import seeded
+from watched import Watched, along, of_kind
 
+from cgtorch.environment.asked import Purse
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    GenerationDone,
+    WorldAsked,
+)
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.runs.journal import FileJournal
-from cgtorch.tabletop.world import random_scenarios, stage_scenarios
+from cgtorch.tabletop.world import stage_scenarios
 
 METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow}
 
@@ -24,13 +32,8 @@ METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow
 def stage(
     method: str, setup: Setup, progress: Progress, watch: Callable[[Event], None]
 ) -> Progress:
-    return METHODS[method](
-        Stage(setup, "S0", seeded(0), watch),
-        progress,
-        stage_scenarios("near"),
-        torch.ones(5, dtype=torch.bool),
-        lambda generator: random_scenarios("near", 5, generator),
-    )
+    about = Stage(setup, "S0", seeded(0), watch)
+    return METHODS[method](about, progress, stage_scenarios("near"), along("near"))
 
 
 def same(one: Progress, two: Progress) -> bool:
@@ -41,10 +44,14 @@ def same(one: Progress, two: Progress) -> bool:
         for name in ("solved", "missed")
     )
     models = one.knowledge.gamma.state_dict(), two.knowledge.gamma.state_dict()
+    seen = one.seen is two.seen is None or (
+        one.seen is not None and two.seen is not None and torch.equal(one.seen, two.seen)
+    )
     return (
         skills[0] == skills[1]
         and w
         and m
+        and seen
         and all(torch.equal(models[0][name], models[1][name]) for name in models[0])
     )
 
@@ -57,37 +64,82 @@ def history(events: list[Event]) -> list[tuple[str, int, float]]:
     ]
 
 
+@pytest.mark.parametrize("repeats", [True, False])
 @pytest.mark.parametrize("method", METHODS)
 def test_an_interrupted_stage_ends_as_if_it_had_not_been(
-    method: str, setup: Setup, nothing_yet: Progress, tmp_path: Path
+    method: str, repeats: bool, setup: Setup, nothing_yet: Progress, tmp_path: Path
 ) -> None:
-    """It is interrupted again and again, after a few more events each time."""
+    """It is interrupted again and again, after a few more events each time.
+
+    What it asks of the world is counted as if it had not been interrupted, too. A world that does
+    not repeat itself is one here, so that results can be compared.
+    """
+    setup = replace(setup, repeats=repeats)
     told: list[Event] = []
-    wanted = stage(method, setup, nothing_yet, told.append)
+    whole = replace(setup, purse=Purse())
+    wanted = stage(method, whole, nothing_yet, told.append)
     assert wanted.skill is not None
     found, interruptions, seen = None, 0, dict[tuple[str, int], float]()
-    left = 0
+    left, asked, recalled = 0, list[WorldAsked](), 0
 
     def watch(event: Event) -> None:
-        nonlocal left
+        nonlocal left, recalled
+        left -= 1
         if isinstance(event, GenerationDone):
             name, number, mean = history([event])[0]
             assert seen.setdefault((name, number), mean) == mean
-            left -= 1
-            if left == 0:
-                raise KeyboardInterrupt
+        elif isinstance(event, WorldAsked):
+            asked.append(event)
+            recalled += event.recalled
+        if left <= 0:
+            raise KeyboardInterrupt
 
     while found is None:
-        left = 3 + 2 * (interruptions % 3)
+        left = 3 + 5 * interruptions
+        asked.clear()
+        purse = Purse()
         try:
             with FileJournal(tmp_path / "S0", seconds=0) as journal:
-                found = stage(method, replace(setup, journal=journal), nothing_yet, watch)
+                again = replace(setup, journal=journal, purse=purse)
+                found = stage(method, again, nothing_yet, watch)
         except KeyboardInterrupt:
             interruptions += 1
     assert interruptions >= 2
     assert same(found, wanted)
     assert [(*key, mean) for key, mean in seen.items()] == history(told)
     assert not (tmp_path / "S0").exists()
+    assert recalled
+    assert purse.spent == whole.purse.spent
+    for one, other in zip(of_kind(told, WorldAsked), asked, strict=True):
+        assert replace(other, recalled=False) == one
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_world_that_is_interrupted_is_asked_again_for_its_last_trial_only(
+    method: str, setup: Setup, nothing_yet: Progress, tmp_path: Path
+) -> None:
+    """The process ends in the middle of a trial, again and again, some actions later each time."""
+    whole = replace(setup, purse=Purse())
+    wanted = stage(method, whole, nothing_yet, lambda event: None)
+    found, total, purse, most = None, 0, Purse(), 25
+
+    def stop(asked: int) -> None:
+        if asked > most:
+            raise KeyboardInterrupt
+
+    while found is None:
+        watched, purse = Watched(before_action=stop), Purse()
+        try:
+            with FileJournal(tmp_path / "S0", seconds=0) as journal:
+                about = replace(setup, world_of=watched, journal=journal, purse=purse)
+                found = stage(method, about, nothing_yet, lambda event: None)
+        except KeyboardInterrupt:
+            most += 40
+        total += watched.asked
+    assert most > 25
+    assert same(found, wanted)
+    assert purse.spent == whole.purse.spent
+    assert total >= purse.total.actions
 
 
 def test_what_is_recalled_is_not_computed(
@@ -129,7 +181,9 @@ def test_a_journal_that_makes_no_sense_is_one_error(
     with suppress(KeyboardInterrupt), FileJournal(tmp_path) as journal:
         stage("compose", replace(setup, journal=journal), nothing_yet, lambda e: None)
         raise KeyboardInterrupt
-    known = FileJournal(tmp_path).recall("evolution S0.1")
+    journal = FileJournal(tmp_path)
+    looks, known = journal.recall("looks"), journal.recall("evolution S0.1")
+    assert looks is not None
     assert known is not None
     for bad in (torch.tensor(7.5), torch.full((2, 3), 99), None):
         odd = {k: v for k, v in known.items() if k != name}
@@ -137,7 +191,8 @@ def test_a_journal_that_makes_no_sense_is_one_error(
             odd[name] = bad
         other = tmp_path / "other"
         writer = FileJournal(other)
+        writer.record("looks", looks)
         writer.record("evolution S0.1", odd)
         with pytest.raises(RunError, match="damaged"):
             stage("compose", replace(setup, journal=FileJournal(other)), nothing_yet, print)
-        (other / "00000.safetensors").unlink()
+        shutil.rmtree(other)

@@ -95,6 +95,18 @@ def test_what_is_missing_is_a_dash() -> None:
     assert len(final_text([], TABLE).splitlines()) == 2
 
 
+def test_a_round_without_a_test_on_fresh_scenarios_claims_nothing_about_them() -> None:
+    """Where a world does not repeat itself, a skill is judged by practice, and not tested again."""
+    practice = {"overall": None, "fresh": None, "in_a_row": 24, "practice": 24}
+    tested = result("auto-1", "perimeter", 3, overall={"tried": 40, "succeeded": 12})
+    lines = final_text([result("auto-1", "perimeter", 3, **practice)], TABLE).splitlines()
+    assert lines[-1].split() == [
+        "auto-1", "perimeter", "3/5", "–", "65/65", "–", "7", "1140", "6:20",
+    ]  # fmt: skip
+    both = [tested, result("auto-2", "perimeter", 3, **practice)]
+    assert final_text(both, TABLE).splitlines()[-1].startswith("auto-1 on perimeter: 12/40 = 30 %")
+
+
 def test_names_are_not_taken_for_markup() -> None:
     odd = [result("[red]S1[/]", "left", 5)]
     assert "[red]S1[/]" in shown(odd, 120)

@@ -6,23 +6,28 @@ from typing import Any
 
 import pytest
 import torch
+from members import nearly
 from rich.console import Console
 
 from cgtorch.domains.summary import summary_of
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution.fitness import WORST
 from cgtorch.improvement.events import (
+    ChanceFound,
     Event,
     FreshTested,
     GenerationDone,
     ModelsFitted,
     ModelSummary,
+    Practised,
     SkillAccepted,
     StageStarted,
+    WorldAsked,
     WorldTested,
 )
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
-from cgtorch.report.event_messages import message_of
+from cgtorch.report.event_messages import asked_of, message_of
 from cgtorch.svm import Acceptance
 from cgtorch.tabletop.models import TransitionQuality
 
@@ -262,6 +267,73 @@ def test_a_round_without_a_new_skill_says_which_one_was_tested() -> None:
     assert message_of(final).startswith("auto-5: final test, 390 of 400 fresh scenarios")
     own = replace(tested, skill="auto-5")
     assert message_of(own).startswith("auto-5: 390 of 400 fresh scenarios")
+
+
+TRIALS = WorldAsked("S1", "trials", Asked(68, 19, 18, 18), succeeded=17)
+LOOKS = WorldAsked("S1", "looks", Asked(looks=69))
+CHANCE = ChanceFound("S1", 12, 30)
+
+
+def practised(in_a_row: int) -> Practised:
+    return Practised("S1", nearly(0.5), in_a_row, 24)
+
+
+@pytest.mark.parametrize("recalled", [False, True])
+def test_what_the_world_was_asked_is_told(recalled: bool) -> None:
+    """Motions and tests are what takes a robot time; percepts that were only looked at do not."""
+    told = replace(TRIALS, recalled=recalled)
+    assert message_of(told) == "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"
+    explored = WorldAsked("start", "exploration", Asked(84, 65, 14))
+    assert message_of(explored) == "start: exploration: 84 motions and 65 tests"
+    nothing = WorldAsked("S1", "practice", Asked(0, 0, 1, 1))
+    assert message_of(nothing) == "S1: practice: 0 motions and 0 tests, 0 of 1 succeeded"
+    assert message_of(LOOKS) == ""
+
+
+def test_practice_is_told_with_what_is_wanted() -> None:
+    assert message_of(practised(7)) == "ahead 0.5: 7 of 24 fresh scenarios solved in a row"
+
+
+def test_chance_is_told_with_what_follows_from_it() -> None:
+    assert message_of(CHANCE) == (
+        "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: this "
+        "world is chance; a scenario that was solved is no fact, and skills are compared by counts"
+    )
+
+
+def test_without_a_terminal_what_was_asked_is_a_line_each() -> None:
+    with ProgressDisplay(console(False)) as display:
+        for event in (LOOKS, TRIALS, practised(3), CHANCE):
+            display(event)
+    told = [message_of(event) for event in (TRIALS, practised(3), CHANCE)]
+    assert text_of(display).splitlines() == told
+
+
+def test_on_a_terminal_only_chance_stays_above_the_live_lines(events: list[Event]) -> None:
+    with ProgressDisplay(console(True, width=300)) as display:
+        display(events[0])
+        for event in (TRIALS, LOOKS):
+            display(event)
+            assert snapshot(display, 300)[-1] == f"  {message_of(TRIALS)}"
+        display(practised(3))
+        assert snapshot(display, 300)[-1] == f"  {message_of(practised(3))}"
+        display(CHANCE)
+        assert snapshot(display, 300)[-1] == f"  {message_of(practised(3))}"
+        display(events[0])  # the next stage
+        assert len(snapshot(display, 300)) == 1
+    assert text_of(display).count(message_of(CHANCE)) == 1
+    assert "S1: stage 2" not in text_of(display)
+
+
+def test_all_that_was_asked_is_summed_up_with_the_time_it_takes_a_robot() -> None:
+    purse = Purse()
+    purse.add("exploration", Asked(84, 65, 14))
+    purse.add("looks", Asked(looks=69))
+    purse.add("trials", Asked(61, 30, 20, 20))
+    assert asked_of("world", purse) == (
+        "asked of the world: 145 motions, 95 tests, 2.0 h at 30 s (exploration 149, trials 91); "
+        "103 scenes were looked at"
+    )
 
 
 def test_long_work_shows_how_much_is_done_how_fast_and_what_is_left(

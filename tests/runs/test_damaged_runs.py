@@ -3,15 +3,19 @@
 import json
 import random
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from support import seeded, world
 from trained import Trained, copied
 
+from cgtorch.environment.asked import Asked
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import CgtorchError, RunError
@@ -24,12 +28,15 @@ from cgtorch.runs.storage import (
     load_tensors,
     save_tensors,
 )
+from cgtorch.tabletop.domain import Tabletop
+from cgtorch.training.context import Training, recall_spent
 from cgtorch.training.train import finished_generations
 
 FILES = [
     "run.json",
     "S0/skill.json",
     "S0/scenarios.json",
+    "S0/seen.safetensors",
     "S0/result.json",
     "S0/data.safetensors",
     "S0/gamma.safetensors",
@@ -151,12 +158,14 @@ VALUES = [None, -1, 1.5, True, "x", [], {}, 10**30, 1e300]
 
 
 @pytest.mark.parametrize(
-    "key", ["stage", "scenarios", "generations", "seconds", "fresh", "overall"]
+    "key", ["stage", "scenarios", "generations", "seconds", "fresh", "overall", "asked"]
 )
 def test_results_with_a_wrong_value(folder: Path, key: str) -> None:
     path = folder / "S0/result.json"
     raw = path.read_text()
-    allowed = {"stage": ["x"], "scenarios": ["x"], "seconds": [1.5]}.get(key, [])
+    optional = key in ("fresh", "overall")  # where nothing is tried twice there is no such test
+    known = {"stage": ["x"], "scenarios": ["x"], "seconds": [1.5], "asked": [{}]}
+    allowed: list[Any] = [None] if optional else known.get(key, [])
     try:
         for value in VALUES:
             path.write_text(json.dumps({**json.loads(raw), key: value}))
@@ -165,8 +174,93 @@ def test_results_with_a_wrong_value(folder: Path, key: str) -> None:
         data = json.loads(raw)
         del data[key]
         path.write_text(json.dumps(data))
-        with pytest.raises(RunError, match=f"{key} of "):
-            load_result(path)
+        message = attempt(lambda: used(folder, "S0/result.json"))
+        assert message.startswith(f"{key} of ") != optional
+    finally:
+        path.write_text(raw)
+
+
+COUNTS = {"motions": 1, "tests": 2, "looks": 3, "episodes": 4}
+SPENT = [
+    *VALUES[:5],
+    [],
+    {"trials": 3},
+    {"trials": []},
+    {"trials": {}},
+    {"trials": COUNTS, "practice": None},
+    {"trials": {**COUNTS, "hours": 5}},
+    {"trials": dict.fromkeys(list(COUNTS)[:3], 1)},
+    *({"trials": {**COUNTS, "looks": value}} for value in (-1, 1.0, True, "3", None, 2**60, [3])),
+]
+
+
+@pytest.mark.parametrize("value", SPENT)
+@pytest.mark.parametrize("place", ["start", "S0"])
+def test_damaged_counts_of_what_was_asked(folder: Path, place: str, value: object) -> None:
+    """A run that cannot say what it has asked of its world cannot keep to a budget."""
+    path, run = folder / place / "result.json", open_run(folder)
+    run = run if place == "S0" else replace(run, domain=NoStages(robot=run.domain.robot))
+    training, raw = (
+        Training(run, lambda event: None, lambda message: nullcontext()),
+        path.read_text(),
+    )
+    try:
+        path.write_text(json.dumps({**json.loads(raw), "asked": {"trials": COUNTS}}))
+        recall_spent(training)
+        assert training.purse.spent == {"trials": Asked(**COUNTS)}
+        path.write_text(json.dumps({**json.loads(raw), "asked": value}))
+        assert "does not say what was asked of the world" in attempt(lambda: recall_spent(training))
+        for content in ("", "null", "[]", "3", "{}"):
+            path.write_text(content)
+            assert attempt(lambda: recall_spent(training))
+    finally:
+        path.write_text(raw)
+
+
+class NoStages(Tabletop):
+    """The tabletop as if no stage of it were finished."""
+
+    stages: Mapping[str, str] = {}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda seen: seen[:-1],
+        lambda seen: torch.cat([seen, seen]),
+        lambda seen: seen[:, :-1],
+        lambda seen: seen[:0],
+        lambda seen: seen.flatten(),
+        lambda seen: seen.double(),
+        lambda seen: seen.long(),
+        lambda seen: seen * float("nan"),
+        lambda seen: seen + float("inf"),
+    ],
+)
+def test_percepts_that_are_not_those_of_w_and_m(
+    folder: Path, change: Callable[[torch.Tensor], torch.Tensor]
+) -> None:
+    run, path = open_run(folder), folder / "S0" / "seen.safetensors"
+    raw = path.read_bytes()
+    try:
+        save_tensors(path, {"percepts": change(load_tensors(path, {"percepts"})["percepts"])}, {})
+        with pytest.raises(RunError, match="are not those of W and M; restore them"):
+            load_progress(run, folder / "S0")
+    finally:
+        path.write_bytes(raw)
+
+
+def test_a_run_of_the_version_before(folder: Path) -> None:
+    """It kept no first percepts and did not count what it asked."""
+    path = folder / "run.json"
+    raw = path.read_text()
+    try:
+        assert json.loads(raw)["version"] == 3
+        path.write_text(json.dumps({**json.loads(raw), "version": 2}))
+        message = attempt(lambda: open_run(folder))
+        assert message.endswith(
+            "is of version 2, this cgtorch reads 3; use the version that wrote it"
+        )
     finally:
         path.write_text(raw)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from trained import Trained, interrupted
+from trained import SMALL, Trained, interrupted
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.journal import FileJournal
@@ -26,7 +26,8 @@ def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> N
     fixed, known = fixed_settings(run), {**vars(run.settings), **vars(run.domain.settings)}
     assert set(fixed) == {
         *("domain", "seed", "method", "models", "transitions", "labels", "scenarios", "actions"),
-        *("robot", "urdf", "position_noise", "heading_noise", "percept", "networks"),
+        *("data", "driver"),
+        *("robot", "urdf", "position_noise", "heading_noise", "noise", "percept", "networks"),
         *("world", "touch", "grasp"),
     }
     for name, reason in fixed.items():
@@ -55,7 +56,12 @@ def test_the_history_grows_and_a_journal_goes_aside_each_time(
     taken = take_over(run, overridden(run, {"islands": 3}), "auto")
     assert (taken.before, taken.set_aside) == ("auto-1", None)
     changes = [entry["changed"] for entry in about(run.folder)["history"]]
-    assert changes == [{"attempts": [3, 4]}, {"attempts": [4, 5]}, {"islands": [1, 3]}]
+    first = SMALL.attempts
+    assert changes == [
+        {"attempts": [first, first + 1]},
+        {"attempts": [first + 1, first + 2]},
+        {"islands": [1, 3]},
+    ]
 
 
 def test_what_stops_it_in_between_leaves_a_run_of_the_old_settings(

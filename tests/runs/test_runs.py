@@ -1,34 +1,45 @@
 """Runs as folders: whole or not at all, made alike from the same seed, and never led astray."""
 
 import errno
+import itertools
 import json
 import shutil
 import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from support import create_run, random_skill
-from trained import SMALL, Trained, copied
+from trained import SMALL, Trained, copied, without_success
 
 from cgtorch.actions import paper_actions
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.ground.errors import ActionError, GraphError, RunError
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
+    GenerationDone,
     ModelsFitted,
+    Practised,
     SkillAccepted,
     StageStarted,
+    WorldAsked,
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.run import open_run
 from cgtorch.runs.skills import last_skill, lone_skill
-from cgtorch.runs.storage import load_progress
+from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.simulation import Recording
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.training.context import Training
 from cgtorch.training.train import NotImprovedError, train
@@ -193,19 +204,40 @@ def test_what_was_told_while_it_was_made(trained: Trained) -> None:
     started = [e for e in events if isinstance(e, StageStarted)]
     assert [(e.stage, e.stages) for e in started] == [("S0", ("S0", "S1")), ("S1", ("S0", "S1"))]
     assert started[0].size_w == 0
-    assert isinstance(events[0], ModelsFitted)
+    assert [type(e) for e in events[:2]] == [WorldAsked, ModelsFitted]
     assert any(isinstance(e, WorldTested) for e in events)
+    practised = [e for e in events if isinstance(e, Practised)]
+    assert {e.wanted for e in practised} == {SMALL.practice}
+    assert any(e.in_a_row == SMALL.practice for e in practised)
+    assert not any(e.recalled for e in events if isinstance(e, WorldAsked))
 
 
-def test_data_grow_and_the_old_come_first(trained: Trained) -> None:
+def test_data_grow_and_nothing_is_lost(trained: Trained) -> None:
+    """All that was asked is learned from, except after a stage's last candidate."""
     run = open_run(trained.folder)
     known = [load_progress(run, run.folder / s).knowledge for s in ("start", "S0", "S1")]
-    data, aside = [k.dataset for k in known], [k.aside for k in known]
-    assert len(data[0].percept) + len(aside[0].percept) == SMALL.transitions
-    for before, after in (*pairwise(data), *pairwise(aside)):
-        for name, rows in vars(before).items():
-            assert torch.equal(vars(after)[name][: len(rows)], rows)
+    data = [each.dataset.extended(each.aside) for each in known]
+    asked = [run_asked(run.folder / s) for s in ("start", "S0", "S1")]
+    assert len(data[0].percept) <= asked[0]["motions"] <= SMALL.transitions + 1
+    for before, after in pairwise(data):
+        for name in ("percept", "tested"):
+            old, new = (set(map(tuple, vars(each)[name].tolist())) for each in (before, after))
+            assert old <= new
+    for each, counts in zip(data, asked, strict=True):
+        assert len(each.percept) <= counts["motions"]
+        assert len(each.succeeded) <= counts["tests"]
+    assert len(data[0].succeeded) == asked[0]["tests"]
     assert len(data[2].percept) > len(data[0].percept)
+
+
+def run_asked(folder: Path) -> Counter[str]:
+    """All that a run had asked of its world when a stage was finished."""
+    return Counter(
+        {
+            name: sum(phase[name] for phase in read_asked(folder / "result.json").values())
+            for name in ("motions", "tests", "looks", "episodes")
+        }
+    )
 
 
 def test_results_are_what_the_world_says(trained: Trained) -> None:
@@ -225,6 +257,26 @@ def test_results_are_what_the_world_says(trained: Trained) -> None:
     assert summary["seed"] == SMALL.seed
 
 
+def test_results_count_what_was_asked_of_the_world(trained: Trained) -> None:
+    """Every trial and every look was told, and counts add up over the stages, by phase."""
+    spent: dict[str, Asked] = {}
+    told = [event for event in trained.events if isinstance(event, WorldAsked)]
+    for name in ("start", "S0", "S1"):
+        for event in told:
+            if event.stage == name:
+                spent[event.phase] = spent.get(event.phase, Asked()) + event.asked
+        found = read_asked(trained.folder / name / "result.json")
+        assert found == {phase: vars(asked) for phase, asked in spent.items()}
+    assert {"exploration", "looks", "trials", "practice"} <= set(spent)
+    assert {"exploration", "looks", "trials", "practice", "other noise"} >= set(spent)
+    for phase in ("exploration", "looks"):
+        assert spent[phase].episodes == 0 < spent[phase].looks
+    assert spent["looks"].actions == 0
+    for phase in ("trials", "practice"):
+        assert spent[phase].looks == spent[phase].episodes > 0
+    assert trained.results[1]["asked"] == found
+
+
 def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
     """The skill of S0 when it is made from the same start under a seed."""
     folder = copied(trained, folder, ())
@@ -242,6 +294,18 @@ def test_another_seed_makes_another_skill(trained: Trained, tmp_path: Path) -> N
     assert made_again(trained, tmp_path / "other", SMALL.seed + 1) != was
 
 
+FILES = "data.safetensors", "seen.safetensors", "scenarios.json", "skill.json"
+TIMED = {"seconds": 0, "search_seconds": 0}
+
+
+def ends_as(trained: Trained, folder: Path) -> None:
+    """S1 in a folder is that of the run that nothing interrupted, but for times."""
+    for name in FILES:
+        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
+    result = load_result(folder / "S1" / "result.json")
+    assert result | TIMED == trained.results[1] | TIMED  # also in what was asked
+
+
 def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
     trained: Trained, tmp_path: Path
 ) -> None:
@@ -249,12 +313,16 @@ def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
     train(Training(open_run(folder), lambda event: None, quietly), "S1")
     one, other = (last_skill(place)[1] for place in (trained.folder, folder))
     assert skill_to_dict(one) == skill_to_dict(other)
-    for name in ("data.safetensors", "scenarios.json", "skill.json"):
-        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
+    ends_as(trained, folder)
 
 
 class Interrupted(Exception):  # noqa: N818
     """What stops a run in a test."""
+
+
+def in_order(events: Iterable[Event]) -> list[WorldAsked]:
+    """What was asked in S1."""
+    return [e for e in events if isinstance(e, WorldAsked) and e.stage == "S1"]
 
 
 def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
@@ -274,16 +342,67 @@ def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
     assert "journal/S1/00000.safetensors" in left
     told: list[Event] = []
     train(Training(open_run(folder), told.append, quietly), "S1")
-    assert isinstance(next(e for e in told if not isinstance(e, StageStarted)), EvolutionRecalled)
+    assert [type(event) for event in told[:3]] == [StageStarted, WorldAsked, EvolutionRecalled]
+    wanted = in_order(trained.events)
+    assert in_order(told) == [replace(e, recalled=i < 2) for i, e in enumerate(wanted)]
     assert not (folder / "journal").exists()
-    for name in ("data.safetensors", "scenarios.json", "skill.json"):
-        assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
+    ends_as(trained, folder)
 
 
-def test_a_stage_that_finds_nothing_leaves_nothing(trained: Trained, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [GenerationDone, WorldAsked, Practised, ModelsFitted])
+def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
+    trained: Trained, tmp_path: Path, kind: type[Event]
+) -> None:
+    """It is killed at the second event of a kind, gone on with, and killed at the second then."""
+
+    def ends(count: Iterator[int], event: Event) -> None:
+        if isinstance(event, kind) and next(count) == 2:
+            raise Interrupted
+
+    folder = copied(trained, tmp_path / "run", ("S0",))
+    for _ in range(2):
+        stop = partial(ends, itertools.count(1))
+        with pytest.raises(Interrupted):
+            train(Training(open_run(folder), stop, quietly, checkpoint_seconds=0), "S1")
+    told: list[Event] = []
+    training = Training(open_run(folder), told.append, quietly)
+    train(training, "S1")
+    wanted = in_order(trained.events)
+    assert [replace(e, recalled=False) for e in in_order(told)] == wanted
+    assert vars(training.purse.total) == dict(run_asked(trained.folder / "S1"))
+    ends_as(trained, folder)
+
+
+@pytest.mark.parametrize("motion", [1, 40])
+def test_a_trial_that_is_killed_is_made_again_and_counted_once(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, motion: int
+) -> None:
+    """The world, which repeats itself, was asked for it in vain, and nobody knows any more."""
+    folder, step = copied(trained, tmp_path / "run", ("S0",)), Recording.step
+    purse, count = Purse(), itertools.count(1)
+
+    def ends(self: Recording, *given: Any) -> Any:
+        if next(count) == motion:
+            self.purse.pay(self.phase, Asked(motions=1))
+            raise Interrupted
+        return step(self, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Recording, "step", ends)
+        with pytest.raises(Interrupted):
+            train(Training(open_run(folder), lambda e: None, quietly, purse=purse), "S1")
+    assert purse.total.motions > run_asked(folder / "S0")["motions"]
+    train(Training(open_run(folder), lambda e: None, quietly), "S1")
+    ends_as(trained, folder)
+
+
+def test_a_stage_that_finds_nothing_leaves_nothing(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_success(monkeypatch)
     folder = copied(trained, tmp_path / "run", ())
     about = json.loads((folder / "run.json").read_text())
-    about["settings"].update(population=2, generations=1, attempts=1, practice=0)
+    about["settings"].update(generations=1, attempts=2)
     (folder / "run.json").write_text(json.dumps(about))
     before = listing(folder)
     with pytest.raises(NotImprovedError, match="raise --attempts") as caught:

@@ -2,8 +2,9 @@
 
 import json
 import math
-from dataclasses import fields
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, TypeAlias
 
 import pytest
 from hypothesis import given
@@ -25,7 +26,7 @@ CHOICES = {f.name: (kind, f.metadata["choices"]) for kind, f in EVERY if f.metad
 TEXTS = [
     (kind, f.name) for kind, f in EVERY if isinstance(f.default, str) and f.name not in CHOICES
 ]
-LEAST = {"seed": 0, "population": 2, "practice": 0, "lineages": 0, "transitions": 50, "labels": 60}
+LEAST = {"seed": 0, "population": 2, "practice": 0, "lineages": 0, "transitions": 12, "labels": 0}
 
 
 def refused(kind: Kind, **values: Any) -> str:
@@ -69,6 +70,17 @@ def test_counts(name: str) -> None:
         )
 
 
+def test_no_exploration_without_data() -> None:
+    assert refused(RunSettings, transitions=0) == (
+        "transitions is 0, and there is nothing else to learn Γ and C from; give at least 12, or "
+        "files of logged transitions with --data"
+    )
+    assert RunSettings(transitions=0, data=("log.csv",)).transitions == 0
+    for bad in (1, 11, -1, 0.0, False):
+        said = f"transitions is {bad!r}; give a whole number of at least 12 or 0"
+        assert refused(RunSettings, transitions=bad, data=("log.csv",)) == said
+
+
 @pytest.mark.parametrize("name", SIZES)
 def test_sizes(name: str) -> None:
     assert getattr(TabletopSettings(**{name: 0}), name) == 0
@@ -102,10 +114,23 @@ def test_no_setting_has_two_meanings() -> None:
     assert names[: len(NAMES)] == list(NAMES)
 
 
+@dataclass(frozen=True)
+class Slow(DomainSettings):
+    """Settings of a domain whose motions are dear."""
+
+    run_defaults: ClassVar[Mapping[str, Any]] = {"transitions": 60, "labels": 0}
+
+
 def test_a_domain_may_have_other_defaults_of_a_run() -> None:
     usual = {f.name: f.default for f in fields(RunSettings)}
-    assert defaults_of(DomainSettings) == usual
-    assert defaults_of(TabletopSettings) == {**usual, "labels": 5500}
+    assert defaults_of(DomainSettings) == defaults_of(TabletopSettings) == usual
+    assert defaults_of(Slow) == {**usual, "transitions": 60, "labels": 0}
+
+
+def test_nothing_is_explored_only_if_there_are_other_data() -> None:
+    assert RunSettings(transitions=0, data=("log.csv",)).transitions == 0
+    message = refused(RunSettings, transitions=0)
+    assert "transitions is 0, and there is nothing else to learn Γ and C from" in message
 
 
 @pytest.mark.parametrize("bad", [(1,), ("Wait", None), 5, None, "Wait"])

@@ -321,7 +321,7 @@ def test_parts_that_are_done_again_change_nothing() -> None:
 
     def evaluation(again: list[int]) -> tuple[Tensor, Tensor, Tensor, int, int]:
         scenarios, more = torch.arange(20), torch.tensor(again)
-        found = engine.evaluation(graphs, scenarios, 4, 20, 400, more)
+        found = engine.evaluation(graphs, scenarios, 4, 20, 400, again=more)
         assert found is not None
         return found
 

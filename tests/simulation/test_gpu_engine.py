@@ -72,9 +72,7 @@ def assert_same(
     )
     assert cpu is not None
     wanted = cpu.rollouts(graphs, scenarios, 20, 400)
-    evaluated = cpu.evaluation(graphs, scenarios, kept, 20, 400)
     assert wanted is not None
-    assert evaluated is not None
     for launcher in launchers():
         there = launcher.device
         elsewhere = moved(environment, there)
@@ -86,13 +84,17 @@ def assert_same(
         for name, tensor in tensors_of(wanted).items():
             same = tensors_of(found)[name].cpu()
             torch.testing.assert_close(same, tensor, rtol=0, atol=0, equal_nan=True)
-        also = gpu.evaluation(graphs.to(there), scenarios.to(there), kept, 20, 400)
-        assert also is not None
-        for one, other in zip(evaluated, also, strict=True):
-            if isinstance(one, torch.Tensor):
-                torch.testing.assert_close(other.cpu(), one, rtol=0, atol=0)
-            else:
-                assert one == other
+        for cost in (0.0, 0.07):
+            given = scenarios, kept, 20, 400, cost
+            evaluated = cpu.evaluation(graphs, *given)
+            also = gpu.evaluation(graphs.to(there), scenarios.to(there), *given[1:])
+            assert evaluated is not None
+            assert also is not None
+            for one, other in zip(evaluated, also, strict=True):
+                if isinstance(one, torch.Tensor):
+                    torch.testing.assert_close(other.cpu(), one, rtol=0, atol=0)
+                else:
+                    assert one == other
     return wanted
 
 

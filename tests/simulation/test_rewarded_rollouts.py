@@ -18,6 +18,7 @@ from walking import walking_actions as walking
 
 from cgtorch.actions import ActionSet, Detect
 from cgtorch.environment import Environment, Lanes, Rewarded
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import Graphs, Skill, SubSkill
 from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import (
@@ -207,18 +208,21 @@ def test_a_recording_of_a_world_without_rewards_gives_none() -> None:
     assert isinstance(plain, Environment)
 
 
-def test_trials_tell_returns_with_and_without_experience() -> None:
+def test_trials_tell_returns_and_what_they_cost() -> None:
     place, actions = path(4, 10), walking()
     skill = Skill("walk", chain(actions, "Aim", "Step", speed=-0.1), actions, max_transitions=40)
-    trials = try_skill(skill, place), try_skill(skill, place, record=False)
-    for trial in trials:
-        assert trial.returns is not None
-        assert trial.returns.isfinite().all()
-        assert (trial.returns <= 0).all()
-    assert torch.equal(*[t.returns for t in trials if t.returns is not None])
-    assert len(trials[0].experience.percept) > 10
-    assert len(trials[1].experience.percept) == len(trials[1].experience.tested) == 0
-    assert try_skill(skill, Path(place.scenarios), record=False).returns is None
+    purse = Purse()
+    trial = try_skill(skill, place, purse)
+    assert trial.returns is not None
+    assert trial.returns.isfinite().all()
+    assert (trial.returns <= 0).all()
+    assert torch.equal(trial.percepts, place.start(torch.arange(10))[1])
+    moves, ends = len(trial.experience.percept), len(trial.experience.tested)
+    assert moves > ends == 10  # one test at the end of each episode
+    assert purse.spent == {"trials": Asked(motions=moves, tests=10, looks=10, episodes=10)}
+    assert trial.asked == purse.total
+    assert torch.equal(trial.actions, place.scenarios.length.long() + 1)
+    assert try_skill(skill, Path(place.scenarios)).returns is None
 
 
 def test_as_many_actions_as_the_limits_of_all_levels_allow() -> None:

@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +15,28 @@ from trained import SMALL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from compare_methods import METHODS, compare, published, quietly
+from compare_methods import METHODS, beginning, compare, published, quietly
 from comparison.table import LABELS, cost_of, spread, table
 
 from cgtorch.runs.run import open_run
+from cgtorch.runs.storage import load_dataset, read_asked
 from cgtorch.training.context import Training
 
 SEED = f"seed-{SMALL.seed}"
 
-HASTY = replace(SMALL, transitions=100, labels=120, attempts=2, generations=4, practice=0)
+HASTY = replace(SMALL, transitions=100, labels=0, attempts=2, generations=4)
 
 
 Result = dict[str, Any]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_data() -> Iterator[None]:
+    """The paper's method begins with a hundred random data in place of some thousand."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cgtorch.tabletop.domain.TRANSITIONS", 100)
+        patch.setattr("cgtorch.tabletop.domain.LABELS", 120)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +47,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def begin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the paper's method begins with."""
+    return beginning(tmp_path_factory.mktemp("paper"), replace(HASTY, method="paper")).folder
+
+
 @pytest.fixture
-def begun(tmp_path: Path, folder: Path) -> Path:
+def begun(tmp_path: Path, begin: Path) -> Path:
     """A comparison with data and models of the seed, but no method yet."""
-    shutil.copytree(folder / SEED / "begin", tmp_path / SEED / "begin")
+    shutil.copytree(begin, tmp_path / SEED / begin.name)
     return tmp_path
 
 
@@ -77,7 +94,8 @@ def test_the_paper_gets_what_the_default_took(begun: Path, method: str) -> None:
     assert found["budget"] == 150_000
     assert found["transitions"] >= 150_000 or found["failure"] is not None
     assert found["transitions"] <= 150_000 + 200 * 20 * 20  # a generation on 20 scenarios
-    models = [(begun / SEED / m / "start" / "gamma.safetensors") for m in ("begin", method)]
+    names = "begin-paper", method
+    models = [(begun / SEED / name / "start" / "gamma.safetensors") for name in names]
     assert models[0].read_bytes() == models[1].read_bytes()
 
 
@@ -91,6 +109,17 @@ def test_a_budget_needs_a_default_to_take_it_from(begun: Path) -> None:
         compare(begun, HASTY, ("paper",), 0, 20)
 
 
+def test_each_method_begins_with_its_own_data(folder: Path, begin: Path) -> None:
+    explored, given = (
+        load_dataset(place / "start" / "data.safetensors")
+        for place in (folder / SEED / "begin-compose", begin)
+    )
+    assert len(explored.percept) <= HASTY.transitions + 1
+    assert (len(given.percept), len(given.tested)) == (100, 120)
+    asked = read_asked(begin / "start" / "result.json")["exploration"]
+    assert (asked["motions"], asked["tests"]) == (100, 120)
+
+
 def test_what_is_there_is_not_made_again(folder: Path) -> None:
     before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
     compare(folder, HASTY, ("stages",), 0, 20)
@@ -98,8 +127,8 @@ def test_what_is_there_is_not_made_again(folder: Path) -> None:
 
 
 def test_the_published_settings(folder: Path) -> None:
-    training = Training(open_run(folder / SEED / "begin"), lambda event: None, quietly)
-    setup = published(training.setup())
+    training = Training(open_run(folder / SEED / "stages"), lambda event: None, quietly)
+    setup = published(training.setup("S0"))
     assert (setup.evolution.population, setup.evolution.elite, setup.evolution.tau) == (
         200,
         1,

@@ -12,22 +12,26 @@ from click.testing import CliRunner
 
 from cgtorch.ground.files import read_json
 
-HASTY = "--transitions 100 --labels 300 --attempts 1 --generations 8 --rounds 1 --minutes 1"
+HASTY = (
+    "--transitions 200 --labels 0 --attempts 8 --population 100 --generations 15 --practice 4 "
+    "--rounds 1"
+)
 
 
 def test_a_run_is_made_once_and_measured(tmp_path: Path) -> None:
-    arguments = [str(tmp_path / "made"), "--seeds", "0:1", "--kinds", "general", "--count", "40"]
+    arguments = [str(tmp_path / "made"), "--seeds", "0:1", "--kinds", "auto", "--count", "40"]
     ended = CliRunner().invoke(measure_skills.command, [*arguments, "--options", HASTY])
     assert ended.exit_code == 0, ended.output
-    result = read_json(tmp_path / "made" / "general-0.json")
+    result = read_json(tmp_path / "made" / "auto-0.json")
     assert result["tried"] == 40
-    assert 0 <= result["succeeded"]["general"] <= 40
+    assert set(result["succeeded"]) == {"perimeter", "near", "left", "right", "far"}
+    assert all(0 <= count <= 40 for count in result["succeeded"].values())
     assert result["w_lost"] == 0
     assert 0 < result["searching"] < result["improving"] < result["seconds"]
     table = (tmp_path / "made" / "table.md").read_text()
     assert table in ended.output
-    assert f"| {result['succeeded']['general'] / 40:.1%} |" in table
-    run = next((tmp_path / "made" / "general-0").glob("auto-1/skill.json"))
+    assert f"| {result['succeeded']['perimeter'] / 40:.1%} |" in table
+    run = next((tmp_path / "made" / "auto-0").glob("auto-1/skill.json"))
     before = run.stat().st_mtime_ns
     assert CliRunner().invoke(measure_skills.command, arguments).exit_code == 0
     assert run.stat().st_mtime_ns == before

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,26 @@ from typing import Any
 import pytest
 import torch
 from support import create_run, seeded
-from trained import SMALL, Trained, copied
+from trained import SMALL, Trained, copied, without_success
 
+from cgtorch.environment.asked import Asked
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.improvement.events import Event, FreshTested, StageStarted
-from cgtorch.improvement.trial import try_skill
+from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.skills import last_skill
-from cgtorch.runs.storage import load_progress, load_result
-from cgtorch.training.auto import BATCH, act, reached, train_until
+from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training.auto import act, reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import check_percepts
 from cgtorch.training.train import NotImprovedError, train
 
 GOAL = Goal(target=0.99, rounds=2)
 """More than two small rounds can reach."""
+
+START = Path("start") / "result.json"
 
 
 def quietly(message: str) -> nullcontext[None]:
@@ -70,21 +74,58 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     assert summary["target"] == GOAL.target
 
 
+def practised(events: list[Event], name: str) -> int:
+    """Number of fresh scenarios that a round has practised on."""
+    asked = [e for e in events if isinstance(e, WorldAsked) and e.stage == name]
+    return sum(e.asked.episodes for e in asked if e.phase == "practice")
+
+
+def tries_of(result: dict[str, Any]) -> int:
+    """Number of fresh scenarios that a round's skill was tested on."""
+    return sum(test["tried"] for test in (result["fresh"], result["decisive"]) if test)
+
+
 def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
-    """Eq. 1 over the rounds; whatever was met is in W or in M."""
-    run, _, results = made
-    before, missed, met = 0, BATCH, BATCH
+    """Eq. 1 over the rounds; whatever was met is in W or in M, with its first percept."""
+    run, events, results = made
+    before = missed = met = 0
+    open_before = set[int]()
     for result in results:
         progress = load_progress(run, run.folder / result["stage"])
         assert progress.skill is not None
         assert try_skill(progress.skill, run.domain.world(progress.solved)).succeeded.all()
         assert not try_skill(progress.skill, run.domain.world(progress.missed)).succeeded.any()
         assert (result["w_size"], result["w_lost"], result["targets"]) == (before, 0, missed)
-        assert result["targets_succeeded"] > 0
-        met += result["fresh"]["tried"] + (result["decisive"] or {"tried": 0})["tried"]
+        solved = set(progress.solved.seed.tolist())
+        assert result["targets_succeeded"] == len(open_before & solved)
+        open_before = set(progress.missed.seed.tolist())
+        met += practised(events, result["stage"]) + tries_of(result)
         before, missed = len(progress.solved), len(progress.missed)
         assert before + missed == met
+        every = progress.solved.joined(progress.missed)
+        assert progress.seen is not None
+        assert torch.equal(progress.seen, first_percepts(run.domain.world(every)))
     assert torch.unique(progress.solved.object, dim=0).shape[0] == before
+
+
+def test_a_rounds_result_says_how_it_practised(made: Made) -> None:
+    run, _, results = made
+    assert all(r["practice"] == run.settings.practice == 4 for r in results)
+    assert all(0 <= r["in_a_row"] <= 4 for r in results)
+
+
+def test_what_was_asked_adds_up_over_the_rounds(made: Made) -> None:
+    """Tests on fresh scenarios ask a simulated world only; a robot is not asked for them."""
+    run, events, results = made
+    told = [e for e in events if isinstance(e, WorldAsked)]
+    spent = {name: Asked(**counts) for name, counts in read_asked(run.folder / START).items()}
+    assert set(spent) == {"exploration"}
+    for result in results:
+        for event in told:
+            if event.stage == result["stage"]:
+                spent[event.phase] = spent.get(event.phase, Asked()) + event.asked
+        assert result["asked"] == {phase: vars(asked) for phase, asked in spent.items()}
+    assert {"looks", "practice"} <= set(spent)
 
 
 def test_fresh_placements_are_told(made: Made) -> None:
@@ -95,16 +136,50 @@ def test_fresh_placements_are_told(made: Made) -> None:
     ]
 
 
-def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
-    """A run that lost its second round makes the same again."""
-    folder = tmp_path / "run"
-    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
-    results = train_until(Training(open_run(folder), ignore, quietly), GOAL)
-    timed = {"seconds": 0, "search_seconds": 0}
-    assert [r | timed for r in results] == [r | timed for r in made[2]]
-    for name in ("skill.json", "scenarios.json", "data.safetensors"):
+TIMED = {"seconds": 0, "search_seconds": 0}
+
+
+def same_as(made: Made, folder: Path, results: list[dict[str, Any]]) -> None:
+    """The run in a folder came to the same results, also in what it asked, and the same files."""
+    assert [r | TIMED for r in results] == [r | TIMED for r in made[2]]
+    for name in ("skill.json", "scenarios.json", "data.safetensors", "seen.safetensors"):
         was = (made[0].folder / "auto-2" / name).read_bytes()
         assert (folder / "auto-2" / name).read_bytes() == was
+
+
+def in_its_second_round(made: Made, folder: Path) -> Path:
+    """A copy of the run that has lost its second round."""
+    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
+    return folder
+
+
+def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
+    """A run that lost its second round makes the same again."""
+    folder = in_its_second_round(made, tmp_path / "run")
+    same_as(made, folder, train_until(Training(open_run(folder), ignore, quietly), GOAL))
+
+
+def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
+    made: Made, tmp_path: Path
+) -> None:
+    """It is stopped after each trial in turn; what the journal has is not asked again."""
+    folder = in_its_second_round(made, tmp_path / "run")
+    wanted = [e for e in made[1] if isinstance(e, WorldAsked) and e.stage == "auto-2"]
+    asked: list[WorldAsked] = []
+    for _ in wanted:
+
+        def stop(event: Event) -> None:
+            if isinstance(event, WorldAsked) and not event.recalled:
+                asked.append(event)
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            train_until(Training(open_run(folder), stop, quietly), GOAL)
+    assert asked == wanted
+    events: list[Event] = []
+    same_as(made, folder, train_until(Training(open_run(folder), events.append, quietly), GOAL))
+    again = [e for e in events if isinstance(e, WorldAsked)]
+    assert again == [replace(e, recalled=True) for e in wanted]
 
 
 def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
@@ -141,28 +216,26 @@ def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_pat
     assert try_skill(final, run.domain.world(kept.solved)).succeeded.all()
 
 
-def test_a_round_that_finds_nothing_at_all(trained: Trained, tmp_path: Path) -> None:
-    """One generation of two individuals can be lucky, but not under every seed."""
-    hasty = {"population": 2, "generations": 1, "attempts": 1}
+def test_a_round_that_finds_nothing_at_all(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_success(monkeypatch)
+    run = prepared(trained, tmp_path / "run", attempts=2, generations=1)
+    with pytest.raises(NotImprovedError, match="stage auto-1 found no skill"):
+        train_until(Training(run, ignore, quietly), Goal(target=0.5, rounds=1))
+    assert run.stages == ()
 
-    def error(seed: int) -> str:
-        run = prepared(trained, tmp_path / str(seed), seed=seed, **hasty)
-        try:
-            train_until(Training(run, ignore, quietly), Goal(target=0.5, rounds=1))
-        except NotImprovedError as e:
-            return "" if run.stages else str(e)
-        return ""
 
-    message = next(filter(None, map(error, range(20))))
-    assert "stage auto-1 found no skill" in message
+SCREENED = {"fresh": {"scenarios": "perimeter", "tried": 400, "succeeded": 300}}
 
 
 def decided(succeeded: int, tried: int) -> dict[str, Any]:
-    return {"decisive": {"scenarios": "perimeter", "tried": tried, "succeeded": succeeded}}
+    score = {"scenarios": "perimeter", "tried": tried, "succeeded": succeeded}
+    return {**SCREENED, "decisive": score}
 
 
 def test_only_the_last_round_can_reach_the_goal() -> None:
-    goal, none = Goal(target=0.99), {"decisive": None}
+    goal, none = Goal(target=0.99), {**SCREENED, "decisive": None}
     assert not reached(goal, [])
     assert not reached(goal, [none])
     assert reached(goal, [none, decided(3970, 4000)])
@@ -171,6 +244,22 @@ def test_only_the_last_round_can_reach_the_goal() -> None:
     many = [decided(3900, 4000)] * 20
     assert not reached(goal, [*many, decided(3970, 4000)])  # luck has had many chances
     assert reached(goal, [*many, decided(3985, 4000)])
+
+
+def untested(in_a_row: int, practice: int = 24) -> dict[str, Any]:
+    """A round in a world that does not repeat itself."""
+    untested = dict.fromkeys(("fresh", "overall", "decisive"))
+    return {**untested, "in_a_row": in_a_row, "practice": practice}
+
+
+def test_where_no_world_can_be_put_back_practice_reaches_the_goal() -> None:
+    """Whatever the goal's target: it is a share of fresh scenarios, of which none are tried."""
+    for goal in (Goal(target=0.5), Goal(target=0.999)):
+        assert reached(goal, [untested(24)])
+        assert reached(goal, [untested(3), untested(30)])
+        assert not reached(goal, [untested(23)])
+        assert not reached(goal, [untested(24), untested(0)])
+        assert not reached(goal, [untested(24), {**SCREENED, "decisive": None}])
 
 
 @pytest.mark.parametrize(
@@ -183,6 +272,7 @@ def test_acting_ends_where_enough_was_missed(
     assert score.tried == len(score.scenarios) == tried
     assert score.successes == 0
     assert len(score.scenarios.seed.unique()) == tried
+    assert torch.equal(score.percepts, first_percepts(made[0].domain.world(score.scenarios)))
 
 
 def test_acting_is_trying_in_the_world(made: Made) -> None:
@@ -191,25 +281,23 @@ def test_acting_is_trying_in_the_world(made: Made) -> None:
     score = act(run, skill, 20, seeded(3))
     again = try_skill(skill, run.domain.world(score.scenarios))
     assert torch.equal(again.succeeded, score.succeeded)
+    assert torch.equal(again.percepts, score.percepts)
 
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """A round on tables of any kind with things in the way, seen from their edges."""
-    settings = replace(
-        SMALL,
-        scenarios="general-clutter",
-        transitions=100,
-        labels=300,
-        attempts=1,
-    )
-    run = create_run(tmp_path_factory.mktemp("wide") / "run", settings)
-    events: list[Event] = []
-    return (
-        run,
-        events,
-        train_until(Training(run, events.append, quietly), Goal(target=0.5, rounds=1)),
-    )
+    """A round on tables of any kind with things in the way, seen from their edges.
+
+    So small a search finds nothing under some seeds.
+    """
+    many = replace(SMALL, scenarios="general-clutter", population=100, generations=30, labels=60)
+    for seed in range(8):
+        run = create_run(tmp_path_factory.mktemp("wide") / "run", replace(many, seed=seed))
+        events: list[Event] = []
+        with suppress(NotImprovedError):
+            training = Training(run, events.append, quietly)
+            return run, events, train_until(training, Goal(target=0.5, rounds=1))
+    raise AssertionError("no seed has found a skill")
 
 
 def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
@@ -219,9 +307,8 @@ def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
     again, skill = last_skill(run.folder)
     check_percepts(skill, 13, "the run's scenarios")
     progress = load_progress(again, again.folder / "auto-1")
-    met = [results[0]["fresh"], *filter(None, [results[0]["decisive"]])]
-    succeeded = sum(each["succeeded"] for each in met)
-    assert len(progress.solved) == results[0]["targets_succeeded"] + succeeded
+    met = practised(wide[1], "auto-1") + tries_of(results[0])
+    assert len(progress.solved) + len(progress.missed) == met
     assert progress.knowledge.dataset.percept.shape[1] == 13
     both = torch.cat([progress.solved.obstacles, progress.missed.obstacles])
     assert 0.3 < float((both[:, 0, 3] > 0).float().mean()) < 0.7
@@ -234,6 +321,60 @@ def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
 def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
     with pytest.raises(SettingsError, match="use --stage auto"):
         train(Training(wide[0], ignore, quietly), "S0")
+
+
+def test_what_a_robots_world_was_asked_before_a_kill_is_not_asked_again(tmp_path: Path) -> None:
+    """Nothing repeats itself there, so the rest of the round is another one; counts go on."""
+    settings = replace(SMALL, attempts=8)
+    run = create_run(tmp_path / "run", settings, TabletopSettings(noise="fresh"))
+    told, again = list[WorldAsked](), list[Event]()
+
+    def stop(event: Event) -> None:
+        if isinstance(event, WorldAsked):
+            told.append(event)
+            if len(told) == 5:
+                raise KeyboardInterrupt
+
+    goal = Goal(target=0.5, rounds=1)
+    with pytest.raises(KeyboardInterrupt):
+        train_until(Training(run, stop, quietly), goal)
+    (result,) = train_until(Training(open_run(run.folder), again.append, quietly), goal)
+    asked = [e for e in again if isinstance(e, WorldAsked)]
+    assert asked[:4] == [replace(e, recalled=True) for e in told[1:]]
+    assert not any(e.recalled for e in asked[4:])
+    spent: dict[str, Asked] = {}
+    for event in (told[0], *asked):
+        spent[event.phase] = spent.get(event.phase, Asked()) + event.asked
+    assert result["asked"] == {phase: vars(each) for phase, each in spent.items()}
+    progress = load_progress(run, run.folder / "auto-1")
+    assert len(progress.solved) + len(progress.missed) == spent["practice"].episodes
+    assert [result[name] for name in ("fresh", "overall", "decisive")] == [None] * 3
+    assert result["practice"] == SMALL.practice
+
+
+COUNTED = {"in_a_row": 3, "practice": 4}
+
+
+@pytest.mark.parametrize("name", COUNTED)
+@pytest.mark.parametrize("value", [-1, 1.5, True, "many", [3], {}])
+def test_a_damaged_count_of_practice(tmp_path: Path, made: Made, name: str, value: object) -> None:
+    path = tmp_path / "result.json"
+    sound = {**made[2][0], **dict.fromkeys(("fresh", "overall", "decisive")), **COUNTED}
+    path.write_text(json.dumps(sound))
+    assert not reached(GOAL, [load_result(path)])
+    path.write_text(json.dumps({**sound, name: value}))
+    with pytest.raises(RunError, match=f"{name} of "):
+        load_result(path)
+
+
+@pytest.mark.parametrize("lost", ["in_a_row", "practice", "fresh"])
+def test_a_round_that_does_not_say_how_it_was_tested_has_reached_nothing(
+    tmp_path: Path, made: Made, lost: str
+) -> None:
+    path = tmp_path / "result.json"
+    sound = {**made[2][0], **dict.fromkeys(("fresh", "overall", "decisive")), **COUNTED}
+    path.write_text(json.dumps({name: each for name, each in sound.items() if name != lost}))
+    assert not reached(GOAL, [load_result(path)])
 
 
 VALUES: list[Callable[[Any], Any]] = [

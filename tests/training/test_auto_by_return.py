@@ -1,17 +1,21 @@
-"""The autonomous loop where a domain gives rewards and nothing is solved yet."""
+"""The autonomous loop where a domain gives rewards, before and after something is solved."""
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support import create_run, same
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.environment.asked import Asked
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
     GenerationDone,
+    Practised,
     SkillAccepted,
+    WorldAsked,
     WorldTested,
 )
 from cgtorch.runs.goal import Goal
@@ -25,7 +29,7 @@ from cgtorch.training.context import Training
 pytest.importorskip("gymnasium")
 
 OUT_OF_REACH, EASY = 1e6, 9.0
-GOAL = Goal(rounds=2)
+ROUND = Goal(rounds=1)
 
 
 def begun(folder: Path, target: float = OUT_OF_REACH) -> Run:
@@ -46,7 +50,7 @@ def quietly(message: str) -> nullcontext[None]:
 def test_the_fittest_individual_is_the_skill_until_one_meets_eq_1(tmp_path: Path) -> None:
     run = begun(tmp_path / "run")
     events: list[Event] = []
-    results = train_until(Training(run, events.append, quietly), GOAL)
+    results = train_until(Training(run, events.append, quietly), Goal(rounds=2))
     assert run.rounds == ("auto-1", "auto-2")
     means = [result["fresh"]["mean_return"] for result in results]
     assert all(1 < mean <= 500 for mean in means)
@@ -57,24 +61,39 @@ def test_the_fittest_individual_is_the_skill_until_one_meets_eq_1(tmp_path: Path
     assert not len(progress.solved)
 
 
-def test_it_is_the_same_after_an_interruption(tmp_path: Path) -> None:
-    """The second evolution is stopped; the first one's individuals are compared by the journal."""
-    train_until(Training(begun(tmp_path / "whole"), lambda event: None, quietly), GOAL)
-    stopped = begun(tmp_path / "stopped")
-    tests, again = 0, list[Event]()
+Made = tuple[Run, list[Event], list[dict[str, Any]]]
+
+
+@pytest.fixture(scope="module", params=[OUT_OF_REACH, EASY], ids=["out of reach", "easy"])
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """A round that nothing interrupts, for a target that it cannot reach and for one it can."""
+    run, events = begun(tmp_path_factory.mktemp("whole") / "run", request.param), list[Event]()
+    return run, events, train_until(Training(run, events.append, quietly), ROUND)
+
+
+@pytest.mark.parametrize(("kind", "number"), [(GenerationDone, 3), (WorldTested, 1)])
+def test_it_is_the_same_after_an_interruption(
+    whole: Made, tmp_path: Path, kind: type[Event], number: int
+) -> None:
+    """What the journal has is neither evolved nor asked of the world again."""
+    run, _, results = whole
+    stopped = begun(tmp_path / "stopped", run.domain.target_return)
+    met, again = 0, list[Event]()
 
     def stop(event: Event) -> None:
-        nonlocal tests
-        tests += isinstance(event, WorldTested)
-        if tests == 2:
+        nonlocal met
+        met += isinstance(event, kind)
+        if met == number:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_until(Training(stopped, stop, quietly), GOAL)
-    train_until(Training(open_run(stopped.folder), again.append, quietly), GOAL)
-    assert any(isinstance(event, EvolutionRecalled) for event in again)
-    graphs = [last_skill(tmp_path / name)[1].graph for name in ("whole", "stopped")]
-    assert same(*graphs)
+        train_until(Training(stopped, stop, quietly, checkpoint_seconds=0), ROUND)
+    found = train_until(Training(open_run(stopped.folder), again.append, quietly), ROUND)
+    known = [e.found.generations for e in again if isinstance(e, EvolutionRecalled)]
+    assert known == [2 if kind is GenerationDone else 3]
+    timed = {"seconds": 0, "search_seconds": 0}
+    assert [r | timed for r in found] == [r | timed for r in results]
+    assert same(*(last_skill(each.folder)[1].graph for each in (run, stopped)))
 
 
 def evolved_on(events: list[Event]) -> dict[str, int]:
@@ -83,31 +102,23 @@ def evolved_on(events: list[Event]) -> dict[str, int]:
     return {event.candidate: len(event.generation.succeeded) for event in done}
 
 
-def test_what_reaches_the_target_on_a_few_starts_goes_on_with_more(tmp_path: Path) -> None:
-    events: list[Event] = []
-    train_until(Training(begun(tmp_path / "easy", EASY), events.append, quietly), Goal(rounds=1))
-    first = dict(list(evolved_on(events).items())[:3])
-    assert first == {"auto-1.1": 8, "auto-1.1 on 16": 16, "auto-1.1 on 32": 32}
-    assert any(isinstance(event, SkillAccepted) for event in events)
+def test_evolutions_have_a_few_starts_only(whole: Made) -> None:
+    """Whether what they find reaches the target is told by trying it on all that was missed."""
+    run, events, _ = whole
+    assert set(evolved_on(events).values()) == {8}
+    tried = next(event for event in events if isinstance(event, WorldTested))
+    assert (tried.size_m, tried.size_w) == (100, 0)
+    accepted = any(isinstance(event, SkillAccepted) for event in events)
+    assert accepted == (run.domain.target_return == EASY)
 
 
-def test_what_does_not_reach_it_has_a_few_starts_only(tmp_path: Path) -> None:
-    events: list[Event] = []
-    train_until(Training(begun(tmp_path / "hard"), events.append, quietly), Goal(rounds=1))
-    assert evolved_on(events) == {"auto-1.1": 8, "auto-1.2": 8}
-
-
-def test_it_is_the_same_after_an_interruption_on_more_starts(tmp_path: Path) -> None:
-    goal = Goal(rounds=1)
-    train_until(Training(begun(tmp_path / "whole", EASY), lambda event: None, quietly), goal)
-    stopped = begun(tmp_path / "stopped", EASY)
-
-    def stop(event: Event) -> None:
-        if isinstance(event, GenerationDone) and event.candidate == "auto-1.1 on 16":
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train_until(Training(stopped, stop, quietly, checkpoint_seconds=0), goal)
-    train_until(Training(open_run(stopped.folder), lambda event: None, quietly), goal)
-    graphs = [last_skill(tmp_path / name)[1].graph for name in ("whole", "stopped")]
-    assert same(*graphs)
+def test_nothing_is_practised_as_rounds_try_skills_on_fresh_episodes(whole: Made) -> None:
+    """Neither those episodes nor the search, both in a simulated world, count as asked."""
+    _, events, results = whole
+    assert {(e.in_a_row, e.wanted) for e in events if isinstance(e, Practised)} == {(0, 0)}
+    for result in results:
+        assert (result["in_a_row"], result["practice"]) == (0, 0)
+        assert set(result["asked"]) == {"looks", "trials"}
+        assert not any(result["asked"]["looks"].values())
+    told = [e.asked for e in events if isinstance(e, WorldAsked) and e.phase == "trials"]
+    assert results[-1]["asked"]["trials"] == vars(sum(told, Asked()))

@@ -10,16 +10,14 @@ from support import random_skill, seeded
 from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
 from cgtorch.graphs import SubSkill
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.trial import try_skill
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import random_scenarios
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 
 
 def score(successes: int, tried: int) -> Score:
-    return Score(
-        random_scenarios("near", tried, seeded(0)),
-        torch.arange(tried) < successes,
-    )
+    scenarios = random_scenarios("near", tried, seeded(0))
+    return Score(scenarios, first_percepts(TABLE.world(scenarios)), torch.arange(tried) < successes)
 
 
 def test_scenarios_come_from_the_seed() -> None:
@@ -41,6 +39,8 @@ def test_parts_change_nothing_and_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     assert told == [20, 7, 7, 6]
     assert torch.equal(whole.succeeded, parts.succeeded)
     assert torch.equal(whole.scenarios.seed, parts.scenarios.seed)
+    assert torch.equal(whole.percepts, parts.percepts)
+    assert torch.equal(whole.percepts, first_percepts(TABLE.world(whole.scenarios)))
 
 
 def test_the_score_on_some() -> None:
@@ -48,6 +48,7 @@ def test_the_score_on_some() -> None:
     some = score(2, 4).of(mask)
     assert (some.tried, some.successes) == (3, 1)
     assert torch.equal(some.scenarios.object, score(2, 4).scenarios.object[mask])
+    assert torch.equal(some.percepts, first_percepts(TABLE.world(some.scenarios)))
     assert (score(2, 4).of(~mask).successes, score(2, 4).of(~mask).tried) == (1, 1)
 
 

@@ -6,19 +6,16 @@ from pathlib import Path
 import pytest
 import torch
 from reaching import TABLE
-from support import seeded
 
 from cgtorch.actions import paper_actions
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.settings import RunSettings
-from cgtorch.tabletop.world import random_scenarios, stage_scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
-from cgtorch.training.stages import exercise, stage_generator, stages_to_make
+from cgtorch.training.stages import stage_generator, stages_to_make
 
 RUN = Run(Path("none"), RunSettings(), TABLE, paper_actions())
 STAGES = TABLE.stages
-NONE = stage_scenarios("near", 0)
 
 
 def test_stages_in_order() -> None:
@@ -44,10 +41,8 @@ def test_only_the_papers_table_has_stages() -> None:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_five_evenly_spaced_from_the_centred_start(stage: str) -> None:
-    task = exercise(RUN, stage, NONE, 0, seeded(0))
-    assert task.targets.tolist() == [True] * 5
-    assert task.tests == 5
-    placed, pose = task.scenarios.object, task.scenarios.pose
+    tests = TABLE.tests(STAGES[stage])
+    placed, pose = tests.object, tests.pose
     assert torch.equal(pose, pose[:1].expand(5, 3))
     assert pose[0].tolist() == pytest.approx([-TABLE_DEPTH / 2 - 1, 0, 0])
     along, across = (1, 0) if STAGES[stage] in ("near", "far") else (0, 1)
@@ -60,21 +55,9 @@ def test_five_evenly_spaced_from_the_centred_start(stage: str) -> None:
 
 
 def test_the_right_edge_has_its_top_corner() -> None:
-    placed = exercise(RUN, "S2", NONE, 0, seeded(0)).scenarios.object
+    placed = TABLE.tests(STAGES["S2"]).object
     corner = torch.tensor([TABLE_DEPTH / 2 - INSET_MIN, 0.1 - TABLE_WIDTH / 2])
     assert (placed - corner).norm(dim=1).min() < 1e-6
-
-
-def test_failures_of_earlier_stages_are_targets_and_practice_is_not() -> None:
-    missed = random_scenarios("near", 3, seeded(1))
-    task = exercise(RUN, "S1", missed, 7, seeded(2))
-    assert task.targets.tolist() == [True] * 8 + [False] * 7
-    assert task.tests == 5
-    for name, value in vars(task.scenarios).items():
-        assert torch.equal(value[5:8], getattr(missed, name))
-    practice = task.scenarios[torch.arange(8, 15)]
-    assert (practice.object[:, 1] >= TABLE_WIDTH / 2 - 0.15 - 1e-6).all()
-    assert len({tuple(o) for o in practice.object.tolist()}) == 7
 
 
 def test_a_stage_has_randomness_of_its_own() -> None:

@@ -20,6 +20,7 @@ from benchmarks.measure import (
 )
 from cgtorch.environment import Dataset
 from cgtorch.svm import SVC, SVR, grid_search
+from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ def _transitions(rows: int) -> Case:
 
 def _collected(transitions: int, labels: int) -> Dataset:
     generator = torch.Generator().manual_seed(0)
-    return Tabletop().explore("perimeter", transitions, labels, generator)
+    return collect(Scenes(Tabletop().world), transitions, labels, generator)
 
 
 def _scaled(x: Array) -> Array:

@@ -6,12 +6,15 @@ from functools import partial
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from benchmarks.measure import WALL, Comparison, Effort, Line, cores, in_turns, run_threads
 from benchmarks.workload import SCENARIOS, first_population, workload
 from cgtorch.actions import ActionSet
-from cgtorch.domains.knowledge import fit_models
+from cgtorch.domains.exploration import Exploration
+from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.environment import Dataset, Environment
+from cgtorch.environment.asked import Purse
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.simulation import ModelEnvironment, rollout
 from cgtorch.svm.machine import KernelMachine
@@ -21,14 +24,13 @@ from examples.mountain_car import MountainCar
 
 POPULATIONS = (1000, 10_000)
 CENTRES = {"gamma": 128, "classifier": 256}
-EXPERIENCE = 400, 400  # transitions and tests that the domain's models are fitted on
+MOTIONS = 400  # from which the domain's models are learned at most
 
 
 def own_models(effort: Effort) -> Line:
     """Γ and C of any domain, compiled, in transitions that are executed per second."""
     domain, generator = MountainCar(), torch.Generator().manual_seed(0)
-    data = domain.explore("valley", *EXPERIENCE, generator)
-    knowledge, _ = fit_models(domain, data, 0, lambda gamma: None)
+    knowledge = explored(domain, generator)
     world = domain.world(domain.draw("valley", SCENARIOS, generator))
     found = domain.imagine(knowledge, first_percepts(world), 1, generator)
     if not isinstance(found, ModelEnvironment):
@@ -46,6 +48,19 @@ def own_models(effort: Effort) -> Line:
         f"{CENTRES['gamma']} and {CENTRES['classifier']} centres each"
     )
     return Line("own_models", compared, "x as fast", 0.5, "wall", cores(), tuple(parts))
+
+
+def explored(domain: MountainCar, generator: Generator) -> Knowledge:
+    """Γ and C of what an exploration has met."""
+
+    def world(kind: str, count: int) -> Environment:
+        return domain.world(domain.draw(kind, count, generator))
+
+    def fit(data: Dataset) -> Knowledge:
+        return fit_models(domain, data, 0, lambda gamma: None, alone=True)[0]
+
+    about = Exploration("valley", world, fit, MOTIONS, 2, generator, Purse())
+    return fit(domain.explore(about))
 
 
 def resized(environment: ModelEnvironment) -> ModelEnvironment:

@@ -13,10 +13,9 @@ from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.population import random_population, slim
 from cgtorch.graphs import widened
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.settings import defaults_of
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.domain import Tabletop
-from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.tabletop.data import Scenes, collect
+from cgtorch.tabletop.domain import LABELS, TRANSITIONS, Tabletop
 
 SCENARIOS = 20
 GENERATIONS = 10
@@ -45,9 +44,9 @@ class Workload:
 
 @cache
 def workload() -> Workload:
-    """What `cgtorch-train` begins with: data from the robot's world, Γ and C fitted on it."""
-    generator, sizes, domain = _seeded(0), defaults_of(TabletopSettings), Tabletop()
-    data = domain.explore("perimeter", sizes["transitions"], sizes["labels"], generator)
+    """What the paper's method begins with: random data of the robot's world, and Γ and C."""
+    generator, domain = _seeded(0), Tabletop()
+    data = collect(Scenes(domain.world), TRANSITIONS, LABELS, generator)
     knowledge, _ = fit_models(domain, data, 0, lambda gamma: None)
     return workload_of(knowledge, domain, SCENARIOS, generator)
 

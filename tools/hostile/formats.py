@@ -18,6 +18,7 @@ from torch import Generator, nn
 from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import taken
 from cgtorch.environment import Dataset
+from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import load_skill
@@ -40,8 +41,10 @@ from cgtorch.runs.storage import (
     load_dataset,
     load_knowledge,
     load_population,
+    load_progress,
     load_result,
     load_scenarios,
+    read_asked,
     save_scenarios,
     save_tensors,
 )
@@ -110,7 +113,8 @@ def prepare(folder: Path) -> ActionSet:
 
 
 def _few(data: Dataset) -> Dataset:
-    return taken(data, torch.arange(30), torch.arange(20))
+    moves, tests = min(30, len(data.percept)), min(20, len(data.tested))
+    return taken(data, torch.arange(moves), torch.arange(tests))
 
 
 def _scenarios(folder: Path, actions: ActionSet) -> list[bytes]:
@@ -137,6 +141,18 @@ def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
     return [json.dumps({**data, "scenarios": data["scenarios"][::20]}).encode()]
 
 
+def _asked(folder: Path, actions: ActionSet) -> list[bytes]:
+    """What a run had asked before its first stage, and after its last."""
+    (folder / "start").mkdir(exist_ok=True)
+    spent = read_asked(folder / "S3" / "result.json")
+    few = {phase: spent[phase] for phase in list(spent)[:1]}
+    return [json.dumps({"asked": each}).encode() for each in (few, spent)]
+
+
+def _sums(spent: Mapping[str, Mapping[str, int]]) -> int:
+    return sum(Asked(**counts).actions for counts in spent.values())
+
+
 def _populations(folder: Path, actions: ActionSet) -> list[bytes]:
     population = _population(actions)
     tensors = {**vars(population.graphs), "strategy": population.strategy}
@@ -152,7 +168,9 @@ def _journals(folder: Path, actions: ActionSet) -> list[bytes]:
     """An evolution that is over, and a trial."""
     found = {**found_tensors(_found(actions)), "generator": Generator().get_state()}
     data = load_dataset(folder / "S3" / "data.safetensors")
-    trial = trial_tensors(Trial(_found(actions).solved, torch.arange(SCENARIOS), data))
+    counts, first = torch.arange(SCENARIOS), data.percept[:SCENARIOS]
+    asked = Asked(9, 8, SCENARIOS, SCENARIOS)
+    trial = trial_tensors(Trial(first, _found(actions).solved, counts, data, counts, asked))
     files = []
     for name, tensors in (("evolution x", found), ("trial of x", trial)):
         shutil.rmtree(folder / "journal", ignore_errors=True)
@@ -194,9 +212,18 @@ def _read_journal(folder: Path, actions: ActionSet) -> object:
         known = journal.recall("evolution x")
     except RunError:
         known = journal.recall("trial of x")
-        size = load_dataset(folder / "S3" / "data.safetensors").percept.shape[1]
-        return known and trial_from(known, SCENARIOS, size)
+        return known and _used(trial_from(known, SCENARIOS))
     return known and found_from(known, actions, SCENARIOS)
+
+
+def _used(trial: Trial) -> object:
+    """A trial as improvement uses it: what it asked is counted, its successes are told apart."""
+    purse = Purse()
+    purse.add("trials", trial.asked)
+    if min(vars(purse.total).values()) < 0:
+        raise ArithmeticError("the trial has asked less than nothing")
+    good = trial.succeeded
+    return trial.percepts[good], [int(x) for x in trial.actions[good]], purse.total.actions
 
 
 def _read_part(folder: Path, actions: ActionSet) -> object:
@@ -207,6 +234,16 @@ def _read_part(folder: Path, actions: ActionSet) -> object:
     except ValueError as e:  # is told, and counts as never done
         raise RunError("damaged") from e
     return island_from(tensors, actions, Generator(), 9)
+
+
+def _read_seen(folder: Path, actions: ActionSet) -> object:
+    """W and M with their first percepts, by which scenarios are grouped."""
+    progress = load_progress(open_run(folder), folder / "S3")
+    seen = progress.seen
+    every = progress.solved.joined(progress.missed)
+    if seen is None or len(seen) != len(every) or not bool(seen.isfinite().all()):
+        raise ArithmeticError("the percepts are not those of W and M")
+    return torch.cat([seen, progress.knowledge.dataset.percept])
 
 
 def _read_models(folder: Path, actions: ActionSet) -> object:
@@ -306,6 +343,13 @@ FORMATS = {
         damaged_tensors, 12, "S3/data.safetensors",
         lambda folder, actions: load_dataset(folder / "S3" / "data.safetensors"),
         _kept("S3/data.safetensors"),
+    ),
+    "seen": Format(
+        damaged_tensors, 3, "S3/seen.safetensors", _read_seen, _kept("S3/seen.safetensors")
+    ),
+    "asked": Format(
+        damaged_json, 6, "start/result.json",
+        lambda folder, actions: _sums(read_asked(folder / "start" / "result.json")), _asked,
     ),
     "population": Format(
         damaged_tensors, 12, "S0/specialists.safetensors",

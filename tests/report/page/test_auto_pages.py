@@ -15,9 +15,18 @@ from cgtorch.runs.storage import save_scenarios
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import act
 
+ASKED = {
+    "exploration": {"motions": 20, "tests": 15, "looks": 4, "episodes": 0},
+    "looks": {"motions": 0, "tests": 0, "looks": 64, "episodes": 0},
+    "practice": {"motions": 9, "tests": 8, "looks": 7, "episodes": 7},
+}
 
-def auto_run(folder: Path, scenarios: str, count: int) -> Run:
-    """A run with one round, whose skill nobody evolved but the world has tried."""
+
+def auto_run(folder: Path, scenarios: str, count: int, tested: bool = True) -> Run:
+    """A run with one round, whose skill nobody evolved but the world has tried.
+
+    Unless it was `tested` on fresh scenarios, its trials were practice.
+    """
     run = create_run(
         folder, RunSettings(**{**defaults_of(TabletopSettings), "scenarios": scenarios})
     )
@@ -28,15 +37,18 @@ def auto_run(folder: Path, scenarios: str, count: int) -> Run:
     (folder / "auto-1").mkdir()
     save_skill(folder / "auto-1" / "skill.json", skill)
     save_scenarios(folder / "auto-1" / "scenarios.json", solved, missed)
-    tested = {"scenarios": scenarios, "tried": score.tried, "succeeded": score.successes}
+    test = {"scenarios": scenarios, "tried": score.tried, "succeeded": score.successes}
     numbers = dict.fromkeys(
         ("targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded",
          "w_size", "w_lost", "generations", "transitions"), 0,
     )  # fmt: skip
     names = {"stage": "auto-1", "scenarios": scenarios, "skill": "auto-1"}
     size = {"nodes": skill.num_nodes, "depth": skill.depth, "seconds": 1.5}
-    tests = {"fresh": tested, "overall": tested, "decisive": None}
-    rewrite(folder / "auto-1" / "result.json", {**names, **numbers, **size, **tests})
+    test = test if tested else None
+    more = {"fresh": test, "overall": test, "decisive": None, "asked": ASKED}
+    practice = {"in_a_row": 3, "practice": 20}
+    result = {**names, **numbers, **size, **more, **practice}
+    rewrite(folder / "auto-1" / "result.json", result)
     goal = {"target": 0.9, "minutes": 5.0, "rounds": 30}
     rewrite(folder / "summary.json", {"stages": [], "reached": False, **goal})
     return run
@@ -79,3 +91,30 @@ def test_of_many_placements_all_missed_and_some_reached_are_drawn(tmp_path: Path
     assert "2000 scenarios reached, 7 missed; seen from above, 1500 of them drawn" in text
     assert "34 of 40 reached" in words(page.get_element_by_id("overall"))
     assert next(words(e) for e in page.iter("article")).startswith("auto-1: perimeter")
+
+
+@pytest.mark.parametrize("tested", [True, False])
+def test_what_was_asked_is_a_table(tmp_path: Path, tested: bool) -> None:
+    page = parsed(auto_run(tmp_path / "run", "perimeter", 7, tested).folder)
+    (table,) = [e for e in page.iter("table") if "asked of the world" in words(e.find("caption"))]
+    head, *rows = [[words(cell) for cell in row.iter("th", "td")] for row in table.iter("tr")]
+    assert head == ["phase", "motions", "tests", "scenes looked at", "episodes"]
+    counts = [[phase, *map(str, asked.values())] for phase, asked in ASKED.items()]
+    assert rows == [*counts, ["all", "29", "23", "75", "7"]]
+
+
+def test_a_round_without_tests_on_fresh_scenarios_claims_nothing(tmp_path: Path) -> None:
+    """Where a world does not repeat itself, a skill is judged by practice and not tested again."""
+    run = auto_run(tmp_path / "run", "general", 7, tested=False)
+    page = parsed(run.folder)
+    head, row = ([words(c) for c in line.iter("th", "td")] for line in
+                 page.get_element_by_id("results").find(".//table").iter("tr"))  # fmt: skip
+    shown = dict(zip(head, row, strict=True))
+    assert (shown["stage"], shown["fresh"], shown["overall"]) == ("auto-1", "–", "–")
+    cards = {words(e.find("dt")): words(e.find("dd")) for e in page.find_class("cards")[0]}
+    assert cards["Reached, general"] == "–"  # of no test there is no interval
+    pictures = page.get_element_by_id("results").find_class("picture")
+    assert not [words(each) for each in pictures if not list(each.iter("svg", "img"))]
+    known = json.loads((run.folder / "auto-1" / "scenarios.json").read_text())
+    counts = f"{len(known['W'])} scenarios reached, {len(known['M'])} missed"
+    assert counts in words(page.get_element_by_id("stage-1"))

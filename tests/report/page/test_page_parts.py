@@ -68,7 +68,8 @@ def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
     assert words[0] == "cgtorch-train"
     values = command.make_context("cgtorch-train", words[1:]).params
     names = {f.name for kind in (RunSettings, TabletopSettings) for f in fields(kind)}
-    return values, {name: value for name, value in values.items() if name in names}
+    found = {name: value for name, value in values.items() if name in names}
+    return values, {**found, "driver": found["driver"] or ""}
 
 
 @pytest.mark.parametrize(
@@ -82,6 +83,11 @@ def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
         (
             RunSettings(scenarios="general", islands=3, migration=2),
             TabletopSettings(heading_noise=0.0),
+        ),
+        (RunSettings(practice=24, labels=0), TabletopSettings(noise="fresh")),
+        (
+            RunSettings(transitions=0, data=("logs/one day.csv", "two.parquet")),
+            TabletopSettings(),
         ),
     ],
 )

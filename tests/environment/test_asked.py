@@ -1,0 +1,89 @@
+"""What is asked of a world is counted, and what no budget covers is refused."""
+
+from dataclasses import astuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cgtorch.environment.asked import NAMES, Asked, BudgetSpentError, Purse
+from cgtorch.ground.errors import CgtorchError
+
+ASKED = st.builds(Asked, *[st.integers(0, 20)] * len(NAMES))
+LIMITED = st.sampled_from([*NAMES, "actions"])
+PHASE = st.sampled_from(["trials", "practice", "looks"])
+
+
+@given(ASKED, ASKED)
+def test_numbers_are_added_and_subtracted_one_by_one(one: Asked, other: Asked) -> None:
+    pairs = list(zip(astuple(one), astuple(other), strict=True))
+    assert astuple(one + other) == tuple(a + b for a, b in pairs)
+    assert astuple(one - other) == tuple(a - b for a, b in pairs)
+    assert one + other - other == one
+    assert one + Asked() == one
+    assert one.actions == one.motions + one.tests
+    assert NAMES == ("motions", "tests", "looks", "episodes")
+
+
+def within(asked: Asked, spent: Asked, limits: dict[str, float]) -> bool:
+    """Whether nothing that is asked goes beyond a limit."""
+    return all(
+        not getattr(asked, name) or getattr(spent, name) + getattr(asked, name) <= limit
+        for name, limit in limits.items()
+    )
+
+
+@given(
+    st.dictionaries(LIMITED, st.floats(0, 80), max_size=3),
+    st.lists(st.tuples(PHASE, ASKED), max_size=12),
+)
+def test_what_is_refused_is_not_counted(
+    limits: dict[str, float], wanted: list[tuple[str, Asked]]
+) -> None:
+    purse, plain = Purse(limits), dict[str, Asked]()
+    refused = False
+    for phase, asked in wanted:
+        spent = sum(plain.values(), Asked())
+        assert purse.total == spent
+        if within(asked, spent, limits):
+            purse.pay(phase, asked)
+            plain[phase] = plain.get(phase, Asked()) + asked
+        else:
+            refused = True
+            with pytest.raises(BudgetSpentError):
+                purse.pay(phase, asked)
+        assert purse.spent == plain
+        assert purse.exhausted == refused
+    for name, limit in limits.items():
+        assert getattr(purse.total, name) <= limit
+
+
+def test_a_limit_can_be_used_up_and_is_named_when_it_is() -> None:
+    purse = Purse({"actions": 10, "looks": 2})
+    purse.pay("trials", Asked(motions=6, tests=4, episodes=99))
+    purse.pay("looks", Asked(looks=2))
+    assert not purse.exhausted
+    with pytest.raises(CgtorchError) as caught:
+        purse.pay("trials", Asked(tests=1))
+    assert str(caught.value) == "the budget of 10 actions is spent; raise --budget"
+    with pytest.raises(BudgetSpentError, match="budget of 2 looks is spent"):
+        purse.pay("trials", Asked(looks=1))
+    assert purse.exhausted
+    purse.pay("trials", Asked(episodes=1))  # of which there is no limit
+
+
+def test_what_was_asked_before_is_counted_whatever_the_limit() -> None:
+    purse = Purse({"motions": 5})
+    purse.add("exploration", Asked(motions=7))
+    assert purse.total == Asked(motions=7)
+    assert not purse.exhausted
+    purse.pay("trials", Asked(tests=1))
+    with pytest.raises(BudgetSpentError):
+        purse.pay("trials", Asked(motions=1))
+    assert purse.spent == {"exploration": Asked(motions=7), "trials": Asked(tests=1)}
+
+
+def test_purses_do_not_share_what_they_count() -> None:
+    one, other = Purse(), Purse()
+    one.pay("trials", Asked(motions=1))
+    assert other.total == Asked()

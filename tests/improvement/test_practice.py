@@ -1,0 +1,207 @@
+"""When a stage ends: after enough fresh scenarios in a row, or once nothing more is solved."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from members import nearly
+from reaching import world_of
+from support import seeded
+from torch import Generator
+from watched import NONE, Watched, along, first_stage, keys, of_kind, recruited, stage_of
+from watched import without_models as setup_of
+
+from cgtorch.improvement.events import Event, Practised, SkillAccepted
+from cgtorch.improvement.improve import BATCH, FIRST, IDLE, improve
+from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.world import Scenarios, random_scenarios
+
+MEMBER = nearly(0.3)
+MANY = random_scenarios("near", 200, seeded(0))
+_DONE = try_skill(MEMBER, world_of(MANY)).succeeded
+GOOD, BAD = MANY[_DONE], MANY[~_DONE]
+LOOKS = 4
+
+
+def drawing(bad: set[int], drawn: list[int]) -> Callable[[int, Generator], Scenarios]:
+    """Draws scenarios that the member solves, but for some of those to practise on."""
+
+    def draw(count: int, generator: Generator) -> Scenarios:
+        begin, number = sum(drawn[1:]), len(drawn)
+        drawn.append(count)
+        rows = torch.randint(len(GOOD), (count,), generator=generator)
+        found = GOOD[rows]
+        odd = torch.tensor([number > 0 and begin + i in bad for i in range(count)])
+        placed = torch.where(odd[:, None], BAD.object[:1], found.object)
+        pose = torch.where(odd[:, None], BAD.pose[:1], found.pose)
+        seed = torch.where(odd, BAD.seed[:1], found.seed)
+        return replace(found, pose=pose, object=placed, seed=seed)
+
+    return draw
+
+
+@given(st.integers(0, 70), st.sets(st.integers(0, 120), max_size=6), st.integers(1, 9))
+def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int) -> None:
+    """In batches that double, and from the beginning once one fails."""
+    with pytest.MonkeyPatch.context() as patch:
+        recruited(patch, MEMBER)
+        told, drawn = list[Event](), list[int]()
+        setup = setup_of(practice=practice, looks=LOOKS, attempts=attempts, noisy=False, replays=1)
+        after = improve(stage_of(setup, told.append), first_stage(), NONE, drawing(bad, drawn))
+    looks, *batches = drawn
+    assert looks == LOOKS
+    met, failures, in_a_row, size = 0, 0, 0, BATCH
+    for count in batches:
+        assert count == min(size, practice - in_a_row)
+        here, met = set(range(met, met + count)), met + count
+        if bad & here:
+            failures, in_a_row, size = failures + 1, 0, BATCH
+        else:
+            in_a_row, size = in_a_row + count, 2 * size
+    finished = in_a_row == practice
+    assert failures == min(attempts, IDLE) or (finished and failures < attempts)
+    practised: list[Practised] = of_kind(told, Practised)
+    assert [e.in_a_row for e in practised] == [0] * failures + [practice] * finished
+    assert {e.wanted for e in practised} == {practice}
+    failed = len([i for i in bad if i < met])
+    assert (after.skill is not None) == (met > failed)
+    if after.skill is not None:
+        assert len(after.missed) == failed
+        assert len(after.solved) == met - failed
+
+
+@settings(max_examples=25)
+@given(
+    st.integers(0, 20),
+    st.sets(st.integers(0, 50), max_size=5),
+    st.integers(1, 30),
+    st.integers(0, 3),
+)
+def test_where_nothing_is_tried_twice_the_first_skill_has_to_solve_more(
+    practice: int, bad: set[int], attempts: int, tests: int
+) -> None:
+    """One after the other, so that nothing is asked once it is known that the skill fails."""
+    with pytest.MonkeyPatch.context() as patch:
+        recruited(patch, MEMBER)
+        told, drawn = list[Event](), list[int]()
+        setup = setup_of(
+            practice=practice, looks=LOOKS, attempts=attempts, repeats=False, replays=1
+        )
+        draw = drawing(bad, drawn)
+        after = improve(stage_of(setup, told.append), first_stage(), GOOD[:tests], draw)
+    looks, *batches = drawn
+    assert looks == LOOKS
+    assert set(batches) <= {1}
+    practised: list[Practised] = of_kind(told, Practised)
+
+    def enough(tried: int, in_a_row: int) -> bool:
+        wanted = practice if tried >= FIRST * practice else int(FIRST * practice)
+        return in_a_row >= wanted and tried >= tests
+
+    tried = in_a_row = 0
+    results = [True] * tests + [i not in bad for i in range(len(batches))]
+    for solved in results:
+        if len(practised) < attempts:
+            assert not enough(tried, in_a_row)
+        tried, in_a_row = tried + 1, in_a_row + 1 if solved else 0
+    assert practised[-1].in_a_row == in_a_row
+    assert enough(tried, in_a_row) or len(practised) == attempts
+    assert len(practised) <= attempts
+    if after.skill is not None:
+        assert len(after.solved) == sum(results)
+        assert len(after.missed) == len(results) - sum(results)
+
+
+def test_tests_come_before_practice(monkeypatch: pytest.MonkeyPatch) -> None:
+    recruited(monkeypatch, MEMBER)
+    watched, drawn = Watched(), list[int]()
+    setup = setup_of(world_of=watched, practice=5, looks=2, noisy=False)
+    after = improve(stage_of(setup), first_stage(), GOOD[:7], drawing(set(), drawn))
+    first, *others = watched.trials
+    assert first.keys == keys(GOOD[:7])
+    assert [len(each.keys) for each in others] == [3, 2]
+    assert len(after.solved) == 12
+
+
+@pytest.mark.parametrize("attempts", [3, 24])
+def test_what_nobody_can_solve_ends_a_stage_at_last(
+    attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though fresh scenarios are solved in a row each time."""
+    recruited(monkeypatch, MEMBER)
+    told, drawn = list[Event](), list[int]()
+    setup = setup_of(practice=4, looks=2, attempts=attempts, noisy=False)
+    tests = GOOD[:2].joined(BAD[:1])
+    after = improve(stage_of(setup, told.append), first_stage(), tests, drawing(set(), drawn))
+    practised: list[Practised] = of_kind(told, Practised)
+    assert [e.in_a_row for e in practised] == [4] * min(attempts, IDLE + 1)
+    assert after.skill is not None
+    assert keys(after.missed) == keys(BAD[:1])
+    assert len(after.solved) == 2 + sum(drawn[1:]) >= 2 + 4
+    assert len(of_kind(told, SkillAccepted)) == 1
+
+
+@pytest.mark.parametrize("attempts", [4, 24])
+def test_who_solves_nothing_at_all_is_given_up(
+    attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recruited(monkeypatch, MEMBER)
+    told: list[Event] = []
+    setup = setup_of(practice=4, looks=2, attempts=attempts, noisy=False)
+    draw = drawing(set(range(999)), [])
+    after = improve(stage_of(setup, told.append), first_stage(), BAD[:2], draw)
+    assert [e.in_a_row for e in of_kind(told, Practised)] == [0] * min(attempts, IDLE)
+    assert after.skill is None
+    assert not len(after.solved)
+    assert not len(after.missed)
+
+
+@pytest.mark.parametrize("practice", [0, 3])
+def test_where_nothing_is_seen_nobody_is_evolved_and_all_stays(practice: int) -> None:
+    """As in a stage without tests, if nobody looks at fresh scenarios either."""
+    told: list[Event] = []
+    setup, before = setup_of(looks=0, practice=practice, attempts=2), first_stage()
+    after = improve(stage_of(setup, told.append), before, NONE, along("near"))
+    assert after.skill is None
+    assert not of_kind(told, SkillAccepted)
+
+
+def test_a_candidate_that_solves_more_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each time something more is solved, as many candidates may fail again."""
+    useless = [replace(nearly(-1.0 - i / 10), name=f"useless {i}") for i in range(2 * IDLE)]
+    order = [*useless[: IDLE - 1], MEMBER, *useless[IDLE:]]
+    recruited(monkeypatch, *order)
+    told: list[Event] = []
+    setup = setup_of(practice=0, looks=2, attempts=99, noisy=False, replays=1)
+    tests = GOOD[:3].joined(BAD[:3])
+    after = improve(stage_of(setup, told.append), first_stage(), tests, along("near"))
+    assert len(after.solved) == 3
+    assert len(of_kind(told, Practised)) == IDLE - 1 + 1 + IDLE
+
+
+def test_what_fails_in_practice_is_where_the_next_member_is_evolved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It becomes M if nobody solves it, and W once somebody does."""
+    far = replace(nearly(0.55), name="far")
+    many = random_scenarios("perimeter", 300, seeded(3))
+    ours, theirs = (try_skill(m, world_of(many)).succeeded for m in (MEMBER, far))
+    tests, odd = many[ours][:4], many[theirs & ~ours][:3]
+    assert len(odd) == 3
+    left = recruited(monkeypatch, MEMBER, far)
+
+    def draw(count: int, generator: Generator) -> Scenarios:
+        return odd[torch.arange(count) % 3]
+
+    told: list[Event] = []
+    setup = setup_of(practice=3, looks=3, attempts=12, noisy=False)
+    after = improve(stage_of(setup, told.append), first_stage(), tests, draw)
+    assert not left
+    assert after.skill is not None
+    assert set(after.skill.sub_skills) == {MEMBER.name, far.name}
+    assert set(keys(after.solved)) == set(keys(tests.joined(odd)))
+    assert not len(after.missed)
+    assert [e.in_a_row for e in of_kind(told, Practised)][-1] == 3

@@ -1,0 +1,254 @@
+"""The team of a stage: who is evolved, on what, who is chosen, and who is blamed for a failure."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from members import nearly
+from reaching import in_the_world, world_of
+from support import random_graphs, seeded
+from torch import Tensor
+from watched import along, first_stage, of_kind, stage_of, state_of, without_models
+
+from cgtorch.actions import paper_actions
+from cgtorch.environment import Dataset
+from cgtorch.environment.asked import Asked
+from cgtorch.evolution import Population, initial_strategy
+from cgtorch.improvement import team
+from cgtorch.improvement.compose import branching_action
+from cgtorch.improvement.events import GenerationDone
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.stopping import Budget, Found
+from cgtorch.improvement.team import (
+    BLAME,
+    FEW,
+    FEWEST,
+    OTHERS,
+    RELIABLE,
+    Candidate,
+    composed,
+    shares,
+    with_member,
+)
+from cgtorch.improvement.trial import Trial, first_percepts, try_skill
+from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
+
+ACTIONS = paper_actions()
+BRANCH = branching_action(ACTIONS)[1]
+
+
+def test_the_fewest_members_that_solve_everything_are_chosen() -> None:
+    """What is left is flat and small, and solves all that any of them does."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    near, twin, far, useless = (
+        replace(nearly(ahead), name=name)
+        for ahead, name in ((0.25, "near"), (0.25, "twin"), (0.55, "far"), (-1.0, "useless"))
+    )
+    members = (useless, near, twin, far)
+    state = state_of(scenarios, members)
+    results = [try_skill(m, world_of(scenarios)).succeeded for m in members]
+    assert not results[0].any()
+    assert (results[3] & ~results[1]).any()
+    rates = torch.stack(results, 1).float()
+    found = composed(stage_of(without_models()), replace(state, number=3), rates)
+    assert found.chosen == (1, 3)
+    assert found.skill.name == "S1-3"
+    assert set(found.skill.sub_skills) == {"near", "far"}
+    assert (found.skill.num_nodes, found.skill.depth) == (3, 2)
+    solved = try_skill(found.skill, world_of(scenarios)).succeeded
+    assert (solved | ~(results[1] | results[3])).all()
+
+
+def test_an_earlier_skill_stays_where_others_would_lose_something() -> None:
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    earlier, far = replace(nearly(0.25), name="S0"), replace(nearly(0.55), name="far")
+    results = [try_skill(m, world_of(scenarios)).succeeded for m in (earlier, far)]
+    state = state_of(scenarios, (earlier, far), results[0])
+    found = composed(stage_of(without_models()), state, torch.stack(results, 1).float())
+    assert "S0" in found.skill.sub_skills
+    assert try_skill(found.skill, world_of(scenarios)).succeeded[results[0]].all()
+
+
+@given(st.integers(0, 2**20), st.integers(1, 12))
+def test_a_team_has_a_few_members_who_are_reliable(seed: int, count: int) -> None:
+    """If nobody is, it has the best one, so that somebody acts."""
+    generator = seeded(seed)
+    scenarios = random_scenarios("near", 7, generator)
+    members = tuple(replace(nearly(0.1 + i / 20), name=f"m{i}") for i in range(count))
+    state = state_of(scenarios, members)
+    rates = torch.rand(7, count, generator=generator)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(team, "train_gating", lambda branch, percepts, solves, *_: (
+            torch.zeros(solves.shape[1] - 1, branch.num_parameters), None
+        ))  # fmt: skip
+        found = composed(stage_of(without_models()), state, rates)
+    able = rates >= RELIABLE
+    assert 1 <= len(found.chosen) <= FEW
+    if able.any():
+        assert able[:, list(found.chosen)].any(0).all()
+        if count <= FEW:
+            assert torch.equal(able[:, list(found.chosen)].any(1), able.any(1))
+    else:
+        assert found.chosen == (int(rates.mean(0).argmax()),)
+
+
+def trial_of(succeeded: Tensor, actions: list[int]) -> Trial:
+    n = torch.zeros(len(succeeded), 0)
+    nothing = Dataset(n, n, n, n, succeeded)
+    spent = torch.tensor(actions)
+    return Trial(n, succeeded, spent, nothing, spent, Asked())
+
+
+@given(st.integers(0, 2**20), st.integers(1, 5), st.integers(1, 12))
+def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
+    """Its share there becomes less, and nobody else's, nor its own elsewhere."""
+    generator = seeded(seed)
+    members = tuple(replace(nearly(0.1 + i / 20), name=f"m{i}") for i in range(count + 2))
+    chosen = tuple(torch.randperm(count + 2, generator=generator)[:count].sort()[0].tolist())
+    branches = torch.randn(count - 1, BRANCH.num_parameters, generator=generator)
+    scenarios = random_scenarios("perimeter", 15, generator)
+    state = state_of(scenarios, members)
+    state = replace(state, trust=torch.rand(15, count + 2, generator=generator), actions=(5,))
+    candidate = Candidate(nearly(0.3), chosen, branches)
+    tried = torch.randperm(15, generator=generator)[:rows]
+    succeeded = torch.rand(rows, generator=generator) < 0.5
+    actions = torch.randint(1, 20, (rows,), generator=generator).tolist()
+    after = state.after(candidate, tried, trial_of(succeeded, actions))
+    trust = state.trust.clone()
+    for row, good in zip(tried.tolist(), succeeded.tolist(), strict=True):
+        sent = int(candidate.sent_to(state.percepts[row : row + 1]))
+        assert sent in chosen
+        assert bool(after.keep[row]) is good
+        assert after.tried[row]
+        if not good:
+            trust[row, sent] = trust[row, sent] * BLAME
+    assert torch.equal(after.trust, trust)
+    others = torch.ones(15, dtype=torch.bool).index_fill(0, tried, False)
+    assert torch.equal(after.keep[others], state.keep[others])
+    assert torch.equal(after.tried[others], state.tried[others])
+    spent = [n for n, good in zip(actions, succeeded.tolist(), strict=True) if good]
+    assert after.actions == (5, *spent)
+    unknown = state.after(Candidate(nearly(0.3)), tried, trial_of(succeeded, actions))
+    assert torch.equal(unknown.trust, state.trust)
+
+
+@given(st.integers(0, 9), st.integers(0, 30), st.integers(1, 4), st.integers(1, 20))
+def test_few_missed_scenarios_are_joined_by_solved_ones(
+    missed: int, solved: int, replicas: int, group: int
+) -> None:
+    """A specialist that sees two scenarios only would learn them by heart."""
+    missed = missed + 1
+    told: dict[str, Any] = {}
+
+    def imagine(models: None, scenarios: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        told.update(scenarios=scenarios, percepts=percepts, replicas=count)
+        return in_the_world(models, scenarios, percepts, count)
+
+    graph = nearly(0.3).graph
+    found = Found(Population(graph, initial_strategy(1)), torch.ones(1) > 0, 0.5)
+    scenarios = random_scenarios("perimeter", missed + solved, seeded(0))
+    which = torch.randperm(missed + solved, generator=seeded(1)) < missed
+    state = state_of(scenarios, (nearly(0.1),))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(team, "evolve_candidate", lambda *about, **how: found)
+        patch.setattr(team, "shrunk", lambda champion, *about: champion)
+        setup = replace(without_models(replicas=replicas, group=group), imagine=imagine)
+        after = with_member(stage_of(setup), replace(state, number=7), which)
+    rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
+    assert len(rows) == len(set(rows))
+    assert torch.equal(told["percepts"], state.percepts[rows])
+    ill = [row for row in rows if which[row]]
+    assert len(ill) == min(missed, group)
+    assert len(rows) - len(ill) == (min(solved, OTHERS) if len(ill) < FEWEST else 0)
+    assert told["replicas"] == max(replicas, replicas * group // len(rows))
+    assert [m.name for m in after.members] == ["ahead 0.1", "S1.7"]
+    assert torch.equal(after.trust, torch.ones(len(scenarios), 2))
+    assert after.population is not None
+    assert len(after.population) == 1
+
+
+def test_shares_are_those_of_replays() -> None:
+    """Under other noise each, and the same for all skills."""
+    scenarios = random_scenarios("near", 60, seeded(1))
+    state = state_of(scenarios, ())
+    skills = [nearly(0.3), nearly(0.6), nearly(0.3)]
+    setup = without_models(replays=5)
+    found = shares(stage_of(setup), state, skills)
+    for column, skill in enumerate(skills):
+        runs = [try_skill(skill, world_of(scenarios.with_noise(i))).succeeded for i in range(5)]
+        assert torch.allclose(found[:, column], torch.stack(runs).float().mean(0))
+    assert len(found[:, :2].unique()) > 2
+    assert shares(stage_of(setup), state, []).shape == (60, 0)
+
+
+@pytest.mark.parametrize("searches", [1, 4])
+def test_a_specialist_is_the_best_of_several_searches(searches: int) -> None:
+    """They end with the first that solves all, and every second one begins without seeds."""
+    short = Budget(generations=2)
+    setup = without_models(attempts=1, searches=searches, budget=short, practice=0)
+    first = improve(
+        stage_of(setup, name="S0"), first_stage(), stage_scenarios("near"), along("near")
+    )
+    assert first.specialists is not None
+    told: list[Any] = []
+    improve(stage_of(setup, told.append), first, stage_scenarios("far"), along("far"))
+    done: list[GenerationDone] = of_kind(told, GenerationDone)
+    names = list(dict.fromkeys(e.candidate for e in done))
+    assert names == ["S1.1", *(f"S1.1 search {n}" for n in range(2, len(names) + 1))]
+    everything = [
+        any(e.generation.succeeded.all() for e in done if e.candidate == n) for n in names
+    ]
+    if any(everything):
+        assert everything.index(True) == len(names) - 1
+    else:
+        assert len(names) == searches
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=6))
+def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
+    population = random_graphs(0, 9, ACTIONS)
+    seeds = Population(population[:1], initial_strategy(1))
+    given_: list[Population | None] = []
+    left = [
+        Found(Population(population[i : i + 1], initial_strategy(1)), torch.tensor([solved]), best)
+        for i, (best, solved) in enumerate(results)
+    ]
+    every = list(left)
+
+    def evolved(stage: Any, name: str, environment: Any, seeds: Population | None) -> Found:
+        given_.append(seeds)
+        return left.pop(0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(team, "evolve_candidate", evolved)
+        setup = without_models(searches=len(results))
+        nothing: Any = None
+        found = team._best_of_searches(stage_of(setup), "S1.1", nothing, seeds)
+    made = len(results) - len(left)
+    assert found.best == max(each.best for each in every[:made])
+    assert given_ == [None if i % 2 else seeds for i in range(made)]
+    best = every[0]
+    for i, each in enumerate(every):
+        best = max(best, each, key=lambda f: f.best)
+        if best.solved.all() or i == len(every) - 1:
+            assert made == i + 1
+            break
+
+
+def test_state_grows_with_what_is_met() -> None:
+    scenarios = random_scenarios("near", 3, seeded(0))
+    state = state_of(scenarios, (nearly(0.1), nearly(0.2)))
+    state = replace(state, trust=torch.zeros(3, 2))
+    more = random_scenarios("near", 2, seeded(1))
+    percepts = first_percepts(world_of(more))
+    for kept in (False, True):
+        for targets in (False, True):
+            after = state.extended(more, percepts, kept=kept, targets=targets)
+            assert torch.equal(after.scenarios.seed, torch.cat([scenarios.seed, more.seed]))
+            assert torch.equal(after.percepts[3:], percepts)
+            assert after.keep[3:].tolist() == after.tried[3:].tolist() == [kept] * 2
+            assert after.targets[3:].tolist() == [targets] * 2
+            assert torch.equal(after.trust, torch.tensor([[0.0, 0.0]] * 3 + [[1.0, 1.0]] * 2))
