@@ -99,9 +99,9 @@ def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
             settled = error <= GOOD or (before < float("inf") and error > GAIN * before)
             if settled and _believed(models, data) >= BELIEVED:
                 return data
-        if len(data.percept) >= about.most:
+        if robots.motions >= about.most:
             break
-        data = data.extended(robots.moved(models, max(FIRST, len(data.percept) // 2)))
+        data = data.extended(robots.moved(models, max(FIRST, robots.motions // 2)))
     if models is None:
         met = "missed" if _rarer(data) == int(data.succeeded.sum()) else "met"
         raise DataError(
@@ -123,6 +123,7 @@ class _Robots:
         self._world: Environment | None = None
         self._lanes: Lanes | None = None
         self._left = 0
+        self.motions = 0 if about.known is None else len(about.known.percept)
 
     def moved(self, models: "Knowledge | None", motions: int) -> Dataset:
         """Data of about so many motions of all robots together."""
@@ -132,6 +133,7 @@ class _Robots:
             world, lanes = self._started()
             control = torch.cat([_chosen(domain, models, p, about) for p in lanes.percept])
             after, done = world.step(lanes, control)
+            self.motions += len(lanes)
             moved.append((lanes.percept[done], control[done], after.percept[done]))
             rows = domain.worth_testing(after.percept).nonzero()[:, 0]
             if len(rows):

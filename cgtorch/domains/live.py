@@ -54,9 +54,9 @@ class LiveWorld:
 
     def recall(self) -> Episode | None:
         """See `Live.recall`."""
-        return self.robot.recall(self._stage)
+        return self.robot.recall(self._stage, self.control_size)
 
-    def ended(self, succeeded: bool) -> Dataset:
+    def ended(self, succeeded: bool) -> tuple[Dataset, Asked]:
         """See `Live.ended`."""
         return self.robot.ended(succeeded, self.percept_size, self.control_size)
 
@@ -114,24 +114,23 @@ class Robot:
         self._worker = ThreadPoolExecutor(1, "robot")
         self._interrupted = False
         self._logged = episodes_in(log.rows())
-        self.actions = sum(len(each.actions) for each in self._logged)
-        self.episode = max((each.number for each in self._logged), default=0)
-        self._left = [each for each in self._logged if each.succeeded is None]
+        every = [each for one in self._logged for each in (*one.left, one)]
+        self.actions = sum(len(each.actions) for each in every)
+        self.episode = max((each.number for each in every), default=0)
+        self._left = [e for e in self._logged if e.succeeded is None and e.phase != EXPLORATION]
 
     def explored(self, percept: int, control: int) -> tuple[Dataset, Asked]:
         """The data of an exploration that an earlier process has begun, and what it asked."""
         episodes = [e for e in self._logged if e.phase == EXPLORATION]
         rows = [a for e in episodes for a in e.actions]
-        motions = sum(a["what"] == "motion" for a in rows)
-        asked = Asked(motions, len(rows) - motions, looks=len(episodes))
-        return dataset_of(rows, percept, control), asked
+        return dataset_of(rows, percept, control), asked_in(episodes)
 
-    def recall(self, stage: str) -> Episode | None:
+    def recall(self, stage: str, control: int) -> Episode | None:
         """The next finished episode of a stage in the log, None if there are no more."""
         for each in self._logged:
             if each.stage == stage and each.phase != EXPLORATION and each.succeeded is not None:
                 self._logged.remove(each)
-                return each.episode()
+                return each.episode(control)
         return None
 
     def begin(self, kind: str, phase: str, stage: str, size: int) -> Tensor:
@@ -141,6 +140,7 @@ class Robot:
         self._call(lambda: self.driver.arrange(kind), float("inf"))
         percept = self.look(size)
         self._write("look", percept=_plain(percept[0]))
+        self._pause()
         return percept
 
     def look(self, size: int) -> Tensor:
@@ -165,7 +165,7 @@ class Robot:
         began, error = time.monotonic(), ""
         try:
             done = bool(self._call(lambda: routine(*given), self.driver.seconds))
-        except (ProtectiveStop, DomainError):
+        except (RobotStoppedError, DomainError):
             raise
         except Exception as e:  # whatever a robot's program raises, its action has failed
             done, error = False, f"{type(e).__name__}: {e}"[:200]
@@ -177,16 +177,21 @@ class Robot:
         if error:
             row["error"] = error
         self._write("action", what=what, seconds=round(time.monotonic() - began, 3), **row)
-        if self._interrupted:
-            raise KeyboardInterrupt
+        self._pause()
         return done
 
-    def ended(self, succeeded: bool, percept: int, control: int) -> Dataset:
-        """Note the end of an episode; the data of episodes that were broken off before it."""
-        self._write("episode", succeeded=succeeded)
+    def ended(self, succeeded: bool, percept: int, control: int) -> tuple[Dataset, Asked]:
+        """Note the end of an episode; the data and cost of those broken off before it."""
         left, self._left = self._left, []
-        rows = [a for e in left if e.phase != EXPLORATION for a in e.actions]
-        return dataset_of(rows, percept, control)
+        self._write("episode", succeeded=succeeded, left=[e.number for e in left])
+        rows = [a for e in left for a in e.actions]
+        return dataset_of(rows, percept, control), asked_in(left)
+
+    def _pause(self) -> None:
+        """KeyboardInterrupt if somebody has interrupted a routine of the driver."""
+        if self._interrupted:
+            self._interrupted = False
+            raise KeyboardInterrupt
 
     def _write(self, event: str, **row: Any) -> None:
         self.log.append({"event": event, "time": round(time.time(), 3), **self._about, **row})
@@ -220,7 +225,10 @@ class Robot:
 
 @dataclass(frozen=True)
 class Logged:
-    """An episode in the log; `succeeded` is None if it was broken off."""
+    """An episode in the log; `succeeded` is None if it was broken off.
+
+    `left` are those broken off before it whose data came with its own.
+    """
 
     stage: str
     phase: str
@@ -228,15 +236,23 @@ class Logged:
     percept: list[float]
     actions: list[dict[str, Any]]
     succeeded: bool | None
+    left: tuple["Logged", ...] = ()
 
-    def episode(self) -> Episode:
-        """The same as tensors."""
-        motions = [a for a in self.actions if a["what"] == "motion"]
-        controls = [len(a["control"]) for a in motions]
-        experience = dataset_of(self.actions, len(self.percept), max(controls, default=0))
-        tests = len(self.actions) - len(motions)
-        about = torch.tensor([self.percept]), experience, len(motions), tests
+    def episode(self, control: int) -> Episode:
+        """The same as tensors, with controls (N, U)."""
+        every = (*self.left, self)
+        rows = [a for each in every for a in each.actions]
+        experience = dataset_of(rows, len(self.percept), control)
+        asked = asked_in(every) + Asked(episodes=1)
+        about = torch.tensor([self.percept]), experience, len(self.actions), asked
         return Episode(*about, bool(self.succeeded))
+
+
+def asked_in(episodes: Sequence[Logged]) -> Asked:
+    """What was asked in logged episodes, each of which began with a look."""
+    rows = [a for each in episodes for a in each.actions]
+    motions = sum(a["what"] == "motion" for a in rows)
+    return Asked(motions, len(rows) - motions, looks=len(episodes))
 
 
 def episodes_in(rows: Iterable[dict[str, Any]]) -> list[Logged]:
@@ -251,7 +267,8 @@ def episodes_in(rows: Iterable[dict[str, Any]]) -> list[Logged]:
                 found[row["episode"]].actions.append(row)
             elif row["event"] == "episode":
                 each = found[row["episode"]]
-                found[row["episode"]] = replace(each, succeeded=row["succeeded"])
+                left = tuple(found.pop(number) for number in row.get("left", ()))
+                found[row["episode"]] = replace(each, succeeded=row["succeeded"], left=left)
         except (KeyError, TypeError) as e:
             raise RunError(f"the log has a line without {e}: {row!s:.60}; restore it") from e
     return list(found.values())
@@ -271,7 +288,7 @@ def dataset_of(actions: Sequence[dict[str, Any]], percept: int, control: int) ->
 
 
 def _plain(numbers: Tensor) -> list[float]:
-    return [round(x, 6) for x in numbers.tolist()]
+    return [float(f"{x:.9g}") for x in numbers.tolist()]  # which a float32 is read from again
 
 
 def routine_names(actions: ActionSet) -> tuple[str, str]:

@@ -10,6 +10,7 @@ from typing import Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from cgtorch.environment.asked import Asked
 from cgtorch.environment.dataset import Dataset
 
 
@@ -181,8 +182,8 @@ class Live(Protocol):
         """The next episode of this phase and stage that was finished before an interruption."""
         ...
 
-    def ended(self, succeeded: bool) -> Dataset:
-        """Hear how an episode has ended; data of episodes that were broken off before it."""
+    def ended(self, succeeded: bool) -> tuple[Dataset, Asked]:
+        """Hear how an episode has ended; the data and cost of those broken off before it."""
         ...
 
 
@@ -206,15 +207,16 @@ class Rewarded(Protocol):
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode of a robot: its first percept (1, D), its data, and how it ended.
+    """An episode of a robot: its first percept (1, D), world actions, and how it ended.
 
-    `motions` and `tests` are the numbers of those that were asked.
+    Its data come after those of episodes that were broken off before it; `asked` is what all of
+    them have cost.
     """
 
     percept: Tensor
     experience: Dataset
-    motions: int
-    tests: int
+    actions: int
+    asked: Asked
     succeeded: bool
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import torch
 
+from cgtorch.environment.asked import BudgetSpentError
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
 from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
@@ -25,11 +26,14 @@ def grow(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Pro
     began, setup = time.perf_counter(), stage.setup
     scenarios = progress.solved.joined(tests, progress.missed)
     keep = torch.arange(len(scenarios)) < len(progress.solved)
-    targets, percepts = ~keep, looked(stage, scenarios)
-    knowledge, skill = progress.knowledge, progress.skill
+    knowledge, skill, targets = progress.knowledge, progress.skill, ~keep
     solved = torch.zeros_like(keep)
-    if skill is not None:
-        solved = attempt(stage, skill, scenarios, "trials").succeeded
+    try:
+        percepts = looked(stage, scenarios)
+        if skill is not None:
+            solved = attempt(stage, skill, scenarios, "trials").succeeded
+    except BudgetSpentError:
+        return progress
     first = keep
     accepted = None
     for number in range(setup.attempts):
@@ -41,7 +45,10 @@ def grow(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Pro
         name = f"{stage.name}.{number + 1}"
         champion = evolve_candidate(stage, name, environment, keep=keep, seeds=seeds).champion
         candidate = Skill(stage.name, champion.graphs, setup.actions, setup.max_transitions)
-        trial = attempt(stage, candidate, scenarios, "trials")
+        try:
+            trial = attempt(stage, candidate, scenarios, "trials")
+        except BudgetSpentError:
+            break
         counts = solved_of(trial.succeeded, first)
         stage.watch(WorldTested(stage.name, candidate.name, *counts))
         if trial.succeeded[keep].all() and (trial.succeeded & ~solved).any():

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from cgtorch.environment import Dataset
 from cgtorch.environment.asked import BudgetSpentError
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Skill, same_behaviour
 from cgtorch.ground.interval import wilson
 from cgtorch.improvement.acceptance import no_worse
 from cgtorch.improvement.compose import specialists_of
@@ -56,13 +56,18 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         The new skill with what it solves and misses; the old one if eq. 1 could not be met.
     """
     began = time.perf_counter()
-    state = _begun(stage, progress, tests, draw)
+    try:
+        state = _begun(stage, progress, tests, draw)
+    except BudgetSpentError:
+        return progress
+    if not len(state.scenarios):  # for which nobody could be evolved
+        return progress
     first, accepted, best, idle = state, False, (0, 0), 0
     for number in range(1, stage.setup.attempts + 1):
         candidate, state = _candidate(stage, replace(state, number=number))
         state, done = _acted(stage, state, candidate, draw)
         state = _without_chance(stage, state)
-        accepted |= bool((state.keep & ~_kept(first, state)).any())
+        accepted |= bool((state.keep & ~state.known).any())
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
@@ -75,7 +80,7 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         return progress
     old = state.current.skill
     skill = Skill(stage.name, old.graph, old.actions, old.max_transitions)
-    _report_accepted(stage, state, _kept(first, state), skill, time.perf_counter() - began)
+    _report_accepted(stage, state, skill, time.perf_counter() - began)
     good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
         progress,
@@ -84,13 +89,6 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         missed=state.scenarios[bad],
         seen=torch.cat([state.percepts[good], state.rest[1], state.percepts[bad]]),
     )
-
-
-def _kept(first: StageState[S], state: StageState[S]) -> Tensor:
-    """(B,) bool, W at the beginning of the stage."""
-    kept = torch.zeros_like(state.keep)
-    kept[: len(first.keep)] = first.keep
-    return kept
 
 
 def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
@@ -116,6 +114,7 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         scenarios=solved[core].joined(tests, missed, looks),
         percepts=torch.cat([of_w[core], seen[: len(tests)], of_m, seen[len(tests) :]]),
         keep=number == 0,
+        known=number == 0,
         tried=(number == 0) | (number == 2),
         targets=(number == 1) | (number == 2),
         rest=(solved[rest], of_w[rest]),
@@ -143,6 +142,8 @@ def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageS
     new = composed(stage, state, rates[:, :-1])
     if state.current is None:
         return new, state
+    if same_behaviour(new.skill, state.current.skill):
+        return state.current, state
     now = shares(stage, state, [state.current.skill, new.skill])
     failed = state.tried & ~state.keep  # as the models do not know by themselves
     now[failed, 0] *= 0.0 if state.repeats else BLAME
@@ -248,7 +249,10 @@ def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
     if state.judged:
         return state
     others = state.scenarios[rows].with_noise(OTHER)
-    trial = attempt(stage, state.current.skill, others, "other noise")
+    try:
+        trial = attempt(stage, state.current.skill, others, "other noise")
+    except BudgetSpentError:
+        return state
     share = int(trial.succeeded.sum()), len(rows)
     _, most = wilson(*share, CONFIDENCE)
     if most >= SAME:
@@ -307,9 +311,7 @@ def _with_current(state: StageState[S]) -> StageState[S]:
     return replace(state, members=(*state.members, skill), trust=trust)
 
 
-def _report_accepted(
-    stage: Stage[S], state: StageState[S], kept: Tensor, skill: Skill, seconds: float
-) -> None:
+def _report_accepted(stage: Stage[S], state: StageState[S], skill: Skill, seconds: float) -> None:
     """Report the new skill with its result on all scenarios that were tried, and on the rest."""
     rows, rest = state.tried, state.rest[0]
     yes = torch.ones(len(rest), dtype=torch.bool)
@@ -319,7 +321,7 @@ def _report_accepted(
             skill,
             state.scenarios[rows].joined(rest),
             torch.cat([state.keep[rows], yes]),
-            torch.cat([kept[rows], yes]),
+            torch.cat([state.known[rows], yes]),
             torch.cat([state.targets[rows], ~yes]),
             seconds,
         )

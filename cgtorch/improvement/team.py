@@ -57,6 +57,7 @@ class StageState(Generic[S]):
         scenarios: B scenarios.
         percepts: (B, D) their first percepts.
         keep: (B,) bool, W: those that were solved in the world.
+        known: (B,) bool, W at the beginning of the stage.
         tried: (B,) bool, those that were tried in the world.
         targets: (B,) bool, the stage's own tests and earlier failures.
         rest: More of W, which is tried in the world but not replayed, with first percepts.
@@ -76,6 +77,7 @@ class StageState(Generic[S]):
     scenarios: S
     percepts: Tensor
     keep: Tensor
+    known: Tensor
     tried: Tensor
     targets: Tensor
     rest: tuple[S, Tensor]
@@ -101,7 +103,7 @@ class StageState(Generic[S]):
     def extended(
         self, scenarios: S, percepts: Tensor, *, kept: bool = False, targets: bool = False
     ) -> "StageState[S]":
-        """The state with more scenarios: of W if they are `kept`, else tried by nobody."""
+        """The state with more scenarios: of the first W if `kept`, else tried by nobody."""
         n = len(scenarios)
         known, wanted = torch.full((n,), kept), torch.full((n,), targets)
         return replace(
@@ -109,6 +111,7 @@ class StageState(Generic[S]):
             scenarios=self.scenarios.joined(scenarios),
             percepts=torch.cat([self.percepts, percepts]),
             keep=torch.cat([self.keep, known]),
+            known=torch.cat([self.known, known]),
             tried=torch.cat([self.tried, known]),
             targets=torch.cat([self.targets, wanted]),
             trust=torch.cat([self.trust, torch.ones(len(scenarios), len(self.members))]),
@@ -206,5 +209,6 @@ def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
         return models
     began = time.perf_counter()
     models = setup.learn(models, experience, stage.generator)
-    stage.watch(ModelsFitted(stage.name, setup.describe(models), time.perf_counter() - began))
+    summary = replace(setup.describe(models), first=False)
+    stage.watch(ModelsFitted(stage.name, summary, time.perf_counter() - began))
     return models

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.environment import Dataset, Environment, Episode, Live
-from cgtorch.environment.asked import Asked, Purse
+from cgtorch.environment.asked import NAMES, Asked, Purse
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import WorldAsked
@@ -59,8 +59,10 @@ def try_skill(
             trials.append(_recalled(known, purse, phase))
             continue
         trial = _tried(skill, world, purse, phase, most, torch.tensor([row]))
-        before = world.ended(bool(trial.succeeded))
-        trials.append(replace(trial, experience=before.extended(trial.experience)))
+        left, asked = world.ended(bool(trial.succeeded))
+        purse.add(phase, asked)
+        both = left.extended(trial.experience)
+        trials.append(replace(trial, experience=both, asked=trial.asked + asked))
     return _joined(trials)
 
 
@@ -74,10 +76,10 @@ def _tried(
 ) -> Trial:
     """A trial on some scenarios, all at once."""
     before, place = purse.total, Recording(world, purse, phase, most)
+    purse.pay(phase, Asked(episodes=len(rows)))
     runs = rollout(
         skill.graph, skill.actions, place, scenarios=rows, max_transitions=skill.max_transitions
     )
-    purse.pay(phase, Asked(episodes=len(rows)))
     return Trial(
         percepts=place.first[rows],
         succeeded=runs.succeeded[0],
@@ -91,11 +93,9 @@ def _tried(
 
 def _recalled(known: Episode, purse: Purse, phase: str) -> Trial:
     """The trial that an episode of before an interruption was."""
-    asked = Asked(known.motions, known.tests, looks=1, episodes=1)
-    purse.add(phase, asked)
-    actions = torch.tensor([asked.actions])
-    succeeded = torch.tensor([known.succeeded])
-    return Trial(known.percept, succeeded, actions, known.experience, actions, asked)
+    purse.add(phase, known.asked)
+    actions, succeeded = torch.tensor([known.actions]), torch.tensor([known.succeeded])
+    return Trial(known.percept, succeeded, actions, known.experience, actions, known.asked)
 
 
 def _joined(trials: list[Trial]) -> Trial:
@@ -121,7 +121,16 @@ def looked(stage: Stage[S], scenarios: S) -> Tensor:
     known = setup.journal.recall(step)
     if known is not None:
         setup.purse.add(step, asked)
-        percepts = known["percepts"]
+        percepts = known.get("percepts", torch.zeros(0))
+        if (
+            percepts.dim() != 2
+            or len(percepts) != len(scenarios)
+            or percepts.dtype != torch.float32
+        ):
+            raise RunError(
+                f"the journal's looks are not those at {len(scenarios)} scenarios; remove the "
+                "journal"
+            )
     else:
         setup.purse.pay(step, asked)
         percepts = first_percepts(setup.world_of(scenarios))
@@ -164,15 +173,17 @@ def trial_from(tensors: dict[str, Tensor], scenarios: int) -> Trial:
     """A trial of B scenarios from `trial_tensors`; RunError if they do not belong to one."""
     try:
         experience = Dataset(*(tensors[f.name] for f in fields(Dataset)))
-        first, solved, transitions = (tensors[name] for name in ("first", "solved", "transitions"))
-        asked = Asked(*tensors["asked"].tolist())
-    except (KeyError, TypeError) as e:
+        names = "first", "solved", "transitions", "actions", "asked"
+        first, solved, transitions, actions, asked = (tensors[name] for name in names)
+    except KeyError as e:
         raise RunError(f"the journal's trial of a skill lacks {e}; remove the journal") from e
-    counts = solved.shape == transitions.shape == first.shape[:1] == (scenarios,)
-    kinds = solved.dtype == torch.bool and transitions.dtype == torch.long
+    one_each = solved.shape == transitions.shape == actions.shape == first.shape[:1]
+    counts = one_each and solved.shape == (scenarios,) and asked.shape == (len(NAMES),)
+    whole = {each.dtype for each in (transitions, actions, asked)} == {torch.long}
+    kinds = whole and solved.dtype == torch.bool and first.dtype == torch.float32
     if not (counts and kinds and first.dim() == 2 and experience.whole(first.shape[1])):
         raise RunError(
             f"the journal's trial of a skill is not one of {scenarios} scenarios; remove the "
             "journal"
         )
-    return Trial(first, solved, transitions, experience, tensors["actions"], asked)
+    return Trial(first, solved, transitions, experience, actions, Asked(*asked.tolist()))

@@ -47,12 +47,16 @@ class Recording:
         """See `Environment.start`."""
         self.purse.pay(self.phase, Asked(looks=len(scenario)))
         state, percept = self.environment.start(scenario)
+        self.first = self.first.to(percept)
         self.first[scenario] = percept
         return state, percept
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
-        if self.most is not None and not (able := self._able(lanes)).all():
+        able = control.isfinite().all(1)  # what is no control is not carried out
+        if self.most is not None:
+            able &= self._able(lanes)
+        if not able.all():
             return self._step_of(lanes, control, able)
         self.purse.pay(self.phase, Asked(motions=len(lanes)))
         self.actions.index_add_(0, lanes.scenario, torch.ones_like(lanes.scenario))

@@ -82,12 +82,16 @@ class Training:
 
     def practice(self, name: str) -> int:
         """Number of fresh scenarios to solve in a row in a stage or round."""
-        if self.run.domain.rewarded:  # rounds try skills on fresh episodes by themselves
+        if self._tests_by_rounds(name):
             return 0
         if chosen := self.run.settings.practice:
             return chosen
         few = LIVE_IN_A_ROW // 2 if name in self.run.domain.stages else LIVE_IN_A_ROW
         return IN_A_ROW if self.run.repeats else few
+
+    def _tests_by_rounds(self, name: str) -> bool:
+        """Whether fresh episodes are tried by rounds themselves, as with rewards."""
+        return self.run.domain.rewarded and name not in self.run.domain.stages
 
     def setup(self, name: str, journal: Journal | None = None) -> Setup[Any]:
         """The run's settings in the form that improvement needs for a stage or round."""
@@ -114,7 +118,7 @@ class Training:
             replicas=replicas,
             replays=(8 if run.repeats else REPLAYS) if run.learns else replicas,
             practice=self.practice(name),
-            looks=0 if domain.rewarded else LOOKS,
+            looks=0 if self._tests_by_rounds(name) else LOOKS,
             repeats=run.repeats,
             noisy=domain.noisy_world,
             live=domain.live,

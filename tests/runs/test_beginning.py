@@ -58,3 +58,16 @@ def test_the_domain_of_a_folder(trained: Trained, tmp_path: Path) -> None:
     (folder / "run.json").write_text("{}")
     with pytest.raises(RunError, match="is not of a cgtorch run"):
         stored_domain(folder)
+
+
+def test_in_a_world_that_does_not_repeat_itself_a_run_is_of_one_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each rank would meet another one, and several would move one robot."""
+    monkeypatch.setattr("cgtorch.ground.distributed.count", lambda: 2)
+    planned_run(tmp_path / "seeded", SMALL)
+    with pytest.raises(SettingsError, match="which 2 processes cannot share; train with one"):
+        planned_run(tmp_path / "fresh", SMALL, TabletopSettings(noise="fresh"))
+    driven = replace(SMALL, driver="no_such_package:Robot")
+    with pytest.raises(SettingsError, match="which 2 processes cannot share; train with one"):
+        planned_run(tmp_path / "robot", driven)  # before anything moves
