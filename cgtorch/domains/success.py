@@ -14,6 +14,7 @@ from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.environment.fields import Field, as_features
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs, learning_values
+from cgtorch.svm.folds import stratified_folds, training_masks
 from cgtorch.svm.platt import fit_platt, probability
 from cgtorch.svm.scores import balanced_accuracy
 
@@ -117,8 +118,11 @@ def fit_success_classifier(
     generator = inputs.generator_of(seed)
     features = model.to(rows.device).standardise(rows)
     order = _mixed_order(signs, generator)  # whose first rows are a sample of all
-    mixed, truth = features[order], signs[order]
     rarer = int(torch.minimum((signs > 0).sum(), (signs < 0).sum()))
+    if rarer * min(1.0, grid_rows / len(rows)) < _FEWEST:  # whose first rows may have one class
+        rare = signs[order] * signs.sum() < 0
+        order = torch.cat([order[rare], order[~rare]])
+    mixed, truth = features[order], signs[order]
     folds = max(2, min(FOLDS, rarer))
     widths = gamma or [each / features.shape[1] for each in GAMMA_GRID]
     grid = grid_search(
@@ -128,9 +132,11 @@ def fit_success_classifier(
     best = grid.best[0]
     machine = SVC(best.C, gamma=best.gamma)
     fewest = _FEWEST * len(rows) / max(1, rarer)
-    *smaller, largest = doubling_sizes(len(rows), folds)
+    numbers = stratified_folds(truth, folds, generator)
+    largest = int(training_masks(numbers).sum(1).min())  # so that few rows of a class are in each
+    smaller = doubling_sizes(len(rows), folds)[:-1]
     sizes = [*(size for size in smaller if size >= fewest), largest]
-    curve = learning_values(machine, mixed, truth, sizes=sizes, folds=folds, seed=generator)
+    curve = learning_values(machine, mixed, truth, sizes=sizes, folds=numbers)
     value = curve.held_out[0]
     chance = _cross_fitted(value, truth, curve.folds)
     happened = (truth > 0).to(chance)

@@ -62,4 +62,5 @@ def grow(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Pro
     result = scenarios, solved, first, targets
     stage.watch(SkillAccepted(stage.name, accepted, *result, time.perf_counter() - began))
     seen = torch.cat([percepts[solved], percepts[~solved]])
-    return Progress(accepted, scenarios[solved], scenarios[~solved], knowledge, seen=seen)
+    progress = replace(progress, solved=scenarios[solved], missed=scenarios[~solved], seen=seen)
+    return replace(progress, skill=accepted, knowledge=knowledge)

@@ -41,6 +41,7 @@ FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in 
 REFLECT = 8  # episodes after which the models learn, however well all went
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 BATCH = 3  # fresh scenarios of the first batch; later batches double
+THOUGHTS = 5  # candidates that are made in the models alone, if nothing may be asked of the world
 
 
 def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
@@ -76,10 +77,14 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     chance = progress.chance or state.repeats != stage.setup.repeats
     about = state.knowledge, state.population
     progress = replace(progress, knowledge=about[0], specialists=about[1], chance=chance)
-    if not accepted or state.current is None:
+    if state.current is None:
         return progress
     old = state.current.skill
     skill = Skill(stage.name, old.graph, old.actions, old.max_transitions)
+    if progress.skill is None and stage.setup.purse.exhausted and not state.tried.any():
+        return replace(progress, skill=skill)
+    if not accepted:
+        return progress
     _report_accepted(stage, state, skill, time.perf_counter() - began)
     good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
@@ -216,6 +221,8 @@ def _acted(
         done = not lost and state.in_a_row >= _wanted(stage, state) and not missed
     except BudgetSpentError:
         done = True
+        if not state.tried.any():
+            state = _thought_out(stage, replace(state, current=candidate))
     stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, _wanted(stage, state)))
     if experience and not done:
         more = experience[0]
@@ -223,6 +230,14 @@ def _acted(
             more = more.extended(each)
         state = replace(state, knowledge=learned(stage, state.knowledge, more))
     return state, done
+
+
+def _thought_out(stage: Stage[S], state: StageState[S]) -> StageState[S]:
+    """The state with the best of some candidates, of which the models alone are the judge."""
+    for _ in range(1, THOUGHTS):
+        candidate, state = _candidate(stage, replace(state, number=state.number + 1))
+        state = replace(state, current=candidate)
+    return state
 
 
 def _wanted(stage: Stage[S], state: StageState[S]) -> int:

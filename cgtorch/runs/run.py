@@ -39,6 +39,7 @@ from cgtorch.domains.registry import (
 )
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import read_versioned, whole_folder, write_json, writing
 from cgtorch.ground.json_lines import JsonLines
@@ -236,6 +237,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     if kind not in (kinds := domain.trained_kinds or domain.kinds):
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
     domain = domain.for_run(kind, settings.method)
+    if driver or domain.live or not domain.repeats:
+        _check_alone()
     if driver:
         domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
     elif isinstance(domain, DriverDomain):
@@ -258,6 +261,14 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             "evolved in the world itself: --models none"
         )
     return run
+
+
+def _check_alone() -> None:
+    """SettingsError if several processes would meet a world that answers each differently."""
+    if (n := ranks.count()) > 1:
+        raise SettingsError(
+            f"the world does not repeat itself, which {n} processes cannot share; train with one"
+        )
 
 
 def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:

@@ -146,6 +146,7 @@ def load_result(path: Path) -> dict[str, Any]:
             name: data.get(name) is None or _is_score(data[name])
             for name in ("fresh", "overall", "decisive")
         },
+        **{name: is_count(data.get(name, 0)) for name in ("in_a_row", "practice")},
         "asked": _is_asked(data.get("asked")),
         "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
     }
@@ -282,9 +283,10 @@ def load_progress(run: Run, folder: Path) -> Progress[Any]:
     progress = Progress(None, solved, missed, knowledge, chance=chance)
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
-    if (folder / "seen.safetensors").is_file():
+    if len(solved) or len(missed):
         seen = load_tensors(folder / "seen.safetensors", {"percepts"})["percepts"]
-        if seen.shape != (len(solved) + len(missed), len(run.domain.percept)):
+        right = seen.shape == (len(solved) + len(missed), len(run.domain.percept))
+        if not (right and seen.dtype == torch.float32 and seen.isfinite().all()):
             raise RunError(
                 f"the percepts of {str(folder)!r} are not those of W and M; restore them"
             )

@@ -47,8 +47,7 @@ class Recording:
         """See `Environment.start`."""
         self.purse.pay(self.phase, Asked(looks=len(scenario)))
         state, percept = self.environment.start(scenario)
-        self.first = self.first.to(percept)
-        self.first[scenario] = percept
+        self.first[scenario] = percept.to(self.first)
         return state, percept
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:

@@ -78,8 +78,9 @@ def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
     Where the world does not repeat itself there is no test but practice: the skill has solved
     enough fresh scenarios in a row.
     """
-    if rounds and rounds[-1]["fresh"] is None:
-        return bool(rounds[-1]["in_a_row"] >= rounds[-1]["practice"])
+    if rounds and rounds[-1].get("fresh") is None:
+        practice = rounds[-1].get("practice")
+        return practice is not None and (rounds[-1].get("in_a_row") or 0) >= practice
     last = _decisions(rounds[-1:])
     if not last:
         return False

@@ -151,15 +151,17 @@ def _stage(
             return None
         skill, targets = accepted.skill, accepted.succeeded[accepted.targets]
         # Where nothing can be tried twice, tests are met after what was missed before.
-        own = torch.arange(len(targets)) < len(tests)
-        own = own if run.repeats else own.flip(0)
+        old, again = len(before.missed), run.repeats and not before.chance
+        first = again or run.settings.method == "paper"
+        own = torch.arange(len(targets)) < len(targets) - old
+        own = own if first else own.flip(0)
         usual, seed = run.domain.usual_kind, FRESH_SEED + run.settings.seed
         result = {
             "stage": name,
             "scenarios": kind,
             "targets_succeeded": int(targets[own].sum()),
             "targets": len(tests),
-            "earlier_failures": len(targets) - len(tests),
+            "earlier_failures": old,
             "earlier_failures_succeeded": int(targets[~own].sum()),
             **tally.result(before, skill, accepted.seconds, spent_of(training.purse)),
         }

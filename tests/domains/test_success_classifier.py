@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rail import GEAR, LAMP, PLACE, Cart, SeeingCart, driven
 
@@ -144,8 +144,8 @@ def test_few_rows_of_one_class_are_shared_by_fewer_folds(
     def watched(name: str) -> None:
         plain = getattr(success, name)
 
-        def spy(*rows: Any, folds: int, **how: Any) -> Any:
-            asked.append(folds)
+        def spy(*rows: Any, folds: Any, **how: Any) -> Any:
+            asked.append(folds if isinstance(folds, int) else len(folds.unique()))
             return plain(*rows, folds=folds, **how)
 
         monkeypatch.setattr(success, name, spy)
@@ -160,6 +160,21 @@ def test_few_rows_of_one_class_are_shared_by_fewer_folds(
     assert asked == [min(FOLDS, rarer)] * 2
     assert sum(count for _, _, count in report.reliability) == report.rows == len(rows)
     assert report.positive == pytest.approx(float(labels.float().mean()))
+    assert model(rows).isfinite().all()
+
+
+@given(st.integers(2, 7), st.integers(2, 12), st.integers(0, 99), st.integers(5, 40))
+@settings(max_examples=60)
+def test_any_few_rows_of_either_class_can_be_learned_from(
+    met: int, missed: int, seed: int, grid_rows: int
+) -> None:
+    """No fold, and no sample for the grid, is without one of the classes."""
+    data = experience(3, 60)
+    rows = torch.cat([data.tested[data.succeeded][:met], data.tested[~data.succeeded][:missed]])
+    labels, model = torch.arange(met + missed) < met, SuccessClassifier(Cart.percept)
+    model, _ = fit_success_classifier(
+        model, rows, labels, **GRID, seed=seed, grid_rows=max(grid_rows, 2 * min(met, missed))
+    )
     assert model(rows).isfinite().all()
 
 
