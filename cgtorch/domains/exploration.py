@@ -30,7 +30,7 @@ BOLD = 0.7  # share of motions that end where C is unsure; the others are drawn 
 TRIES = 8  # to draw controls of which one is possible
 LEAST = 10  # transitions that Γ needs
 FEWEST = 3  # tests of either result that C needs
-GOOD, GAIN = 0.2, 0.8
+GOOD, GAIN = 0.65, 0.8
 """Γ is good enough at this share of the error without a machine, or if the last part of the data
 has not brought its error below this share of what it was."""
 BELIEVED = 0.5  # share of the successes that C has to expect, or no skill would ever test
@@ -101,7 +101,8 @@ def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
                 return data
         if robots.motions >= about.most:
             break
-        data = data.extended(robots.moved(models, max(FIRST, robots.motions // 2)))
+        more = FIRST if models is None else max(FIRST, robots.motions // 2)
+        data = data.extended(robots.moved(models, more))
     if models is None:
         met = "missed" if _rarer(data) == int(data.succeeded.sum()) else "met"
         raise DataError(

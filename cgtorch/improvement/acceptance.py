@@ -15,12 +15,13 @@ BELIEVED = 0.6  # share of W that the old skill has to solve in models that are 
 LEVEL = 0.05  # probability of a count at which a skill is called worse
 
 
-def no_worse(old: Tensor, new: Tensor, keep: Tensor) -> bool:
+def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
     """Whether a candidate is not worse on W and better elsewhere, by shares (B,) of replays.
 
     Both skills meet the same errors of Γ, so the differences on W (`keep` (B,) bool) are those of
     pairs. Their mean may be at most `ERRORS` standard errors below 0, and at most `MOST`. Models in
-    which the old skill does not solve what it has solved in the world are not believed.
+    which the old skill does not solve what it has solved in the world are not believed. On all
+    scenarios together the candidate has to be better by `CLEAR` standard errors, and by `gain`.
     """
     change = new - old
     inside, outside = change[keep], change[~keep]
@@ -29,8 +30,8 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor) -> bool:
         worse = float(inside.mean()) < -min(slack, MOST) - 1e-6
         if worse or float(old[keep].mean()) < BELIEVED:
             return False
-    gain = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
-    return float(outside.sum()) > 0 and float(change.mean()) > gain
+    clear = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
+    return float(outside.sum()) > 0 and float(change.mean()) > max(clear, gain)
 
 
 def fewer(successes: int, tried: int, before: int, tried_before: int) -> bool:

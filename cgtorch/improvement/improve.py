@@ -41,7 +41,8 @@ FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in 
 REFLECT = 8  # episodes after which the models learn, however well all went
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 BATCH = 3  # fresh scenarios of the first batch; later batches double
-THOUGHTS = 5  # candidates that are made in the models alone, if nothing may be asked of the world
+THOUGHTS = 3  # candidates in the models before one acts, where trials take a robot's time
+WORTH = 0.02  # share of replays that a candidate gains before a skill that does not fail gives way
 
 
 def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
@@ -63,16 +64,22 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         return progress
     if not len(state.scenarios):  # for which nobody could be evolved
         return progress
-    first, accepted, best, idle = state, False, (0, 0), 0
-    for number in range(1, stage.setup.attempts + 1):
-        candidate, state = _candidate(stage, replace(state, number=number))
+    first, accepted, best, idle, done = state, False, (0, 0), 0, False
+    for _ in range(stage.setup.attempts):
+        before = state.current
+        candidate, state = _proposed(stage, state)
+        if done and candidate is before:
+            break
+        if done:  # the new one has to show some of it, too
+            in_a_row = min(state.in_a_row, stage.setup.practice) - REFLECT
+            state = replace(state, in_a_row=max(0, in_a_row))
         state, done = _acted(stage, state, candidate, draw)
         state = _without_chance(stage, state)
         accepted |= bool((state.keep & ~state.known).any())
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
-        if done or (state.repeats and idle == IDLE):
+        if stage.setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
             break
     chance = progress.chance or state.repeats != stage.setup.repeats
     about = state.knowledge, state.population
@@ -121,6 +128,7 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         keep=number == 0,
         known=number == 0,
         tried=(number == 0) | (number == 2),
+        failed=number == 2,
         targets=(number == 1) | (number == 2),
         rest=(solved[rest], of_w[rest]),
         waiting=waiting,
@@ -133,8 +141,22 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
     )
 
 
+def _proposed(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
+    """The skill to act next, and the state that knows the members it may have been made of.
+
+    Where nothing repeats itself, it is the best of several candidates in the models.
+    """
+    candidate, state = _candidate(stage, state)
+    if state.repeats:
+        return candidate, state
+    for _ in range(1, THOUGHTS):
+        candidate, state = _candidate(stage, state.acting(candidate))
+    return candidate, state.acting(candidate)
+
+
 def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
-    """The skill to act next: the current one, or one that is better in the models."""
+    """The skill that acts, or one that is better in the models."""
+    state = replace(state, number=state.number + 1)
     rates = _rates(stage, state)
     missed = (rates < RELIABLE).all(1)
     if missed.any():
@@ -150,9 +172,9 @@ def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageS
     if same_behaviour(new.skill, state.current.skill):
         return state.current, state
     now = shares(stage, state, [state.current.skill, new.skill])
-    failed = state.tried & ~state.keep  # as the models do not know by themselves
-    now[failed, 0] *= 0.0 if state.repeats else BLAME
-    better = no_worse(now[:, 0], now[:, 1], state.keep)
+    now[state.failed, 0] *= 0.0 if state.repeats else BLAME  # as the models do not know
+    gain = WORTH if not state.repeats and state.in_a_row >= REFLECT else 0.0
+    better = no_worse(now[:, 0], now[:, 1], state.keep, gain)
     return (new if better else state.current), state
 
 
@@ -170,7 +192,7 @@ def _rates(stage: Stage[S], state: StageState[S]) -> Tensor:
     if current is None:
         rates = torch.cat([rates, torch.zeros(len(rates), 1)], 1)
     rates[:, :-1] *= state.trust
-    rates[state.tried & ~state.keep, -1] = 0.0
+    rates[state.failed, -1] = 0.0
     if state.repeats:
         rates[state.keep, -1] = 1.0
         if current is not None:
@@ -222,22 +244,14 @@ def _acted(
     except BudgetSpentError:
         done = True
         if not state.tried.any():
-            state = _thought_out(stage, replace(state, current=candidate))
+            state = _proposed(stage, replace(state, current=candidate, repeats=False))[1]
     stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, _wanted(stage, state)))
-    if experience and not done:
+    if experience and not (state.repeats and done):
         more = experience[0]
         for each in experience[1:]:
             more = more.extended(each)
         state = replace(state, knowledge=learned(stage, state.knowledge, more))
     return state, done
-
-
-def _thought_out(stage: Stage[S], state: StageState[S]) -> StageState[S]:
-    """The state with the best of some candidates, of which the models alone are the judge."""
-    for _ in range(1, THOUGHTS):
-        candidate, state = _candidate(stage, replace(state, number=state.number + 1))
-        state = replace(state, current=candidate)
-    return state
 
 
 def _wanted(stage: Stage[S], state: StageState[S]) -> int:

@@ -59,6 +59,7 @@ class StageState(Generic[S]):
         keep: (B,) bool, W: those that were solved in the world.
         known: (B,) bool, W at the beginning of the stage.
         tried: (B,) bool, those that were tried in the world.
+        failed: (B,) bool, those on which the skill that acts has failed there.
         targets: (B,) bool, the stage's own tests and earlier failures.
         rest: More of W, which is tried in the world but not replayed, with first percepts.
         waiting: Tests that nobody has looked at, in a world that cannot be put back.
@@ -79,6 +80,7 @@ class StageState(Generic[S]):
     keep: Tensor
     known: Tensor
     tried: Tensor
+    failed: Tensor
     targets: Tensor
     rest: tuple[S, Tensor]
     waiting: S
@@ -113,6 +115,7 @@ class StageState(Generic[S]):
             keep=torch.cat([self.keep, known]),
             known=torch.cat([self.known, known]),
             tried=torch.cat([self.tried, known]),
+            failed=torch.cat([self.failed, torch.zeros_like(known)]),
             targets=torch.cat([self.targets, wanted]),
             trust=torch.cat([self.trust, torch.ones(len(scenarios), len(self.members))]),
         )
@@ -120,14 +123,20 @@ class StageState(Generic[S]):
     def after(self, candidate: Candidate, rows: Tensor, trial: Trial) -> "StageState[S]":
         """The state after `candidate` has acted on scenarios `rows` (R,) in the world."""
         succeeded = trial.succeeded
-        keep, tried, trust = self.keep.clone(), self.tried.clone(), self.trust.clone()
-        keep[rows], tried[rows] = succeeded, True
-        failed = rows[~succeeded]
-        blamed = candidate.sent_to(self.percepts[failed])
+        keep, tried, failed = self.keep.clone(), self.tried.clone(), self.failed.clone()
+        keep[rows], tried[rows], failed[rows] = succeeded, True, ~succeeded
+        lost, trust = rows[~succeeded], self.trust.clone()
+        blamed = candidate.sent_to(self.percepts[lost])
         known = blamed >= 0
-        trust[failed[known], blamed[known]] *= BLAME
+        trust[lost[known], blamed[known]] *= BLAME
         actions = (*self.actions, *trial.actions[succeeded].tolist())
-        return replace(self, keep=keep, tried=tried, trust=trust, actions=actions)
+        return replace(self, keep=keep, tried=tried, failed=failed, trust=trust, actions=actions)
+
+    def acting(self, candidate: Candidate) -> "StageState[S]":
+        """The state in which a candidate acts in the world from now on."""
+        if candidate is self.current:
+            return self
+        return replace(self, current=candidate, failed=torch.zeros_like(self.failed))
 
 
 def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor:

@@ -162,3 +162,29 @@ def test_what_is_refused_is_an_error_of_its_own() -> None:
     setup = without_models(purse=Purse({"actions": 0}))
     with pytest.raises(BudgetSpentError, match="budget of 0 actions is spent"):
         try_skill(nearly(0.3), setup.world_of(stage_scenarios("near")), setup.purse)
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_where_no_trial_is_allowed_the_models_have_the_last_word(
+    repeats: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They choose the best of some candidates; a skill that has acted is not replaced by any."""
+    tests = random_scenarios("near", 10, seeded(0))
+    best = nearly(0.3)
+    recruited(monkeypatch, replace(nearly(0.6), name="worse"), best)
+    purse = Purse({"actions": 0})
+    setup = without_models(practice=4, looks=20, repeats=repeats, attempts=3, purse=purse)
+    after = improve(stage_of(setup), first_stage(), tests, along("near"))
+    assert purse.exhausted
+    assert not purse.total.actions
+    assert after.skill is not None
+    assert not len(after.solved) + len(after.missed)
+    share = [
+        float(try_skill(skill, world_of(MANY)).succeeded.float().mean())
+        for skill in (after.skill, best)
+    ]
+    assert share[0] >= share[1]
+    purse = Purse({"actions": 0})
+    kept = improve(stage_of(replace(setup, purse=purse)), BEFORE, tests, along("near"))
+    assert kept.skill is BEFORE.skill
+    assert kept.solved is BEFORE.solved
