@@ -4,15 +4,12 @@ In a world that repeats itself, eq. 1 is exact: a candidate has to solve all of 
 any other world a scenario cannot be tried again, so W and M are replayed in the models.
 """
 
-from math import comb
-
 from torch import Tensor
 
 ERRORS = 2.0  # standard errors by which a candidate may be worse on W
 MOST = 0.05  # share of replays by which it may be worse, however few there are
 CLEAR = 0.7  # standard errors by which it has to be better on all scenarios together
 BELIEVED = 0.6  # share of W that the old skill has to solve in models that are believed
-LEVEL = 0.05  # probability of a count at which a skill is called worse
 
 
 def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
@@ -32,13 +29,3 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
             return False
     clear = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
     return float(outside.sum()) > 0 and float(change.mean()) > max(clear, gain)
-
-
-def fewer(successes: int, tried: int, before: int, tried_before: int) -> bool:
-    """Whether a share is less than an earlier one (Fisher's exact test, one-sided, `LEVEL`)."""
-    good, n, every = successes + before, tried, tried + tried_before
-    bad = every - good
-    ways = sum(
-        comb(good, k) * comb(bad, n - k) for k in range(max(0, n - bad), successes + 1) if k <= good
-    )
-    return ways / comb(every, n) < LEVEL

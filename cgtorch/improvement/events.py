@@ -111,11 +111,7 @@ class JournalDamaged(Event):
 
 @dataclass(frozen=True)
 class WorldTested(CandidateTested):
-    """A candidate solves `kept` of its `group` in the world, `predicted` of it in the models."""
-
-    kept: int | None = None
-    predicted: int | None = None
-    group: int | None = None
+    """A candidate was tried in the world."""
 
 
 @dataclass(frozen=True)

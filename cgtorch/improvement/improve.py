@@ -35,6 +35,7 @@ from cgtorch.improvement.team import (
 from cgtorch.improvement.trial import attempt, looked
 
 DECISIVE = 30  # solved scenarios that tell whether success is chance
+MOST_JUDGED = 100
 SAME, CONFIDENCE = 0.8, 0.95
 OTHER = 1000  # the number of the other noise
 FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
@@ -277,6 +278,7 @@ def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
         return state
     if state.judged:
         return state
+    rows = rows[:: max(1, len(rows) // MOST_JUDGED)]
     others = state.scenarios[rows].with_noise(OTHER)
     try:
         trial = attempt(stage, state.current.skill, others, "other noise")

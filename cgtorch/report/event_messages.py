@@ -73,11 +73,11 @@ def asked_of(whom: str, purse: Purse) -> str:
     )
 
 
-def few_kept(solved: int, kept: int) -> str:
-    """The message that few of the scenarios solved in the search are solved in the world."""
+def few_solved(tried: int, solved: int) -> str:
+    """The message that few of the episodes succeeded for which skills were evolved."""
     return (
-        f"of {solved} scenarios solved in the search, {kept} are solved in the world: Γ or C is "
-        "wrong where the search goes; see 'When it does not learn' in docs/own-domain.md"
+        f"of {tried} episodes that skills were evolved for, {solved} succeeded in the world: Γ or "
+        "C is wrong where the search goes; see 'When it does not learn' in docs/own-domain.md"
     )
 
 
@@ -86,12 +86,7 @@ def _world_tested(event: events.WorldTested) -> str:
         f"{event.candidate}: in the world W {event.solved_w}/{event.size_w}, "
         f"M {event.solved_m}/{event.size_m}"
     )
-    if event.kept is not None and event.predicted is not None:
-        size = "" if event.group is None else f" of {event.group}"
-        text += (
-            f"; its group{size}: {event.predicted} solved in the search, {event.kept} in the world"
-        )
-    elif event.solved_w < event.size_w:
+    if event.solved_w < event.size_w:
         text += "; not accepted, as it loses some of W; the search goes on"
     return text
 

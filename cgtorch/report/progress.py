@@ -15,10 +15,10 @@ from rich.text import Text
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.improvement import events
 from cgtorch.report.estimate import Count, Estimate, as_time, place_of
-from cgtorch.report.event_messages import few_kept, message_of
+from cgtorch.report.event_messages import few_solved, message_of
 
 OFTEN = 60.0  # s at least between two lines on the same work where there is no terminal
-ENOUGH = 30  # scenarios solved in the search, to say how many of them the world keeps
+ENOUGH = 30  # episodes, to say how many of them succeeded
 
 
 class ProgressDisplay:
@@ -39,7 +39,7 @@ class ProgressDisplay:
         self._generation: events.GenerationDone | None = None
         self._world = ""
         # Scenarios of candidates' groups that are solved in the search and in the world.
-        self._solved = self._kept = 0
+        self._tried = self._solved = 0
         self._working: list[tuple[str, float, Spinner]] = []
         # Of counted work: when it began, when a line last told of it, and how far it is.
         self._counts: dict[str, tuple[float, float, Count]] = {}
@@ -78,6 +78,8 @@ class ProgressDisplay:
                 # What Γ and C are worth before all learning on is a result and stays.
                 (self.say if event.summary.first else self._plain)(message)
             case events.WorldAsked() | events.Practised():
+                if isinstance(event, events.WorldAsked):
+                    self._compare(event.asked.episodes, event.succeeded)
                 if message:
                     self._world = message
                     self._plain(message)
@@ -87,17 +89,16 @@ class ProgressDisplay:
                 self._estimate.evolution_over()
                 self._world = message
                 self._plain(message)
-                self._compare(event.predicted or 0, event.kept or 0)
             case events.SkillAccepted():
                 self._estimate.stage_over()
                 self.say(message, style="green")
 
-    def _compare(self, solved: int, kept: int) -> None:
-        """Say once that the world keeps little of what the search solves."""
-        before = self._solved
-        self._solved, self._kept = self._solved + solved, self._kept + kept
-        if before < ENOUGH <= self._solved and self._kept < self._solved / 4:
-            self.say(few_kept(self._solved, self._kept), style="yellow")
+    def _compare(self, tried: int, solved: int) -> None:
+        """Say once that little succeeds in the world."""
+        before = self._tried
+        self._tried, self._solved = self._tried + tried, self._solved + solved
+        if before < ENOUGH <= self._tried and self._solved < self._tried / 4:
+            self.say(few_solved(self._tried, self._solved), style="yellow")
 
     @contextmanager
     def working(self, message: str) -> Iterator[None]:

@@ -9,6 +9,7 @@ holds.
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -60,13 +61,14 @@ class TensorBoardWatch:
                 is accepted.
             draw_scenarios: Draws what an accepted skill has solved (`Domain.draw_scenarios`).
             histogram_every: Generations between histograms of one evolution.
-            picture_seconds: Least time between pictures of graphs that are not accepted yet.
+            picture_seconds: Least time between pictures of later models, and of graphs that are not
+                accepted yet.
         """
         self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
         self._actions, self._draw_scenarios = actions, draw_scenarios
         self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
-        self._last_picture = float("-inf")
+        self._last_picture = dict[str, float]()
         self._latest: tuple[str, Population] | None = None
         self._in_stage = False
 
@@ -94,10 +96,8 @@ class TensorBoardWatch:
                 values = {
                     "world/solved_W": event.solved_w,
                     "world/solved_M": event.solved_m,
-                    "world/kept": event.kept,
-                    "world/predicted": event.predicted,
                 }
-                self._scalars({tag: value for tag, value in values.items() if value is not None})
+                self._scalars(values)
             case events.SkillAccepted():
                 self._accepted(event)
             case events.FreshTested():
@@ -150,20 +150,30 @@ class TensorBoardWatch:
     def _evolution_over(self) -> None:
         """Draw the best graph of the evolution that has just ended, unless it was just drawn."""
         latest, self._latest = self._latest, None
-        soon = time.monotonic() - self._last_picture < self._picture_seconds
-        if latest is None or self._actions is None or soon or self.step < self._first:
+        if latest is None or self._actions is None or self.step < self._first:
+            return
+        if self._soon("graph/best"):
             return
         name, champion = latest
-        self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
-        self._last_picture = time.monotonic()
+        skill = Skill(name, champion.graphs, self._actions)
+        self._picture("graph/best", lambda: draw_skill(skill))
+
+    def _soon(self, tag: str) -> bool:
+        """Whether it is too soon for another picture of something that is replaced quickly."""
+        now = time.monotonic()
+        if now - self._last_picture.get(tag, float("-inf")) < self._picture_seconds:
+            return True
+        self._last_picture[tag] = now
+        return False
 
     def _models(self, event: events.ModelsFitted) -> None:
         self._scalars({"models/fit_seconds": event.seconds})
         summary = event.summary
         self._scalars(summary.scalars)
-        if summary.reliability:
-            picture = draw_reliability(summary.reliability, of="held-out labels")
-            self._picture("classifier/reliability", picture)
+        if summary.reliability and not self._soon("classifier/reliability"):
+            curve = summary.reliability
+            about = partial(draw_reliability, curve, of="held-out labels")
+            self._picture("classifier/reliability", about)
         if summary.curves:
             self._curves(summary.curves)
         if summary.first:
@@ -185,18 +195,16 @@ class TensorBoardWatch:
 
     def _accepted(self, event: events.SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
-        self._picture("graph/best", draw_skill(event.skill))
+        self._picture("graph/best", lambda: draw_skill(event.skill))
         if self._draw_scenarios is not None:
             about = event.scenarios, event.succeeded, event.targets, event.stage
-            if (picture := self._draw_scenarios(*about)) is not None:
-                self._picture("scenarios/solved", picture)
-        self._records.flush()
+            self._picture("scenarios/solved", partial(self._draw_scenarios, *about))
 
     def _scalars(self, values: Mapping[str, float]) -> None:
         self._records.scalars(values, self.step)
 
-    def _picture(self, tag: str, figure: "Figure") -> None:
-        self._records.picture(tag, figure, self.step)
+    def _picture(self, tag: str, draw: Callable[[], "Figure | None"]) -> None:
+        self._records.picture(tag, draw, self.step)
 
 
 def _nodes(graphs: Graphs) -> int:

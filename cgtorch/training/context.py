@@ -48,7 +48,7 @@ LANES = 2  # robots that explore side by side, where there can be several
 OWN = 40  # the generator of what C is judged by, derived like an island's
 
 
-SEARCHES = 4
+SEARCHES = 2
 """Evolutions of a specialist in the models, which take a second where trials in the world of what
 they find take a robot minutes."""
 LOOKS = 64  # first percepts of fresh scenarios
@@ -122,13 +122,17 @@ class Training:
             repeats=run.repeats,
             noisy=domain.noisy_world,
             live=domain.live,
-            searches=SEARCHES if run.learns else 1,  # in the world itself they are not cheap
+            searches=self._searches(),
             attempts=s.attempts,
             max_transitions=s.max_transitions,
             device=self.device,
             journal=journal or Journal(),
             purse=self.purse,
         )
+
+    def _searches(self) -> int:
+        """More where an action costs more than a search; one in the world itself."""
+        return (SEARCHES if self.run.repeats else 2 * SEARCHES) if self.run.learns else 1
 
     def _imagine(
         self, knowledge: Any, scenarios: Any, percepts: torch.Tensor, replicas: int, *how: Any

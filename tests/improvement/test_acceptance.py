@@ -1,19 +1,15 @@
 """When a candidate replaces the skill that acts: on numbers by hand, and by exact counts."""
 
-import pytest
 import torch
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.stats import fisher_exact
 from torch import Tensor
 
 from cgtorch.improvement.acceptance import (
     BELIEVED,
     CLEAR,
     ERRORS,
-    LEVEL,
     MOST,
-    fewer,
     no_worse,
 )
 
@@ -90,22 +86,3 @@ def test_the_rule_is_what_it_is_said_to_be(rows: list[tuple[float, float, bool]]
     assert found == plainly(old, new, keep.bool())
     change = new - old
     assert not found or (change[~keep.bool()].sum() > 0 and change.sum() > 0)
-
-
-COUNTS = st.integers(0, 60).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
-
-
-@given(COUNTS, COUNTS)
-def test_a_share_is_less_by_fishers_exact_test(now: tuple[int, int], then: tuple[int, int]) -> None:
-    (good, tried), (before, earlier) = now, then
-    table = [[good, tried - good], [before, earlier - before]]
-    chance = float(fisher_exact(table, alternative="less").pvalue)
-    if chance != pytest.approx(LEVEL, rel=1e-9):
-        assert fewer(good, tried, before, earlier) == (chance < LEVEL)
-
-
-def test_where_nothing_was_tried_nothing_is_less() -> None:
-    assert not fewer(0, 0, 0, 0)
-    assert not fewer(0, 0, 9, 9)
-    assert not fewer(0, 9, 0, 0)
-    assert fewer(0, 9, 9, 9)

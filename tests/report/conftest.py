@@ -112,12 +112,12 @@ def events(models: Models) -> list[Event]:
         setup = search(actions, EvolutionSettings(population=60, capacity=12), budget)
         stage = Stage(setup, "S1", generator, told.append)
         found = evolve_candidate(stage, name, world, keep=kept)
-        champion, solved = found.champion, found.solved
+        champion = found.champion
         members.append(Skill(name, champion.graphs, actions))
         result = try_skill(members[-1], world).succeeded
         kept = result & keep
         w, m = int(result[keep].sum()), int(result[~keep].sum())
-        told.append(WorldTested("S1", name, w, 6, m, 5, int(result.sum()), int(solved.sum()), 11))
+        told.append(WorldTested("S1", name, w, 6, m, 5))
     branch = branching_action(actions)[1]
     parameters = branch.initial_parameters(1, generator)
     skill = compose("S1", members, parameters, actions, 20)

@@ -131,7 +131,6 @@ def test_models_and_world(written: EventAccumulator, events: list[Event], models
         (scalar,) = written.Scalars(tag)
         assert (scalar.step, scalar.value) == (0, pytest.approx(value, rel=1e-5)), tag
     assert [s.step for s in written.Scalars("world/solved_W")] == [46, 48, 48]
-    assert [s.step for s in written.Scalars("world/kept")] == [46, 48]
     (fresh,) = written.Scalars("world/fresh_rate")
     assert (fresh.step, fresh.value) == (48, 0.75)
     accepted = events[-1]

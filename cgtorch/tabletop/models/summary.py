@@ -18,7 +18,7 @@ from cgtorch.tabletop.models.success_quality import (
 from cgtorch.tabletop.models.transition_quality import TransitionQuality, transition_quality
 
 FRESH_TRANSITIONS = 1500  # which tell the models' errors
-FRESH_LABELS = 500  # at most, as many as were learnt from
+FRESH_LABELS = 250  # at most, as many as were learnt from
 
 
 @dataclass(frozen=True)
