@@ -9,23 +9,20 @@ from torch import Tensor
 ERRORS = 2.0  # standard errors by which a candidate may be worse on W
 MOST = 0.05  # share of replays by which it may be worse, however few there are
 CLEAR = 0.7  # standard errors by which it has to be better on all scenarios together
-BELIEVED = 0.6  # share of W that the old skill has to solve in models that are believed
 
 
 def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
     """Whether a candidate is not worse on W and better elsewhere, by shares (B,) of replays.
 
     Both skills meet the same errors of Γ, so the differences on W (`keep` (B,) bool) are those of
-    pairs. Their mean may be at most `ERRORS` standard errors below 0, and at most `MOST`. Models in
-    which the old skill does not solve what it has solved in the world are not believed. On all
+    pairs. Their mean may be at most `ERRORS` standard errors below 0, and at most `MOST`. On all
     scenarios together the candidate has to be better by `CLEAR` standard errors, and by `gain`.
     """
     change = new - old
     inside, outside = change[keep], change[~keep]
     if len(inside):
         slack = ERRORS * float(inside.std(correction=0)) / len(inside) ** 0.5
-        worse = float(inside.mean()) < -min(slack, MOST) - 1e-6
-        if worse or float(old[keep].mean()) < BELIEVED:
+        if float(inside.mean()) < -min(slack, MOST) - 1e-6:
             return False
     clear = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
     return float(outside.sum()) > 0 and float(change.mean()) > max(clear, gain)

@@ -129,7 +129,7 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         keep=number == 0,
         known=number == 0,
         tried=(number == 0) | (number == 2),
-        failed=number == 2,
+        shown=repeats * (number == 0).long() - (number == 2).long(),
         targets=(number == 1) | (number == 2),
         rest=(solved[rest], of_w[rest]),
         waiting=waiting,
@@ -173,7 +173,9 @@ def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageS
     if same_behaviour(new.skill, state.current.skill):
         return state.current, state
     now = shares(stage, state, [state.current.skill, new.skill])
-    now[state.failed, 0] *= 0.0 if state.repeats else BLAME  # as the models do not know
+    # What the world has shown of it, the models may not know.
+    now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
+    now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
     gain = WORTH if not state.repeats and state.in_a_row >= REFLECT else 0.0
     better = no_worse(now[:, 0], now[:, 1], state.keep, gain)
     return (new if better else state.current), state
@@ -193,7 +195,7 @@ def _rates(stage: Stage[S], state: StageState[S]) -> Tensor:
     if current is None:
         rates = torch.cat([rates, torch.zeros(len(rates), 1)], 1)
     rates[:, :-1] *= state.trust
-    rates[state.failed, -1] = 0.0
+    rates[state.shown < 0, -1] = 0.0
     if state.repeats:
         rates[state.keep, -1] = 1.0
         if current is not None:

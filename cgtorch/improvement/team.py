@@ -59,7 +59,7 @@ class StageState(Generic[S]):
         keep: (B,) bool, W: those that were solved in the world.
         known: (B,) bool, W at the beginning of the stage.
         tried: (B,) bool, those that were tried in the world.
-        failed: (B,) bool, those on which the skill that acts has failed there.
+        shown: (B,) long, 1 where the skill that acts has succeeded there, -1 where it has failed.
         targets: (B,) bool, the stage's own tests and earlier failures.
         rest: More of W, which is tried in the world but not replayed, with first percepts.
         waiting: Tests that nobody has looked at, in a world that cannot be put back.
@@ -80,7 +80,7 @@ class StageState(Generic[S]):
     keep: Tensor
     known: Tensor
     tried: Tensor
-    failed: Tensor
+    shown: Tensor
     targets: Tensor
     rest: tuple[S, Tensor]
     waiting: S
@@ -115,7 +115,7 @@ class StageState(Generic[S]):
             keep=torch.cat([self.keep, known]),
             known=torch.cat([self.known, known]),
             tried=torch.cat([self.tried, known]),
-            failed=torch.cat([self.failed, torch.zeros_like(known)]),
+            shown=torch.cat([self.shown, torch.zeros(n).long()]),
             targets=torch.cat([self.targets, wanted]),
             trust=torch.cat([self.trust, torch.ones(len(scenarios), len(self.members))]),
         )
@@ -123,20 +123,20 @@ class StageState(Generic[S]):
     def after(self, candidate: Candidate, rows: Tensor, trial: Trial) -> "StageState[S]":
         """The state after `candidate` has acted on scenarios `rows` (R,) in the world."""
         succeeded = trial.succeeded
-        keep, tried, failed = self.keep.clone(), self.tried.clone(), self.failed.clone()
-        keep[rows], tried[rows], failed[rows] = succeeded, True, ~succeeded
+        keep, tried, shown = self.keep.clone(), self.tried.clone(), self.shown.clone()
+        keep[rows], tried[rows], shown[rows] = succeeded, True, 2 * succeeded.long() - 1
         lost, trust = rows[~succeeded], self.trust.clone()
         blamed = candidate.sent_to(self.percepts[lost])
         known = blamed >= 0
         trust[lost[known], blamed[known]] *= BLAME
         actions = (*self.actions, *trial.actions[succeeded].tolist())
-        return replace(self, keep=keep, tried=tried, failed=failed, trust=trust, actions=actions)
+        return replace(self, keep=keep, tried=tried, shown=shown, trust=trust, actions=actions)
 
     def acting(self, candidate: Candidate) -> "StageState[S]":
         """The state in which a candidate acts in the world from now on."""
         if candidate is self.current:
             return self
-        return replace(self, current=candidate, failed=torch.zeros_like(self.failed))
+        return replace(self, current=candidate, shown=torch.zeros_like(self.shown))
 
 
 def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor:

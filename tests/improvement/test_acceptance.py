@@ -1,12 +1,11 @@
 """When a candidate replaces the skill that acts: on numbers by hand, and by exact counts."""
 
 import torch
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
 from cgtorch.improvement.acceptance import (
-    BELIEVED,
     CLEAR,
     ERRORS,
     MOST,
@@ -51,12 +50,6 @@ def test_who_loses_a_little_of_w_is_taken_if_that_may_be_chance() -> None:
     assert not decided(old, [1 - 1 / 40] * 40 + [1.0] * 40, keep)
 
 
-def test_models_that_deny_what_the_world_has_shown_are_not_believed() -> None:
-    keep = [1] * 4 + [0] * 4
-    assert decided([1.0] * 3 + [0.0] * 5, [1.0] * 3 + [0.0] + [1.0] * 4, keep)
-    assert not decided([1.0] * 2 + [0.0] * 6, [1.0] * 2 + [0.0] * 2 + [1.0] * 4, keep)
-
-
 def plainly(old: Tensor, new: Tensor, keep: Tensor) -> bool:
     """The rule in so many words."""
 
@@ -70,19 +63,18 @@ def plainly(old: Tensor, new: Tensor, keep: Tensor) -> bool:
     change = [float(new[i] - old[i]) for i in rows]
     inside = [change[i] for i in rows if keep[i]]
     outside = [change[i] for i in rows if not keep[i]]
-    if inside:
-        if mean(inside) < -min(ERRORS * error(inside), MOST) - 1e-6:
-            return False
-        if mean([float(old[i]) for i in rows if keep[i]]) < BELIEVED:
-            return False
+    if inside and mean(inside) < -min(ERRORS * error(inside), MOST) - 1e-6:
+        return False
     return sum(outside) > 0 and mean(change) > CLEAR * error(change)
 
 
 @given(st.lists(st.tuples(SHARE, SHARE, st.booleans()), min_size=1, max_size=30))
 def test_the_rule_is_what_it_is_said_to_be(rows: list[tuple[float, float, bool]]) -> None:
     old, new, keep = (torch.tensor([row[i] for row in rows]) for i in range(3))
-    assume(not keep.any() or abs(float(old[keep.bool()].mean()) - BELIEVED) > 1e-5)
     found = no_worse(old, new, keep.bool())
     assert found == plainly(old, new, keep.bool())
     change = new - old
     assert not found or (change[~keep.bool()].sum() > 0 and change.sum() > 0)
+    enough = float(change.mean())
+    assert no_worse(old, new, keep.bool(), enough - 0.01) is found
+    assert not no_worse(old, new, keep.bool(), enough + 0.01)

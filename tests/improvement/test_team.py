@@ -123,12 +123,18 @@ def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
         assert sent in chosen
         assert bool(after.keep[row]) is good
         assert after.tried[row]
+        assert int(after.shown[row]) == (1 if good else -1)
         if not good:
             trust[row, sent] = trust[row, sent] * BLAME
     assert torch.equal(after.trust, trust)
     others = torch.ones(15, dtype=torch.bool).index_fill(0, tried, False)
     assert torch.equal(after.keep[others], state.keep[others])
     assert torch.equal(after.tried[others], state.tried[others])
+    assert not after.shown[others].any()
+    assert after.acting(candidate).current is candidate
+    assert not after.acting(candidate).shown.any()  # others did that
+    same = replace(after, current=candidate).acting(candidate)
+    assert torch.equal(same.shown, after.shown)
     spent = [n for n, good in zip(actions, succeeded.tolist(), strict=True) if good]
     assert after.actions == (5, *spent)
     unknown = state.after(Candidate(nearly(0.3)), tried, trial_of(succeeded, actions))
@@ -251,4 +257,5 @@ def test_state_grows_with_what_is_met() -> None:
             assert torch.equal(after.percepts[3:], percepts)
             assert after.keep[3:].tolist() == after.tried[3:].tolist() == [kept] * 2
             assert after.targets[3:].tolist() == [targets] * 2
+            assert after.shown.tolist() == [0] * 5
             assert torch.equal(after.trust, torch.tensor([[0.0, 0.0]] * 3 + [[1.0, 1.0]] * 2))

@@ -151,6 +151,7 @@ def state_of(
         "scenarios": scenarios,
         "percepts": percepts,
         "targets": ~keep,
+        "shown": keep.long(),
         "rest": (NONE, percepts[:0]),
         "waiting": NONE,
         "knowledge": None,

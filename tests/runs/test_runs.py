@@ -354,9 +354,12 @@ def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
     trained: Trained, tmp_path: Path, kind: type[Event]
 ) -> None:
     """It is killed at the second event of a kind, gone on with, and killed at the second then."""
+    every: list[Any] = [e for e in trained.events if isinstance(e, kind)]
+    number = min(2, len([e for e in every if e.stage == "S1"]))
+    assert number
 
     def ends(count: Iterator[int], event: Event) -> None:
-        if isinstance(event, kind) and next(count) == 2:
+        if isinstance(event, kind) and next(count) == number:
             raise Interrupted
 
     folder = copied(trained, tmp_path / "run", ("S0",))
