@@ -39,6 +39,7 @@ MOST_JUDGED = 100
 SAME, CONFIDENCE = 0.8, 0.95
 OTHER = 1000  # the number of the other noise
 FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
+LONG = 2.5  # successes, as the same multiple, after which half as many in a row are enough
 REFLECT = 8  # episodes after which the models learn, however well all went
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 BATCH = 3  # fresh scenarios of the first batch; later batches double
@@ -260,12 +261,15 @@ def _acted(
 def _wanted(stage: Stage[S], state: StageState[S]) -> int:
     """The number of fresh scenarios to solve in a row, and the tests that still wait.
 
-    Where nothing can be tried twice, a skill that nothing has corrected yet has to solve more.
+    Where nothing can be tried twice, a skill that nothing has corrected yet has to solve more, and
+    after many successes half as many are enough.
     """
-    practice, waiting = stage.setup.practice, len(state.waiting)
-    if state.repeats or int(state.tried.sum()) >= FIRST * practice:
-        return max(practice, state.in_a_row + waiting)
-    return max(int(FIRST * practice), state.in_a_row + waiting)
+    share, practice = 1.0, stage.setup.practice
+    if not state.repeats and int(state.tried.sum()) < FIRST * practice:
+        share = FIRST
+    elif not state.repeats and len(state.actions) >= LONG * practice:
+        share = 0.5
+    return max(int(share * practice), state.in_a_row + len(state.waiting))
 
 
 def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:

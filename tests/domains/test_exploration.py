@@ -373,7 +373,7 @@ def test_no_more_is_asked_than_the_budget_allows(limits: dict[str, float]) -> No
 
 
 def test_models_of_what_was_explored_are_of_use() -> None:
-    """Some sixty motions, instead of the hundreds that a blind search would take."""
+    """Some thirty motions, instead of hundreds; trials of skills teach what is missing."""
     domain, fresh = SeeingCart(), driven(300, 300, 9)
     right, off, motions = list[float](), list[float](), list[int]()
 
@@ -390,6 +390,6 @@ def test_models_of_what_was_explored_are_of_use() -> None:
         off.append(float(error[:, PLACE].abs().mean()))
         motions.append(log.motions)
     still = float((fresh.percept - fresh.next_percept)[:, PLACE].abs().mean())
-    assert sum(right) / len(right) > 0.7
+    assert sum(right) / len(right) > 0.6
     assert sum(off) / len(off) < 0.5 * still
-    assert max(motions) < 100
+    assert max(motions) < 45

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from members import nearly
 from reaching import world_of
@@ -15,7 +15,7 @@ from watched import NONE, Watched, along, first_stage, keys, of_kind, recruited,
 from watched import without_models as setup_of
 
 from cgtorch.improvement.events import Event, Practised, SkillAccepted
-from cgtorch.improvement.improve import BATCH, FIRST, IDLE, improve
+from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG, improve
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -76,10 +76,11 @@ def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int
 @settings(max_examples=25)
 @given(
     st.integers(0, 20),
-    st.sets(st.integers(0, 50), max_size=5),
+    st.sets(st.integers(0, 50), max_size=9),
     st.integers(1, 30),
     st.integers(0, 3),
 )
+@example(practice=10, bad={8, 17, 26, 37}, attempts=30, tests=0)
 def test_where_nothing_is_tried_twice_the_first_skill_has_to_solve_more(
     practice: int, bad: set[int], attempts: int, tests: int
 ) -> None:
@@ -97,18 +98,23 @@ def test_where_nothing_is_tried_twice_the_first_skill_has_to_solve_more(
     assert set(batches) <= {1}
     practised: list[Practised] = of_kind(told, Practised)
 
-    def enough(tried: int, in_a_row: int) -> bool:
-        wanted = practice if tried >= FIRST * practice else int(FIRST * practice)
+    def enough(tried: int, succeeded: int, in_a_row: int) -> bool:
+        wanted = practice
+        if tried < FIRST * practice:
+            wanted = int(FIRST * practice)
+        elif succeeded >= LONG * practice:
+            wanted = practice // 2
         return in_a_row >= wanted and tried >= tests
 
-    tried = in_a_row = 0
+    tried = succeeded = in_a_row = 0
     results = [True] * tests + [i not in bad for i in range(len(batches))]
     for solved in results:
         if len(practised) < attempts:
-            assert not enough(tried, in_a_row)
-        tried, in_a_row = tried + 1, in_a_row + 1 if solved else 0
+            assert not enough(tried, succeeded, in_a_row)
+        tried, succeeded = tried + 1, succeeded + solved
+        in_a_row = in_a_row + 1 if solved else 0
     assert practised[-1].in_a_row == in_a_row
-    assert enough(tried, in_a_row) or len(practised) == attempts
+    assert enough(tried, succeeded, in_a_row) or len(practised) == attempts
     assert len(practised) <= attempts
     if after.skill is not None:
         assert len(after.solved) == sum(results)
