@@ -176,8 +176,10 @@ def _candidate(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageS
     now = shares(stage, state, [state.current.skill, new.skill])
     # What the world has shown of it, the models may not know.
     now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
-    now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
-    gain = WORTH if not state.repeats and state.in_a_row >= REFLECT else 0.0
+    gain = 0.0
+    if not state.repeats:  # else the world has the last word on W
+        now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
+        gain = WORTH if state.in_a_row >= REFLECT else 0.0
     better = no_worse(now[:, 0], now[:, 1], state.keep, gain)
     return (new if better else state.current), state
 
