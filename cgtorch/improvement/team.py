@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, Generic
 
 import torch
@@ -28,6 +29,7 @@ MOST = 7  # world actions of a trial before successes are known
 PATIENCE = 2.0  # by which a trial may exceed what almost all successes take
 FEWEST = 4  # missed scenarios, to which solved ones are added for a group
 OTHERS = 8  # solved scenarios that are added
+WIDEST = 32  # scenarios to which a group grows, by doubling, where a fitness is good enough
 
 
 @dataclass(frozen=True)
@@ -161,17 +163,13 @@ def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor
 def with_member(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState[S]:
     """The state with a specialist evolved in the models on `missed` (B,) scenarios."""
     setup, name = stage.setup, f"{stage.name}.{state.number}"
-    rows = setup.group_of(state.percepts, missed, setup.group, stage.generator)
+    most = max(setup.group, WIDEST) if setup.budget.satisfied < inf else setup.group
+    rows = setup.group_of(state.percepts, missed, most, stage.generator)
     if len(rows) < FEWEST:
         solved = (~missed).nonzero()[:, 0]
         some = torch.randperm(len(solved), generator=stage.generator)[:OTHERS]
         rows = torch.cat([rows, solved[some]])
-    replicas = max(setup.replicas, setup.replicas * setup.group // len(rows))
-    about = state.knowledge, state.scenarios[rows], state.percepts[rows], replicas
-    environment = setup.imagine(*about, stage.generator, setup.device)
-    found = _best_of_searches(stage, name, environment, state.population)
-    how = setup.max_transitions, setup.evolution.fitness, setup.device
-    champion = shrunk(found.champion, setup.actions, environment, *how)
+    champion = _specialist(stage, state, name, rows)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     return replace(
         state,
@@ -179,6 +177,28 @@ def with_member(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageS
         trust=torch.cat([state.trust, torch.ones(len(state.trust), 1)], 1),
         population=join(state.population, champion) if state.population else champion,
     )
+
+
+def _specialist(stage: Stage[S], state: StageState[S], name: str, rows: Tensor) -> Population:
+    """The best individual on scenarios `rows` (R,), as small as it can be.
+
+    With a fitness of `Budget.satisfied` on a group it goes on on twice as many. This detects chance
+    successes on a few, while most of the search runs on a few.
+    """
+    setup, step, seeds = stage.setup, name, state.population
+    size = setup.group if setup.budget.satisfied < inf else len(rows)
+    while True:
+        group = rows[:size]
+        replicas = max(setup.replicas, setup.replicas * setup.group // len(group))
+        about = state.knowledge, state.scenarios[group], state.percepts[group], replicas
+        environment = setup.imagine(*about, stage.generator, setup.device)
+        found = _best_of_searches(stage, step, environment, seeds)
+        if size >= len(rows) or found.best < setup.budget.satisfied:
+            break
+        size, seeds = 2 * size, found.champion
+        step = f"{name} on {size}"
+    how = setup.max_transitions, setup.evolution.fitness, setup.device
+    return shrunk(found.champion, setup.actions, environment, *how)
 
 
 def _best_of_searches(

@@ -1,5 +1,6 @@
 """The team of a stage: who is evolved, on what, who is chosen, and who is blamed for a failure."""
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -174,6 +175,40 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     assert torch.equal(after.trust, torch.ones(len(scenarios), 2))
     assert after.population is not None
     assert len(after.population) == 1
+
+
+@pytest.mark.parametrize(("best", "groups"), [(0.6, [8, 16, 32]), (0.4, [8])])
+def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
+    best: float, groups: list[int]
+) -> None:
+    """Where there is a fitness that is good enough, up to a number of scenarios."""
+    scenarios, told = random_scenarios("perimeter", 50, seeded(0)), list[Scenarios]()
+    began, names = list[Any](), list[str]()
+
+    def imagine(models: None, some: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        told.append(some)
+        return in_the_world(models, some, percepts, count)
+
+    found = Found(Population(nearly(0.3).graph, initial_strategy(1)), torch.ones(1) > 0, best)
+
+    def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
+        names.append(name)
+        began.append(seeds)
+        return found
+
+    for satisfied, wanted in ((0.5, groups), (float("inf"), [8])):
+        told.clear(), names.clear(), began.clear()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(team, "evolve_candidate", evolved)
+            patch.setattr(team, "shrunk", lambda champion, *about: champion)
+            budget = Budget(satisfied=satisfied)
+            setup = replace(without_models(group=8, budget=budget, searches=1), imagine=imagine)
+            with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
+        assert [len(each) for each in told] == wanted
+        for few, more in itertools.pairwise(told):
+            assert more.seed[: len(few)].tolist() == few.seed.tolist()
+        assert len(set(names)) == len(names)
+        assert began == [None] + [found.champion] * (len(wanted) - 1)
 
 
 def test_shares_are_those_of_replays() -> None:
