@@ -70,7 +70,7 @@ def graphs_to_run() -> Graphs:
     parameters = torch.zeros(60, 8, graphs.parameters.shape[2])
     for node in (0, 2):
         count = int(work().actions.num_parameters[chain[node]])
-        parameters[:, node, :count] = torch.randn(60, count, generator=seeded(node))
+        parameters[:, node, :count] = torch.randn(60, count, generator=seeded(node + 2))
     both = Graphs(action, edges, parameters, torch.zeros(60, dtype=torch.long))
     return Graphs(
         *(torch.cat(p) for p in zip(vars(graphs).values(), vars(both).values(), strict=True))
