@@ -1,6 +1,6 @@
 """Kill a training that acts on the stand-in robot at random moments, and compare logs afterwards.
 
-    python tools/kill_robot_run.py FOLDER [--kills 5] [--stage S2] [--seed N]
+    python tools/kill_robot_run.py FOLDER [--kills 5] [--stage S2 --stage auto] [--seed N]
 
 The robot is a process that is never killed. It counts the actions that it has carried out. At the
 end, each of them is a line of the run's log, except at most one for each kill, and no episode was
@@ -44,6 +44,8 @@ def training(folder: Path, stage: str, seed: int, address: str) -> subprocess.Po
     run = folder / "run"
     new = ["--stage", stage, "--seed", str(seed), "--run-dir", str(run)]
     again = ["--resume", str(run), "--stage", stage]
+    if stage == "auto":
+        again += ["--rounds", "1"]
     begun = (run / "run.json").is_file()
     command = [str(Path(sys.executable).parent / "cgtorch-train"), "--quiet", "--driver", DRIVER]
     env = os.environ | {"CGTORCH_STAND_IN": address}
@@ -53,22 +55,26 @@ def training(folder: Path, stage: str, seed: int, address: str) -> subprocess.Po
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--kills", default=5, show_default=True)
-@click.option("--stage", default="S2", show_default=True)
+@click.option("--stage", "stages", multiple=True, default=["S2"], show_default=True)
 @click.option("--seed", default=0, show_default=True)
 @click.option("--world", default="mujoco", show_default=True)
 @click.option("--longest", default=8.0, show_default=True, help="s between two kills")
-def main(folder: Path, kills: int, stage: str, seed: int, world: str, longest: float) -> None:
+def main(folder: Path, kills: int, stages: tuple[str, ...], seed: int, world: str,
+         longest: float) -> None:  # fmt: skip
     """Train, kill, resume, and compare what the robot did with what the log says."""
     folder.mkdir(parents=True, exist_ok=True)
     chance, done = random.Random(seed), 0  # noqa: S311
     process, address = robot(folder, world)
     try:
-        while True:
-            child = training(folder, stage, seed, address)
+        left = list(stages)
+        while left:
+            child = training(folder, left[0], seed, address)
             try:
                 wait = None if done == kills else 3 + chance.uniform(0, longest)
                 code = child.wait(wait)
-                break
+                if code:
+                    break
+                left.pop(0)
             except subprocess.TimeoutExpired:
                 child.send_signal(signal.SIGKILL)
                 child.wait()
@@ -76,10 +82,10 @@ def main(folder: Path, kills: int, stage: str, seed: int, world: str, longest: f
                 time.sleep(0.5)
     finally:
         process.terminate()
-    report(folder, done, code, stage)
+    report(folder, done, code)
 
 
-def report(folder: Path, kills: int, code: int, stage: str) -> None:
+def report(folder: Path, kills: int, code: int) -> None:
     """Say what was compared; an error if an action was lost or repeated."""
     did = Counter(row["what"] for row in JsonLines(folder / "robot.jsonl").rows())
     rows = list(JsonLines(folder / "run" / "log.jsonl").rows())

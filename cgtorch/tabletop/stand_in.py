@@ -13,6 +13,7 @@ import socket
 import socketserver
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -161,10 +162,11 @@ def main(port: int, robot: str, world: str, speed: float, count: Path | None) ->
         """One driver's connection; each line is a call, and its answer is a line."""
 
         def handle(self) -> None:
-            for line in self.rfile:
-                name, *given = json.loads(line)
-                answer = getattr(scene, name)(*given) if name in CALLS else None
-                self.wfile.write((json.dumps(answer) + "\n").encode())
+            with suppress(ConnectionError):  # a driver may be killed at any moment
+                for line in self.rfile:
+                    name, *given = json.loads(line)
+                    answer = getattr(scene, name)(*given) if name in CALLS else None
+                    self.wfile.write((json.dumps(answer) + "\n").encode())
 
     scene.arrange("perimeter")
     with _Server(("127.0.0.1", port), Handler) as server:
