@@ -177,7 +177,6 @@ class TensorBoardWatch:
         if summary.curves:
             self._curves(summary.curves)
         if summary.first:
-            self._records.flush()
             self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
