@@ -33,7 +33,7 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## Install everything into .venv
 
-train: setup  ## Evolve a skill up to stage S2 (a minute)
+train: setup  ## Evolve a skill up to stage S2 (ten seconds)
 	$(BIN)/cgtorch-train --stage S2
 
 check: lint  ## Lint, then the fast tests: less than 90 seconds, for every change

@@ -9,6 +9,7 @@ FOLDER/table.md, and the curve FOLDER/robot-time.svg.
 """
 
 import json
+import shutil
 import statistics
 import time
 from collections.abc import Sequence
@@ -184,6 +185,7 @@ def main(folder: Path, seeds: Sequence[int], stages: bool, world: str, robot: st
         path = folder / f"seed-{seed}.json"
         if not path.is_file():
             settings = RunSettings(**{**values, "seed": seed})
+            shutil.rmtree(folder / f"seed-{seed}", ignore_errors=True)  # which was interrupted
             row = measured(folder / f"seed-{seed}", settings, own, placements, stages)
             write_json(path, row)
         rows.append(read_json(path))

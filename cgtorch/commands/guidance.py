@@ -94,8 +94,8 @@ def _duration(plan: Plan) -> str:
         return f"No round begins after {plan.goal.minutes:g} minutes (--minutes)."
     if plan.run.settings.domain == TABLETOP:
         return (
-            "On two quiet cores, S0 to S2 take less than a minute, S0 to S3 about a minute, and "
-            "about ten times as long in physics (--world mujoco)."
+            "On two quiet cores, S0 to S2 take some 10 seconds, S0 to S3 some 15, and about ten "
+            "times as long in physics (--world mujoco)."
         )
     return "The time depends on the domain."
 

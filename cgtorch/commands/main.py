@@ -46,7 +46,7 @@ class AllCommands(click.Group):
 def command(context: click.Context) -> None:
     """Evolve robot skills as computational graphs of actions.
 
-    `cgtorch train` without further options evolves a first skill in about a minute. Each command
+    `cgtorch train` without further options evolves a first skill in some ten seconds. Each command
     below has its own --help, and is also available under its own name, such as cgtorch-train.
     """
     if context.invoked_subcommand is None:
