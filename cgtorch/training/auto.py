@@ -104,7 +104,7 @@ def _round(
         progress = _with(progress, act(run, progress.skill, EPISODES, _tests_generator(run, name)))
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
-    training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
+    training.watch(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
         fittest, unsolved = tally.champion, tally.accepted is None and not len(after.solved)

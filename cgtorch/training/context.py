@@ -53,6 +53,7 @@ SEARCHES = 2
 they find take a robot minutes."""
 LOOKS = 64  # first percepts of fresh scenarios
 REPLAYS = 16  # of each scenario in the models, by which skills are compared
+LIVE_ATTEMPTS = 4  # times as many, where a candidate acts up to its first failure only
 IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
@@ -123,12 +124,18 @@ class Training:
             noisy=domain.noisy_world,
             live=domain.live,
             searches=self._searches(),
-            attempts=s.attempts,
+            attempts=self.attempts,
             max_transitions=s.max_transitions,
             device=self.device,
             journal=journal or Journal(),
             purse=self.purse,
         )
+
+    @property
+    def attempts(self) -> int:
+        """The largest number of candidates in a stage."""
+        chosen = self.run.settings.attempts
+        return chosen if self.run.repeats else LIVE_ATTEMPTS * chosen
 
     def _searches(self) -> int:
         """More where an action costs more than a search; one in the world itself."""

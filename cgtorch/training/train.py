@@ -143,7 +143,7 @@ def _stage(
     kind = run.domain.stages[name]
     tests = run.domain.tests(kind)
     sizes = len(before.solved), len(tests) + len(before.missed)
-    training.watch(StageStarted(name, names, *sizes, run.settings.attempts))
+    training.watch(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
         accepted = tally.accepted
@@ -209,7 +209,7 @@ def make_stage(
             return made
     raise NotImprovedError(
         f"stage {name} found no skill that keeps W and solves more within "
-        f"{run.settings.attempts} attempts; raise --attempts, --generations or --population"
+        f"{training.attempts} attempts; raise --attempts, --generations or --population"
     )
 
 
