@@ -35,7 +35,7 @@ from cgtorch.improvement.team import (
 from cgtorch.improvement.trial import attempt, looked
 
 DECISIVE = 30  # solved scenarios that tell whether success is chance
-MOST_JUDGED = 100
+MOST_JUDGED = 100  # scenarios, evenly spread, that are met under other noise
 SAME, CONFIDENCE = 0.8, 0.95
 OTHER = 1000  # the number of the other noise
 FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
@@ -110,12 +110,7 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
     setup, solved, missed = stage.setup, progress.solved, progress.missed
     repeats = setup.repeats and not progress.chance
     waiting, tests = (tests[:0], tests) if repeats else (tests, tests[:0])
-    if setup.live:  # each look would need a scene that somebody arranges
-        seen = progress.knowledge.dataset.percept[: setup.looks]
-        looks = draw(len(seen), stage.generator)
-    else:
-        looks = draw(setup.looks, stage.generator)
-        seen = looked(stage, tests.joined(looks))
+    looks, seen = _looks(stage, progress, tests, draw)
     known = seen[:0] if progress.seen is None else progress.seen
     of_w, of_m = known[: len(solved)], known[len(solved) :]
     core, _ = cover(of_w, setup.core)
@@ -141,6 +136,24 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         current=None if skill is None else Candidate(skill),
         repeats=repeats,
     )
+
+
+def _looks(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> tuple[S, Tensor]:
+    """Fresh scenarios to practise on in the models, and first percepts of the tests and of these.
+
+    A robot would need somebody to arrange a scene for each look, so percepts of the data stand for
+    them. So they do if the budget has no looks left. BudgetSpentError if the tests need some.
+    """
+    setup = stage.setup
+    if not setup.live:
+        looks = draw(setup.looks, stage.generator)
+        try:
+            return looks, looked(stage, tests.joined(looks))
+        except BudgetSpentError:
+            if len(tests) or setup.learn is None:
+                raise
+    seen = progress.knowledge.dataset.percept[: setup.looks]
+    return draw(len(seen), stage.generator), seen
 
 
 def _proposed(stage: Stage[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
@@ -249,8 +262,9 @@ def _acted(
         done = not lost and state.in_a_row >= _wanted(stage, state) and not missed
     except BudgetSpentError:
         done = True
-        if not state.tried.any():
-            state = _proposed(stage, replace(state, current=candidate, repeats=False))[1]
+        if not state.tried.any():  # the models have the last word, as the world has none
+            thought = replace(state, current=candidate, repeats=False)
+            state = replace(_proposed(stage, thought)[1], repeats=state.repeats)
     stage.watch(Practised(stage.name, candidate.skill, state.in_a_row, _wanted(stage, state)))
     if experience and not (state.repeats and done):
         more = experience[0]
@@ -286,7 +300,8 @@ def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
         return state
     if state.judged:
         return state
-    rows = rows[:: max(1, len(rows) // MOST_JUDGED)]
+    if len(rows) > MOST_JUDGED:
+        rows = rows[torch.linspace(0, len(rows) - 1, MOST_JUDGED).long()]
     others = state.scenarios[rows].with_noise(OTHER)
     try:
         trial = attempt(stage, state.current.skill, others, "other noise")

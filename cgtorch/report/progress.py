@@ -38,7 +38,7 @@ class ProgressDisplay:
         self._stage: events.StageStarted | None = None
         self._generation: events.GenerationDone | None = None
         self._world = ""
-        # Scenarios of candidates' groups that are solved in the search and in the world.
+        # Episodes of candidates that the models expected to succeed, and those that did.
         self._tried = self._solved = 0
         self._working: list[tuple[str, float, Spinner]] = []
         # Of counted work: when it began, when a line last told of it, and how far it is.
@@ -78,7 +78,7 @@ class ProgressDisplay:
                 # What Γ and C are worth before all learning on is a result and stays.
                 (self.say if event.summary.first else self._plain)(message)
             case events.WorldAsked() | events.Practised():
-                if isinstance(event, events.WorldAsked):
+                if isinstance(event, events.WorldAsked) and event.phase in ("trials", "practice"):
                     self._compare(event.asked.episodes, event.succeeded)
                 if message:
                     self._world = message

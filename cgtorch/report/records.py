@@ -2,8 +2,7 @@
 
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,7 +41,6 @@ class Records:
                 f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
             ) from e
         self._first = first
-        self._artist, self._pictures = ThreadPoolExecutor(1, "pictures"), list[Future[None]]()
         self._waiting: list[tuple[Mapping[str, float], int, float]] = []
         plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
                  for k, v in settings.items()}  # fmt: skip
@@ -66,18 +64,11 @@ class Records:
         if now - self._waiting[0][2] > SOON:
             self._write_waiting()
 
-    def picture(self, tag: str, draw: Callable[[], "Figure | None"], step: int) -> None:
-        """Draw an image and write it, beside all other work."""
-        if step >= self._first:
-            self._pictures.append(self._artist.submit(self._drawn, tag, draw, step, time.time()))
-
-    def _drawn(self, tag: str, draw: Callable[[], "Figure | None"], step: int, when: float) -> None:
+    def picture(self, tag: str, figure: "Figure", step: int) -> None:
+        """Write an image."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from tensorboard.compat.proto.summary_pb2 import Summary
 
-        figure = draw()
-        if figure is None:  # a domain may have nothing to draw
-            return
         figure.set_dpi(DPI)
         canvas = FigureCanvasAgg(figure)
         width, height = canvas.get_width_height()
@@ -86,8 +77,7 @@ class Records:
         image = Summary.Image(
             height=height, width=width, colorspace=4, encoded_image_string=out.getvalue()
         )
-        summary = Summary(value=[Summary.Value(tag=tag, image=image)])
-        self._writer.file_writer.add_summary(summary, step, when)
+        self.write(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
 
     def write(self, summary: "Summary", step: int) -> None:
         """Write a record of any kind."""
@@ -96,17 +86,13 @@ class Records:
             self._writer.file_writer.add_summary(summary, step)
 
     def flush(self) -> None:
-        """Write all waiting records and pictures to the file."""
+        """Write all waiting records to the file."""
         self._write_waiting()
-        pictures, self._pictures = self._pictures, []
-        for picture in pictures:
-            picture.result()
         self._writer.flush()
 
     def close(self) -> None:
         """Finish the file."""
-        self.flush()
-        self._artist.shutdown()
+        self._write_waiting()
         self._writer.file_writer.add_summary(self._session_end)
         self._writer.close()
 

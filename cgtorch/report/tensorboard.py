@@ -9,7 +9,6 @@ holds.
 
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -93,11 +92,8 @@ class TensorBoardWatch:
             case events.ModelsFitted():
                 self._models(event)
             case events.WorldTested():
-                values = {
-                    "world/solved_W": event.solved_w,
-                    "world/solved_M": event.solved_m,
-                }
-                self._scalars(values)
+                solved = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}
+                self._scalars(solved)
             case events.SkillAccepted():
                 self._accepted(event)
             case events.FreshTested():
@@ -155,8 +151,7 @@ class TensorBoardWatch:
         if self._soon("graph/best"):
             return
         name, champion = latest
-        skill = Skill(name, champion.graphs, self._actions)
-        self._picture("graph/best", lambda: draw_skill(skill))
+        self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
 
     def _soon(self, tag: str) -> bool:
         """Whether it is too soon for another picture of something that is replaced quickly."""
@@ -171,12 +166,12 @@ class TensorBoardWatch:
         summary = event.summary
         self._scalars(summary.scalars)
         if summary.reliability and not self._soon("classifier/reliability"):
-            curve = summary.reliability
-            about = partial(draw_reliability, curve, of="held-out labels")
-            self._picture("classifier/reliability", about)
+            picture = draw_reliability(summary.reliability, of="held-out labels")
+            self._picture("classifier/reliability", picture)
         if summary.curves:
             self._curves(summary.curves)
         if summary.first:
+            self._records.flush()
             self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
@@ -194,16 +189,18 @@ class TensorBoardWatch:
 
     def _accepted(self, event: events.SkillAccepted[Any]) -> None:
         self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
-        self._picture("graph/best", lambda: draw_skill(event.skill))
+        self._picture("graph/best", draw_skill(event.skill))
         if self._draw_scenarios is not None:
             about = event.scenarios, event.succeeded, event.targets, event.stage
-            self._picture("scenarios/solved", partial(self._draw_scenarios, *about))
+            if (picture := self._draw_scenarios(*about)) is not None:
+                self._picture("scenarios/solved", picture)
+        self._records.flush()
 
     def _scalars(self, values: Mapping[str, float]) -> None:
         self._records.scalars(values, self.step)
 
-    def _picture(self, tag: str, draw: Callable[[], "Figure | None"]) -> None:
-        self._records.picture(tag, draw, self.step)
+    def _picture(self, tag: str, figure: "Figure") -> None:
+        self._records.picture(tag, figure, self.step)
 
 
 def _nodes(graphs: Graphs) -> int:

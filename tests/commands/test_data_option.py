@@ -87,6 +87,20 @@ def test_a_run_from_a_file_alone(shell: Shell, logged: Path) -> None:
     assert "--data log.csv" in text
 
 
+def test_a_file_is_enough_where_the_world_may_not_be_asked(shell: Shell, logged: Path) -> None:
+    """Not even for a look; the models have the last word on the skill."""
+    nothing = "motions=0,tests=0,looks=0"
+    about = *CART, *QUICK, *ALONE, "--budget", nothing, "--run-dir", "second"
+    ended = shell(TRAIN, *about)
+    assert ended.code == 0, ended
+    part = logged / "second" / "auto-1"
+    for counts in asked(part).values():  # an episode that cannot begin asks for nothing
+        assert not counts["motions"] + counts["tests"] + counts["looks"]
+    assert json.loads((part / "scenarios.json").read_text())["chance"] is False
+    tried = shell(EVALUATE, "second", *CART, "--count", "100", "--json")
+    assert json.loads(tried.out)["succeeded"] > 0  # of carts, which no trial has corrected
+
+
 def test_exploration_goes_on_from_a_file(shell: Shell, logged: Path) -> None:
     """As it would after an interruption: what is known is not explored again."""
     given = read_data("log.csv", Cart.percept, Cart.control)

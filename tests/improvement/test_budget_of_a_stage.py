@@ -179,6 +179,7 @@ def test_where_no_trial_is_allowed_the_models_have_the_last_word(
     assert not purse.total.actions
     assert after.skill is not None
     assert not len(after.solved) + len(after.missed)
+    assert not after.chance
     share = [
         float(try_skill(skill, world_of(MANY)).succeeded.float().mean())
         for skill in (after.skill, best)

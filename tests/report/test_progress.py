@@ -109,6 +109,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
 def test_it_is_told_once_that_little_succeeds(solved: int, said: bool) -> None:
     with ProgressDisplay(console(False)) as display:
         display(WorldAsked("S1", "exploration", Asked(90, 90)))
+        display(WorldAsked("S1", "other noise", Asked(90, 90, 90, 90), 90))
         for _ in range(6):
             display(WorldAsked("S1", "practice", Asked(20, 12, 12, 12), solved))
     hint = "of 36 episodes that skills were evolved for, 6 succeeded in the world: Γ or C is wrong"
