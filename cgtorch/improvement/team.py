@@ -26,6 +26,7 @@ FEW = 8  # members of a team: 15 nodes with the branches to them
 RELIABLE = 0.9  # share of replays from which a skill counts as solving a scenario
 BLAME = 0.8  # what a failure in the world leaves of a member's share there
 MOST = 7  # world actions of a trial before successes are known
+STEPS = 3  # actions of a skill, at most, for each of the world
 PATIENCE = 2.0  # by which a trial may exceed what almost all successes take
 FEWEST = 4  # missed scenarios, to which solved ones are added for a group
 OTHERS = 8  # solved scenarios that are added
@@ -104,6 +105,11 @@ class StageState(Generic[S]):
             return MOST
         return max(FEWEST, int(PATIENCE * torch.tensor(self.actions).float().quantile(0.9)))
 
+    @property
+    def most_steps(self) -> int | None:
+        """Actions of a skill after which a replay is hopeless; None before successes are known."""
+        return None if len(self.actions) < FEWEST else STEPS * self.most
+
     def extended(
         self, scenarios: S, percepts: Tensor, *, kept: bool = False, targets: bool = False
     ) -> "StageState[S]":
@@ -144,18 +150,19 @@ class StageState(Generic[S]):
 def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor:
     """(B, K) share of replays in the models in which each of K skills solves each scenario.
 
-    All skills meet the same errors of Γ, so differences between them are differences of pairs.
+    All skills meet the same errors of Γ, so differences between them are differences of pairs. A
+    replay is broken off about where a trial in the world would be.
     """
     setup, count = stage.setup, len(state.percepts)
     if not skills:
         return torch.zeros(count, 0)
     about = state.knowledge, state.scenarios, state.percepts, setup.replays
     environment = setup.imagine(*about, stage.generator, "cpu")
-    found = []
+    found, steps = [], None if state.repeats else state.most_steps
     with torch.no_grad():
         for skill in skills:
-            limit = skill.max_transitions
-            runs = rollout(skill.graph, skill.actions, environment, max_transitions=limit)
+            who, most = (skill.graph, skill.actions), skill.max_transitions
+            runs = rollout(*who, environment, max_transitions=most, max_steps=steps)
             found.append(runs.succeeded[0].view(count, setup.replays).float().mean(1))
     return torch.stack(found, 1)
 

@@ -22,6 +22,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 FOOTPRINT: Box = (-0.334, 0.334, -0.334, 0.334)
 AROUND = 0.25  # m of room around everything
 LONGEST = 6.0  # inches of the longer side
+MARGINS = 0.75, 0.2, 1.0, 0.5  # left, right, bottom and top, inches
 MOST_ROBOTS = 60  # start poses that are drawn
 PANEL = 2.2  # inches a side, of a scene of its own
 MOST_MARKS = 1500  # objects drawn in one picture
@@ -61,18 +62,19 @@ def draw_table_top(
             f"{count} scenarios with results of shape {tuple(good.shape)} and targets of "
             f"shape {tuple(marks.shape)}; give one of each for every scenario"
         )
-    figure = Figure(dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(dpi=100, facecolor="white")
     axes = figure.add_subplot()
     tables = torch.unique(scenarios.table, dim=0)
     _draw_all(axes, scenarios, good, marks, footprint)
     if len(tables) == 1:
         _name_edges(axes, tables[0])
-    figure.set_size_inches(_frame(axes, scenarios, footprint))
+    width, height = _frame(axes, scenarios, footprint)
+    figure.set_size_inches(width, height)
+    left, right, bottom, top = MARGINS  # which a layout engine takes a tenth of a second to find
+    figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height)
     axes.set_title(_caption(title, good, marks), fontsize=11, color=TARGET)
     if count:
-        axes.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False, fontsize=9
-        )
+        figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     return figure
 
 
@@ -236,7 +238,8 @@ def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, f
         axes.set_xlim(y1 + AROUND / 2, y0 - AROUND / 2)
         axes.set_ylim(x0 - AROUND / 2, x1 + AROUND / 2)
         scale = LONGEST / max(width, height)
-        size = (max(width * scale + 0.9, 4.2), height * scale + 1.3)
+        left, right, bottom, top = MARGINS
+        size = (max(width * scale + left + right, 4.2), height * scale + bottom + top)
     axes.set_aspect("equal")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(0.5))

@@ -15,7 +15,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import try_skill
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
-OTHER_NOISE = 1000  # scenarios of W at most that an accepted skill meets again
+OTHER_NOISE = 100  # scenarios of W at most that an accepted skill meets again
 FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the members
 
 

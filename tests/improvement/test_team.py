@@ -29,6 +29,7 @@ from cgtorch.improvement.team import (
     FEWEST,
     OTHERS,
     RELIABLE,
+    STEPS,
     Candidate,
     composed,
     shares,
@@ -223,6 +224,25 @@ def test_shares_are_those_of_replays() -> None:
         assert torch.allclose(found[:, column], torch.stack(runs).float().mean(0))
     assert len(found[:, :2].unique()) > 2
     assert shares(stage_of(setup), state, []).shape == (60, 0)
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+@pytest.mark.parametrize("successes", [(2,) * (FEWEST - 1), (2,) * FEWEST, (20,) * FEWEST])
+def test_replays_are_broken_off_where_a_trial_would_be(
+    successes: tuple[int, ...], repeats: bool
+) -> None:
+    """With as few world actions as successes have taken, somebody slow does not come near."""
+    scenarios, slow = random_scenarios("near", 30, seeded(1)), nearly(0.02)
+    slow = replace(slow, max_transitions=90)
+    state = replace(state_of(scenarios, (), actions=successes), repeats=repeats)
+    trial = try_skill(slow, world_of(scenarios))
+    unlimited = repeats or len(successes) < FEWEST or successes[0] == 20
+    limit = 90 if unlimited else STEPS * state.most
+    wanted = trial.succeeded & (trial.transitions <= limit)
+    found = shares(stage_of(without_models(replays=1)), state, [slow])[:, 0]
+    assert torch.equal(found > 0.5, wanted)
+    assert torch.equal(wanted, trial.succeeded) is unlimited
+    assert trial.succeeded.sum() > 5
 
 
 @pytest.mark.parametrize("searches", [1, 4])
