@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from cgtorch.graphs import load_skill as load_skill
     from cgtorch.graphs import save_skill as save_skill
     from cgtorch.report import draw_skill as draw_skill
+    from cgtorch.run import Run as Run
+    from cgtorch.run import make as make
+    from cgtorch.run import open_run as open_run
+    from cgtorch.run import train as train
     from cgtorch.simulation.rollout import rollout as rollout
     from cgtorch.tabletop.edge_networks import edge_actions as edge_actions
     from cgtorch.tabletop.kinematics import graspable as graspable
@@ -67,6 +71,7 @@ _FOLDERS = {
     "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),
     "graphs": ("Skill", "load_skill", "save_skill"),
     "report": ("draw_skill",),
+    "run": ("Run", "make", "open_run", "train"),
     "simulation": ("rollout",),
     "tabletop.edge_networks": ("edge_actions",),
     "tabletop.kinematics": ("graspable", "load_robot"),

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from cgtorch.report import final_table
 from cgtorch.report.page import report_page
+from cgtorch.runs.stored_run import read_run
 
 REFERENCE = Path(__file__).parents[1] / "runs" / "reference"
 STAGES = ("S0", "S1", "S2", "S3")
@@ -78,7 +79,7 @@ def hostile_run(target: Path) -> Path:
 
 def parsed(folder: Path) -> html.HtmlElement:
     """The page of a run as a tree."""
-    return html.document_fromstring(report_page(folder).decode())
+    return html.document_fromstring(report_page(read_run(folder)).decode())
 
 
 def final_text(results: list[dict[str, Any]], domain: Any) -> str:

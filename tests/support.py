@@ -17,8 +17,8 @@ from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
-from cgtorch.runs.run import Run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
 from cgtorch.tabletop.kinematics import ArmModel
@@ -260,7 +260,7 @@ def tool_pose(arm: ArmModel, q: Tensor) -> Tensor:
     return tool.reshape(*q.shape[:-1], 4, 4)
 
 
-def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> Run:
+def create_run(folder: Path, settings: RunSettings, domain_settings: Any = None) -> StoredRun:
     """A run that has just begun in a folder, which holds nothing yet."""
     run = planned_run(folder, settings, domain_settings)
     write_run(run)

@@ -25,12 +25,12 @@ def test_names_lead_to_where_they_are_defined() -> None:
     page = ROOT / "docs" / "decisions" / "models.md"
     text = make_reference.written(
         page,
-        "[`Run`][cgtorch.runs.run.Run], [`cgtorch.improvement`][], "
+        "[`Run`][cgtorch.runs.stored_run.StoredRun], [`cgtorch.improvement`][], "
         "[`Lanes`][cgtorch.environment.Lanes], [order][cgtorch.evolution.population.STRATEGY]\n",
     )
     found = dict(re.findall(r"^\[(.+)\]: (.+)$", text, re.MULTILINE))
     assert found == {
-        "cgtorch.runs.run.Run": "../../cgtorch/runs/run.py",
+        "cgtorch.runs.stored_run.StoredRun": "../../cgtorch/runs/stored_run.py",
         "`cgtorch.improvement`": "../../cgtorch/improvement",
         "cgtorch.environment.Lanes": "../../cgtorch/environment/environment.py",
         "cgtorch.evolution.population.STRATEGY": "../../cgtorch/evolution/population.py",

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from cgtorch.environment import Lanes
 from cgtorch.improvement.events import Event, WorldTested
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.svm.storage import notes_of
 from cgtorch.tabletop.world import TabletopWorld
 from cgtorch.training.context import Training
@@ -78,14 +78,14 @@ def copied(trained: Trained, target: Path, stages: tuple[str, ...] = ("S0", "S1"
     return target
 
 
-def interrupted(trained: Trained, target: Path) -> Run:
+def interrupted(trained: Trained, target: Path) -> StoredRun:
     """A copy of the run that is in the middle of S1."""
-    run = open_run(copied(trained, target, ("S0",)))
+    run = read_run(copied(trained, target, ("S0",)))
     begin_last(run)
     return run
 
 
-def begin_last(run: Run) -> dict[str, Tensor]:
+def begin_last(run: StoredRun) -> dict[str, Tensor]:
     """Make S1 up to the end of its first evolution, and return what that came to, but for times."""
 
     def stop(event: Event) -> None:

@@ -31,8 +31,8 @@ from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, open_run, planned_run, round_name, write_run
 from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, round_name, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
 from cgtorch.training.context import Training, initial_progress
@@ -50,7 +50,7 @@ class Meter:
     `measuring` are the CPU seconds of its own trials, which belong to nobody.
     """
 
-    run: Run
+    run: StoredRun
     placements: int
     transitions: int = 0
     generations: int = 0
@@ -88,12 +88,12 @@ class Meter:
         }
 
 
-def by_stages(run: Run, meter: Meter, budget: float) -> None:
+def by_stages(run: StoredRun, meter: Meter, budget: float) -> None:
     """The default: S0 to S3."""
     train(Training(run, meter, quietly), list(run.domain.stages)[-1])
 
 
-def by_rounds(run: Run, meter: Meter, budget: float) -> None:
+def by_rounds(run: StoredRun, meter: Meter, budget: float) -> None:
     """The default with `--stage auto`; it ends by its goal, not by the clock."""
     train_until(Training(run, meter, quietly), Goal(minutes=1e6))
 
@@ -116,19 +116,19 @@ def published(setup: Setup[Any]) -> Setup[Any]:
     return replace(setup, evolution=evolution, budget=budget, max_transitions=20)
 
 
-def paper(run: Run, meter: Meter, budget: float) -> None:
+def paper(run: StoredRun, meter: Meter, budget: float) -> None:
     """The paper's method with its own settings."""
     training = Training(run, meter, quietly)
     grow_all(training, published(training.setup("S0")), meter, budget)
 
 
-def paper_here(run: Run, meter: Meter, budget: float) -> None:
+def paper_here(run: StoredRun, meter: Meter, budget: float) -> None:
     """The paper's method with the run's population, tournament and end of evolutions."""
     training = Training(run, meter, quietly)
     grow_all(training, training.setup("S0"), meter, budget)
 
 
-METHODS: dict[str, Callable[[Run, Meter, float], None]] = {
+METHODS: dict[str, Callable[[StoredRun, Meter, float], None]] = {
     "stages": by_stages,
     "auto": by_rounds,
     "paper": paper,
@@ -241,17 +241,17 @@ def compare(
         click.echo(f"seed {seed}, {name}: {summary(read_json(made[name]))}", err=True)
 
 
-def beginning(folder: Path, settings: RunSettings) -> Run:
+def beginning(folder: Path, settings: RunSettings) -> StoredRun:
     """A run with the first data and models of a seed and method, made unless it is there."""
     run = begun(folder / f"seed-{settings.seed}" / f"begin-{settings.method}", settings)
     initial_progress(Training(run, lambda event: None, quietly))
     return run
 
 
-def begun(folder: Path, settings: RunSettings) -> Run:
+def begun(folder: Path, settings: RunSettings) -> StoredRun:
     """A run in a folder, new or as it is."""
     if (folder / "run.json").is_file():
-        return open_run(folder, settings.actions)
+        return read_run(folder, settings.actions)
     run = planned_run(folder, settings)
     write_run(run)
     return run

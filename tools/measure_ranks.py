@@ -24,8 +24,8 @@ from cgtorch.evolution import EvolutionSettings, evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
+from cgtorch.runs.stored_run import read_run
 
 REFERENCE = Path(__file__).resolve().parent.parent / "runs" / "reference"
 SCENARIOS = 20
@@ -80,7 +80,7 @@ def torchrun(count: int, words: Sequence[str]) -> str:
 def evaluate_as_rank(population: int, repeats: int) -> None:
     """Evaluate the population with the other ranks; the first one prints the measurements."""
     torch.set_num_threads(1)
-    generator, run = torch.Generator().manual_seed(0), open_run(REFERENCE)
+    generator, run = torch.Generator().manual_seed(0), read_run(REFERENCE)
     domain = run.domain
     percepts = first_percepts(domain.world(domain.draw("perimeter", SCENARIOS, generator)))
     knowledge = load_knowledge(REFERENCE / "S3", domain.unfitted())

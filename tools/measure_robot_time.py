@@ -27,8 +27,8 @@ from cgtorch.environment.asked import Purse
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.improvement.events import Event, Practised, WorldAsked
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, planned_run, write_run
 from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training, spent_of
@@ -44,7 +44,7 @@ WORSE = 0.02  # share of placements by which a skill is called worse than the on
 class Course:
     """A watch that tries every skill that has acted, and notes what had been asked before."""
 
-    run: Run
+    run: StoredRun
     purse: Purse
     kind: str
     placements: int

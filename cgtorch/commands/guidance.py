@@ -1,41 +1,23 @@
 """What `cgtorch-train` says about a new run: what it will do, where to watch it, what is next."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cgtorch.domains.registry import TABLETOP, is_code
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import AUTO, Run
 from cgtorch.runs.skills import last_skill
+from cgtorch.runs.stored_run import StoredRun
+from cgtorch.session import Work
 from cgtorch.training.stages import stages_to_make
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The target of a run: its last `stage`, or rounds until the `goal` is reached."""
-
-    run: Run
-    stage: str
-    goal: Goal
-
-    @property
-    def new(self) -> bool:
-        """Whether the run has produced nothing yet."""
-        folder = self.run.folder
-        return not self.run.stages and not any(
-            (folder / name).exists() for name in ("start", "journal")
-        )
-
-
-def before(plan: Plan) -> Iterator[str]:
+def before(work: Work) -> Iterator[str]:
     """The lines printed before a new run begins."""
-    run, settings = plan.run, plan.run.settings
+    run, settings = work.run, work.run.settings
     about = f"domain {settings.domain}, seed {settings.seed}"
-    if plan.stage == AUTO:
-        aim = run.domain.target_return if run.domain.rewarded else plan.goal.target
+    if work.auto:
+        aim = run.domain.target_return if run.domain.rewarded else work.goal.target
         yield f"New run {run.folder}: evolve skills until the target of {aim:.4g} is met ({about})."
     else:
-        stages = ", ".join(stages_to_make(run, plan.stage))
+        stages = ", ".join(stages_to_make(run, work.stage))
         yield f"New run {run.folder}: evolve one skill for each of {stages} ({about})."
     if run.learns:
         read = "Read the data that you give" if settings.data else ""
@@ -47,20 +29,20 @@ def before(plan: Plan) -> Iterator[str]:
     else:
         yield "  1. Evolve skills in the world itself; no models are learned."
         yield "  2. Accept a skill if it forgets nothing and solves something new."
-    yield f"  {_duration(plan)} Progress appears here, and in TensorBoard:"
+    yield f"  {_duration(work)} Progress appears here, and in TensorBoard:"
     yield f"    tensorboard --logdir {run.folder}"
     yield f"  Ctrl-C stops the run, and this command continues it: {resuming(run)}"
 
 
-def resuming(run: Run) -> str:
+def resuming(run: StoredRun) -> str:
     """The command that continues a run."""
     driver = f" --driver {run.settings.driver}" if run.settings.driver else ""
     return f"cgtorch-train --resume {run.folder}{_code(run)}{driver}"
 
 
-def after(plan: Plan) -> Iterator[str]:
+def after(work: Work) -> Iterator[str]:
     """The lines printed at the end of a run: what to look at next."""
-    run = plan.run
+    run = work.run
     if not run.stages:
         return
     yield from _use_of_own_actions(run)
@@ -71,11 +53,11 @@ def after(plan: Plan) -> Iterator[str]:
         yield f"  cgtorch-view {run.folder}{code}  # watch it at work in the browser"
     yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run as one page"
     later = [name for name in run.domain.stages if name not in run.stages]
-    if later and plan.stage != AUTO:
+    if later and not work.auto:
         yield f"  {resuming(run)} --stage {later[-1]}  # more stages"
 
 
-def _use_of_own_actions(run: Run) -> Iterator[str]:
+def _use_of_own_actions(run: StoredRun) -> Iterator[str]:
     """A line on each additional action: whether any node of the last skill has it."""
     added = set(run.actions.names) - set(run.domain.actions().names)
     if not added:
@@ -89,10 +71,10 @@ def _use_of_own_actions(run: Run) -> Iterator[str]:
             yield f"{unused} Another --seed may."
 
 
-def _duration(plan: Plan) -> str:
-    if plan.stage == AUTO:
-        return f"No round begins after {plan.goal.minutes:g} minutes (--minutes)."
-    if plan.run.settings.domain == TABLETOP:
+def _duration(work: Work) -> str:
+    if work.auto:
+        return f"No round begins after {work.goal.minutes:g} minutes (--minutes)."
+    if work.run.settings.domain == TABLETOP:
         return (
             "On two quiet cores, S0 to S2 take some 10 seconds, S0 to S3 some 15, and about ten "
             "times as long in physics (--world mujoco)."
@@ -100,7 +82,7 @@ def _duration(plan: Plan) -> str:
     return "The time depends on the domain."
 
 
-def _code(run: Run) -> str:
+def _code(run: StoredRun) -> str:
     """The options that name the user's code of a run, as opening a run imports none by itself."""
     spec = run.settings.domain
     domain = f" --domain {spec}" if is_code(spec) else ""

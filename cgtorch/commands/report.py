@@ -42,10 +42,11 @@ def command(
 
     from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
+    from cgtorch.runs.stored_run import read_run
 
     torch.set_num_threads(1)
     with options.waiting(f"drawing {run}", quiet):
-        page = report_page(run, actions, domain)
+        page = report_page(read_run(run, actions, domain))
     write_bytes(output, page)
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")
 

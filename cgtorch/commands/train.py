@@ -37,14 +37,6 @@ Examples:
 """
 
 
-def driver_of(options: dict[str, Any]) -> str:
-    """The driver of a new run: the one given, or the domain itself if it is one."""
-    from cgtorch.domains.live import DriverDomain
-
-    itself = issubclass(domain_class(options["domain"]), DriverDomain)
-    return options["driver"] or (options["domain"] if itself else "")
-
-
 def _options(spec: str) -> list[click.Option]:
     """The options of all settings of a run in a domain, and of its goal."""
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
@@ -158,9 +150,11 @@ def command(context: click.Context, /, **options: Any) -> None:
     """
     # Torch takes a second to import, so that help and usage errors come without it.
     with importing():
-        from cgtorch.commands.training import Wish, begin, carry_on, device_of
+        from cgtorch.commands.training import begin, carry_on
+        from cgtorch.domains.live import driver_of
         from cgtorch.ground.distributed import together
-        from cgtorch.runs.run import open_run
+        from cgtorch.runs.stored_run import read_run
+        from cgtorch.session import Request
 
     default = click.core.ParameterSource.DEFAULT
     given = {name for name in options if context.get_parameter_source(name) is not default}
@@ -168,19 +162,19 @@ def command(context: click.Context, /, **options: Any) -> None:
     of_domain = {f.name for f in fields(own)}
     settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain", "driver"}
     wanted = {name: options[name] for name in given & settings}
-    aims = {f.name: options[f.name] for f in fields(Goal)}
-    goal_given = frozenset(given & set(aims))
-    if "target" in given and "target_return" in of_domain:
+    aims = {f.name: options[f.name] for f in fields(Goal) if f.name in given}
+    if "target" in aims and "target_return" in of_domain:
         wanted["target_return"] = aims.pop("target")
     overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
-    wish = Wish(
-        stage=options["stage"],
-        goal=Goal(**aims),
-        goal_given=goal_given,
-        device=device_of(options["device"]),
-        quiet=options["quiet"],
-        budget=_budget(options["budget"]),
-        checkpoint_seconds=options["checkpoint_seconds"],
+    request, quiet = (
+        Request(
+            stage=options["stage"],
+            goal=aims,
+            budget=_budget(options["budget"]),
+            device=options["device"],
+            checkpoint_seconds=options["checkpoint_seconds"],
+        ),
+        options["quiet"],
     )
     if options["resume"]:
         if "run_dir" in given:
@@ -188,8 +182,8 @@ def command(context: click.Context, /, **options: Any) -> None:
         spec = options["domain"] if "domain" in given else None
         with together():
             driver = options["driver"] or None
-            run = open_run(options["resume"], options["actions"], spec, driver)
-            carry_on(run, wanted, overrides, wish)
+            run = read_run(options["resume"], options["actions"], spec, driver)
+            carry_on(run, wanted, overrides, request, quiet)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
@@ -199,11 +193,11 @@ def command(context: click.Context, /, **options: Any) -> None:
         **values,
         actions=tuple(options["actions"]),
         domain=options["domain"],
-        driver=driver_of(options),
+        driver=options["driver"] or driver_of(options["domain"]),
     )
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
-        begin(folder, run_settings, domain_settings, wish)
+        begin(folder, run_settings, domain_settings, request, quiet)
 
 
 def _budget(text: str | None) -> dict[str, float]:

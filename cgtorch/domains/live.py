@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 from cgtorch.actions import ActionSet, Grasp, MoveBase
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.exploration import EXPLORATION
+from cgtorch.domains.registry import domain_class, is_code
 from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
 from cgtorch.environment import Dataset, Episode, Lanes, ScenarioBatch
 from cgtorch.environment.asked import Asked
@@ -376,3 +377,8 @@ def domain_of_driver(driver: type[RobotDriver]) -> type[DriverDomain]:
         "kinds": driver.kinds,
     }  # fmt: skip
     return type(driver.__name__, (DriverDomain,), about)
+
+
+def driver_of(spec: str) -> str:
+    """The name of a domain if it is that of a driver, else ""."""
+    return spec if is_code(spec) and issubclass(domain_class(spec), DriverDomain) else ""

@@ -64,6 +64,38 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     return found
 
 
+def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
+    """The name of a domain that is an object, a class or a name, and the object if it is given.
+
+    DomainError for anything else.
+    """
+    from cgtorch.domains.domain import Domain
+    from cgtorch.domains.robot_driver import RobotDriver
+
+    if isinstance(domain, str):
+        return domain, None
+    kind: Any = type(domain) if isinstance(domain, Domain) else domain
+    if not (isinstance(kind, type) and issubclass(kind, Domain | RobotDriver)):
+        raise DomainError(
+            f"domain is {domain!r:.60}; give a name, a Domain or RobotDriver, or a class of one"
+        )
+    spec = spec_of_class(kind)
+    for name, place in _CLASSES.items():
+        if place == spec:
+            own = getattr(domain, "settings", None)
+            spec = f"{name}:{own.environment}" if name == GYMNASIUM and own else name
+    if isinstance(domain, Domain):
+        return spec, domain
+    if issubclass(kind, Domain) and "<locals>" in spec:  # which no name finds again
+        return spec, kind()
+    return spec, None
+
+
+def spec_of_class(kind: Any) -> str:
+    """The name "package.module:Class" of a class; a name stays as it is."""
+    return kind if isinstance(kind, str) else f"{kind.__module__}:{kind.__qualname__}"
+
+
 def make_driver(spec: str) -> "RobotDriver":
     """The driver of a robot, "package.module:Class"; DomainError if there is none."""
     from cgtorch.domains.robot_driver import RobotDriver

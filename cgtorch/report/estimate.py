@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cgtorch.improvement.events import GenerationDone, StageStarted
-from cgtorch.runs.run import AUTO
+from cgtorch.runs.stored_run import AUTO
 
 MEMORY = 0.9  # weight of the past in smoothed numbers
 

@@ -20,8 +20,8 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import read_json, write_json, writing
 from cgtorch.runs.journal import FOLDER
-from cgtorch.runs.run import AUTO, Run, round_name, versions
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
+from cgtorch.runs.stored_run import AUTO, StoredRun, round_name, versions
 
 ASIDE = "set-aside"
 
@@ -34,13 +34,13 @@ class TakenOver:
     folder of the old journal within the run, or None.
     """
 
-    run: Run
+    run: StoredRun
     changed: Mapping[str, tuple[Any, Any]]
     before: str
     set_aside: str | None
 
 
-def refuse_others(run: Run, given: Mapping[str, Any], how: str) -> None:
+def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
     """SettingsError if a given setting differs from the run's; `how` says what to do instead."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in given.items():
@@ -61,14 +61,14 @@ def _differs(value: Any, plain: Any) -> bool:
     return (list(value) if isinstance(value, tuple) else value) != plain
 
 
-def fixed_settings(run: Run) -> dict[str, str]:
+def fixed_settings(run: StoredRun) -> dict[str, str]:
     """Settings that cannot be changed, by name, and why."""
     own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
     every = all_fields(type(run.domain.settings))
     return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
 
 
-def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
+def overridden(run: StoredRun, overrides: Mapping[str, Any]) -> RunSettings:
     """The run's settings with `overrides`; SettingsError if one is fixed or cannot work."""
     fixed, known = fixed_settings(run), run.all_settings()
     for name, value in overrides.items():
@@ -80,7 +80,7 @@ def overridden(run: Run, overrides: Mapping[str, Any]) -> RunSettings:
     return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})
 
 
-def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
+def take_over(run: StoredRun, settings: RunSettings, stage: str) -> TakenOver:
     """Continue under these settings with this version of the library, and record the changes.
 
     A journal from other settings or another version is set aside first. So an interruption at any
@@ -114,7 +114,7 @@ def take_over(run: Run, settings: RunSettings, stage: str) -> TakenOver:
     return TakenOver(replace(run, settings=settings), changed, before, aside)
 
 
-def _next(run: Run, stage: str) -> str:
+def _next(run: StoredRun, stage: str) -> str:
     """The next stage or round that a run makes when asked for a stage."""
     missing = [name for name in run.domain.stages if name not in run.stages]
     if stage == AUTO or run.rounds or not missing:
@@ -122,7 +122,7 @@ def _next(run: Run, stage: str) -> str:
     return missing[0]
 
 
-def goes_on_to(run: Run) -> dict[str, Any]:
+def goes_on_to(run: StoredRun) -> dict[str, Any]:
     """What the run was last asked for: the stage, and the goal of "auto"; {} if nothing yet."""
     found = read_json(run.folder / "run.json").get("goes_on_to", {})
     if not isinstance(found, dict):
@@ -130,7 +130,7 @@ def goes_on_to(run: Run) -> dict[str, Any]:
     return found
 
 
-def remember_goal(run: Run, wanted: Mapping[str, Any]) -> None:
+def remember_goal(run: StoredRun, wanted: Mapping[str, Any]) -> None:
     """Record in run.json what the run is asked for, on the first rank only."""
     if ranks.first() and goes_on_to(run) != wanted:
         about = read_json(run.folder / "run.json")

@@ -12,8 +12,8 @@ from cgtorch.domains.settings import from_plain
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
 from cgtorch.runs.ledger import read_entry
-from cgtorch.runs.run import Run, open_run, read_about
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, read_about, read_run
 
 EXPORTED = (".pt2", ".onnx", ".py")
 """The ends of names of exports that programs run."""
@@ -29,7 +29,7 @@ class Chosen:
     skill: Skill
     domain: Domain[Any]
     kind: str
-    run: Run | None = None
+    run: StoredRun | None = None
     stage: Path | None = None
 
 
@@ -56,7 +56,7 @@ def chosen_skill(
         made, kind, skill = lone_skill(path, actions, kind, domain or RunSettings.domain)
         return Chosen(skill, made, kind)
     if name is not None:
-        run = open_run(path, actions, domain)
+        run = read_run(path, actions, domain)
         skill = read_entry(path, name, run.actions, run.like()).skill
         stage = path / name if (path / name).is_dir() else None
     else:
@@ -75,13 +75,13 @@ def stored_domain(path: Path) -> str | None:
 
 def last_skill(
     path: Path, trusted: Sequence[str] = (), domain: str | None = None
-) -> tuple[Run, Skill]:
+) -> tuple[StoredRun, Skill]:
     """The last skill of a run, or the skill of a stage such as RUN/S2.
 
-    For `trusted` and `domain` see `open_run`. RunError if there is no run, or no skill yet.
+    For `trusted` and `domain` see `read_run`. RunError if there is no run, or no skill yet.
     """
     if (path / "run.json").is_file():
-        run = open_run(path, trusted, domain)
+        run = read_run(path, trusted, domain)
         if not run.stages:
             raise RunError(
                 f"run {str(path)!r} has no finished stage or round; finish "
@@ -89,7 +89,7 @@ def last_skill(
             )
         return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
     if (path / "skill.json").is_file():
-        run = open_run(path.absolute().parent, trusted, domain)  # also of "."
+        run = read_run(path.absolute().parent, trusted, domain)  # also of "."
         return run, load_skill(path / "skill.json", run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 

@@ -22,7 +22,7 @@ from cgtorch.graphs import Graphs, load_skill, save_skill
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.run import Run
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
@@ -275,7 +275,7 @@ def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
         save_tensors(folder / "specialists.safetensors", tensors, {})
 
 
-def load_progress(run: Run, folder: Path) -> Progress[Any]:
+def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     """Read the files of `save_progress`."""
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
     knowledge = load_knowledge(folder, run.domain.unfitted()) if run.learns else None

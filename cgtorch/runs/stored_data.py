@@ -6,8 +6,8 @@ from pathlib import Path
 
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import RunError
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
+from cgtorch.runs.stored_run import StoredRun, read_run
 
 START = "start"
 
@@ -16,7 +16,7 @@ START = "start"
 class StoredData:
     """The data of a part of a run, such as "auto-1" or "start"."""
 
-    run: Run
+    run: StoredRun
     part: str
     dataset: Dataset
 
@@ -29,16 +29,16 @@ def stored_data(
     Args:
         path: A run, or a stage in it.
         name: A stage or round of the run, or "start"; by default the last one.
-        trusted: See `open_run`.
-        domain: See `open_run`.
+        trusted: See `read_run`.
+        domain: See `read_run`.
 
     Raises:
         RunError: There is no such run or stage, or it is stored without data.
     """
     if name is None and path.is_dir() and not (path / "run.json").exists():
-        run, part = open_run(path.absolute().parent, trusted, domain), path.absolute().name
+        run, part = read_run(path.absolute().parent, trusted, domain), path.absolute().name
     else:
-        run = open_run(path, trusted, domain)
+        run = read_run(path, trusted, domain)
         part = name or (*run.stages, START)[max(0, len(run.stages) - 1)]
     if part not in (START, *run.stages):
         known = ", ".join((START, *run.stages))

@@ -21,8 +21,8 @@ from cgtorch.improvement.events import FreshTested, StageStarted
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
-from cgtorch.runs.run import Run, round_name
 from cgtorch.runs.storage import load_progress, load_result
+from cgtorch.runs.stored_run import StoredRun, round_name
 from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.stages import stage_generator
@@ -143,7 +143,7 @@ def _round(
     return make_stage(training, name, run.kind, progress, run.like(), test)
 
 
-def _tests_generator(run: Run, name: str) -> Generator:
+def _tests_generator(run: StoredRun, name: str) -> Generator:
     """The generator of the fresh scenarios on which a round's skill is tested."""
     return derived_generator(stage_generator(run.domain, run.settings.seed, name), TESTS)
 
@@ -187,7 +187,7 @@ def _tested(
 
 
 def act(
-    run: Run, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
+    run: StoredRun, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
 ) -> Score:
     """Try a skill on up to `most` fresh scenarios, until `enough` are missed.
 

@@ -36,8 +36,8 @@ from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import SECONDS
-from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, read_asked, save_progress
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import Recording
 from cgtorch.training.given_data import given_data, known_at_last
 
@@ -74,7 +74,7 @@ class Training:
         checkpoint_seconds: The least time between two checkpoints, s.
     """
 
-    run: Run
+    run: StoredRun
     watch: Watch
     working: Working
     device: torch.device | str = "cpu"
@@ -152,7 +152,7 @@ class Training:
         return self.run.domain.world(copies[0].joined(*copies[1:])[rows])
 
 
-def evolution_settings(run: Run) -> EvolutionSettings:
+def evolution_settings(run: StoredRun) -> EvolutionSettings:
     """The settings of evolutions: as published for the paper's method, else the defaults."""
     s, rewarded = run.settings, run.domain.rewarded
     # Of continuous scores lexicase selection would leave one to three distinct parents.

@@ -8,12 +8,12 @@ from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS, taken
 from cgtorch.environment import Dataset
 from cgtorch.evolution.islands import derived_generator
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.run import Run
+from cgtorch.runs.stored_run import StoredRun
 
 GIVEN = 42  # the generator of what is left out of large files, derived like an island's
 
 
-def given_data(run: Run) -> Dataset:
+def given_data(run: StoredRun) -> Dataset:
     """The transitions (N, D) and tests (L, D) in a run's files.
 
     Of more rows than models are learned from, a random part is taken.

@@ -6,13 +6,13 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.run import AUTO, Run
+from cgtorch.runs.stored_run import AUTO, StoredRun
 
 _SEED_STRIDE = 1_000_003
 _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 
 
-def stages_to_make(run: Run, stage: str) -> tuple[str, ...]:
+def stages_to_make(run: StoredRun, stage: str) -> tuple[str, ...]:
     """All stages up to `stage`, which the run must have or still be able to make.
 
     SettingsError if there is no such stage, RunError if the run has continued in rounds.

@@ -28,8 +28,8 @@ from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.stopping import Found
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
-from cgtorch.runs.run import Run
 from cgtorch.runs.storage import load_progress, load_result, save_progress
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 from cgtorch.training.stages import stage_generator, stages_to_make
@@ -236,7 +236,7 @@ def _keep(
         write_json(folder / "result.json", result)
 
 
-def finished_generations(run: Run) -> int:
+def finished_generations(run: StoredRun) -> int:
     """Number of generations of all finished stages."""
     return sum(load_result(run.folder / name / "result.json")["generations"] for name in run.stages)
 

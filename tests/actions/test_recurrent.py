@@ -16,8 +16,8 @@ from cgtorch.actions.action import memory_parts
 from cgtorch.actions.recurrent import recurrent_parameters, recurrent_step
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.environment import start_lanes
-from cgtorch.runs.run import open_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.settings import TabletopSettings
 
 Numbers = NDArray[np.float64]
@@ -139,7 +139,7 @@ def test_a_run_makes_it_for_its_domain(
     settings: RunSettings, own: DomainSettings | None, sizes: tuple[int, int], tmp_path: Path
 ) -> None:
     run = create_run(tmp_path / "run", settings, own)
-    for each in (run, open_run(run.folder, domain=settings.domain)):
+    for each in (run, read_run(run.folder, domain=settings.domain)):
         action = each.actions.actions[each.actions.index("RecurrentNN")]
         assert isinstance(action, RecurrentNN)
         assert (action.inputs, action.outputs) == sizes

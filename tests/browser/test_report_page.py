@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, expect
 from report_pages import REFERENCE, hostile_run
 
 from cgtorch.report.page import report_page
+from cgtorch.runs.stored_run import read_run
 
 DRAWN = """svg => {
     const box = svg.getBoundingClientRect();
@@ -31,7 +32,7 @@ OVER_THE_RIM = """() => [...document.querySelectorAll('g[data-part^="node:"]')].
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_bytes(report_page(REFERENCE))
+    path.write_bytes(report_page(read_run(REFERENCE)))
     return path.as_uri()
 
 
@@ -97,7 +98,7 @@ def contrast(one: str, other: str) -> float:
 
 def test_hostile_names_do_nothing(chromium: Browser, tmp_path: Path) -> None:
     path = tmp_path / "hostile.html"
-    path.write_bytes(report_page(hostile_run(tmp_path)))
+    path.write_bytes(report_page(read_run(hostile_run(tmp_path))))
     with visit(chromium, f"file://{quote(str(path))}") as at:
         at.page.wait_for_load_state("networkidle")
         assert at.page.evaluate("window.hit") is None

@@ -11,7 +11,7 @@ from own_domains import OWN_CART
 from test_all_commands import COMMANDS
 
 from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, TRAINED, script
-from cgtorch.runs.run import AUTO
+from cgtorch.runs.stored_run import AUTO
 from cgtorch.tabletop.domain import Tabletop
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"

@@ -12,8 +12,8 @@ from torch import Tensor
 from trained import SMALL
 
 from cgtorch.runs.ledger import read_index
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_progress
+from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.settings import TabletopSettings
 
@@ -55,7 +55,7 @@ def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
     ended = shell(TRAIN, *words)
     assert ended.code == 0, ended.err
     assert len(met.places) == len(set(met.places))
-    result, run = result_of(tmp_path / "run", "auto-1"), open_run(tmp_path / "run")
+    result, run = result_of(tmp_path / "run", "auto-1"), read_run(tmp_path / "run")
     assert [result[name] for name in ("fresh", "overall", "decisive")] == [None] * 3
     assert result["practice"] == SMALL.practice
     goal = "has reached" if result["in_a_row"] >= SMALL.practice else "has not reached"
@@ -87,7 +87,7 @@ def test_a_stage_tries_its_tests_once_and_goes_on(
     met = Met(monkeypatch)
     ended = shell(TRAIN, "--stage", "S0", "--run-dir", "run", *OPTIONS)
     assert ended.code == 0, ended.err
-    run = open_run(tmp_path / "run")
+    run = read_run(tmp_path / "run")
     assert not run.repeats
     tests = run.domain.tests("near")
     own = list(map(tuple, torch.cat([tests.pose, tests.object], 1).tolist()))

@@ -11,7 +11,7 @@ from torch import Tensor
 from trained import SMALL, Trained, begin_last, copied, first_evolution, interrupted
 
 from cgtorch.domains.settings import to_plain
-from cgtorch.runs.run import open_run, versions
+from cgtorch.runs.stored_run import read_run, versions
 
 TRAIN = "cgtorch-train"
 
@@ -48,21 +48,21 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     assert {p.name: p.read_bytes() for p in (folder / "set-aside/1/S1").iterdir()} == half
 
     settings = replace(SMALL, population=30, max_transitions=15)
-    assert open_run(folder).settings == settings
+    assert read_run(folder).settings == settings
     changed = {"population": [60, 30], "max_transitions": [20, 15]}
     entry = {"before": "S1", "changed": changed, "set_aside": "set-aside/1"}
     assert about(folder)["history"] == [entry]
     wanted = copied(trained, tmp_path / "wanted", ("S0",))
     edited(wanted, settings=to_plain(settings))
-    found = begin_last(open_run(folder))
-    assert same(found, begin_last(open_run(wanted)))
+    found = begin_last(read_run(folder))
+    assert same(found, begin_last(read_run(wanted)))
     assert not same(found, first_evolution(folder / "set-aside" / "1"))
     # Said again, as under torchrun's restarts, it changes nothing more.
     ended = shell(TRAIN, *words)
     assert ended.code == 0, ended
     assert "instead of" not in ended.err
     assert about(folder)["history"] == [entry]
-    assert same(begin_last(open_run(folder)), found)
+    assert same(begin_last(read_run(folder)), found)
 
 
 @pytest.mark.parametrize(

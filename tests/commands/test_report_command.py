@@ -12,6 +12,7 @@ from trained import Trained, interrupted
 
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import recalled_generations
+from cgtorch.runs.stored_run import read_run
 
 REPORT = "cgtorch-report"
 
@@ -36,7 +37,7 @@ def test_one_file_is_written(shell: Shell, tmp_path: Path) -> None:
     assert (ended.code, ended.err) == (0, "")
     assert ended.out == f"run as a page: page.html, {len(data)} bytes\n"
     assert listing(tmp_path) == before | {"page.html"}
-    assert data == report_page(folder)
+    assert data == report_page(read_run(folder))
 
 
 def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Trained) -> None:

@@ -9,17 +9,19 @@ from click.testing import CliRunner
 from command_line import as_options
 from emulated_gpu import EmulatedGpu, OnGpu
 from pretended_gpu import pretended_gpu
+from rich.console import Console
 from safetensors.torch import load_file
 from support import custom_actions
 from trained import SMALL
 
 from cgtorch.actions import RecurrentNN, paper_actions
 from cgtorch.commands.train import command
-from cgtorch.commands.training import fastest_device
 from cgtorch.ground.files import read_json
 from cgtorch.native import gpu as native_gpu
-from cgtorch.runs.run import planned_run
+from cgtorch.report import ProgressDisplay
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import planned_run
+from cgtorch.session import fastest_device
 from cgtorch.tabletop.settings import TabletopSettings
 
 OPTIONS = as_options(replace(SMALL, practice=0, generations=8, attempts=1))
@@ -61,10 +63,11 @@ def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
         memory = paper_actions().extended(["RecurrentNN"], [RecurrentNN()])
         run = replace(run, actions=custom_actions() if actions == "own" else memory)
     monkeypatch.setattr(native_gpu, "gpu_of", lambda device: EmulatedGpu() if kernels else None)
-    assert fastest_device(run) == torch.device("cpu")
+    display = ProgressDisplay(Console(stderr=True, width=200))
+    assert fastest_device(run, display) == torch.device("cpu")
     assert not capsys.readouterr().err
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert fastest_device(run) == torch.device(wanted)
+    assert fastest_device(run, display) == torch.device(wanted)
     assert capsys.readouterr().err.startswith(says)
 
 

@@ -13,8 +13,8 @@ from cgtorch.actions import Action, Detect, Grasp, MoveBase
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.export import to_module, to_onnx
 from cgtorch.graphs import Skill
-from cgtorch.runs.run import Run
 from cgtorch.runs.skills import last_skill
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import MAX_STEPS, rollout
 from cgtorch.simulation.program import compile_graphs
 
@@ -23,7 +23,7 @@ Step: TypeAlias = Callable[[Tensor, Tensor, Tensor, Tensor], Sequence[Tensor]]
 
 
 @cache
-def reference() -> tuple[Run, Skill]:
+def reference() -> tuple[StoredRun, Skill]:
     return last_skill(REFERENCE)
 
 

@@ -9,8 +9,8 @@ from support import create_run
 from trained import SMALL, Trained, copied
 
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.run import open_run, planned_run, write_run
 from cgtorch.runs.skills import stored_domain
+from cgtorch.runs.stored_run import planned_run, read_run, write_run
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings
 
@@ -22,7 +22,7 @@ def listing(folder: Path) -> set[str]:
 def test_a_run_keeps_the_settings_of_its_domain(tmp_path: Path) -> None:
     own = TabletopSettings(robot="fetch", position_noise=0, percept="yaw", networks="percept")
     run = create_run(tmp_path / "run", SMALL, own)
-    for one in (run, open_run(run.folder)):
+    for one in (run, read_run(run.folder)):
         assert one.domain.settings == own
         assert isinstance(one.domain, Tabletop)
         assert one.domain.robot.description.name == "Fetch"
@@ -39,7 +39,7 @@ def test_a_planned_run_is_one_that_is_not_written(tmp_path: Path) -> None:
     run = planned_run(tmp_path / "runs" / "one", SMALL)
     assert listing(tmp_path) == set()
     write_run(run)
-    assert open_run(run.folder).settings == run.settings
+    assert read_run(run.folder).settings == run.settings
 
 
 @pytest.mark.parametrize("kind", ["near", "", "moon", "general-clutte"])

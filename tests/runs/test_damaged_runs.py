@@ -20,7 +20,6 @@ from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report import final_table
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.storage import (
     load_population,
     load_progress,
@@ -28,6 +27,7 @@ from cgtorch.runs.storage import (
     load_tensors,
     save_tensors,
 )
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.training.context import Training, recall_spent
 from cgtorch.training.train import finished_generations
@@ -55,7 +55,7 @@ def folder(trained: Trained, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def used(folder: Path, file: str) -> None:
     """Do with a file of the run what the commands do with it."""
     if file == "run.json":
-        open_run(folder)
+        read_run(folder)
         return
     run = opened(folder)
     if file.endswith("skill.json"):
@@ -74,8 +74,8 @@ def used(folder: Path, file: str) -> None:
 
 
 @cache
-def opened(folder: Path) -> Run:
-    return open_run(folder)
+def opened(folder: Path) -> StoredRun:
+    return read_run(folder)
 
 
 def attempt(read: Callable[[], object]) -> str:
@@ -198,7 +198,7 @@ SPENT = [
 @pytest.mark.parametrize("place", ["start", "S0"])
 def test_damaged_counts_of_what_was_asked(folder: Path, place: str, value: object) -> None:
     """A run that cannot say what it has asked of its world cannot keep to a budget."""
-    path, run = folder / place / "result.json", open_run(folder)
+    path, run = folder / place / "result.json", read_run(folder)
     run = run if place == "S0" else replace(run, domain=NoStages(robot=run.domain.robot))
     training, raw = (
         Training(run, lambda event: None, lambda message: nullcontext()),
@@ -240,7 +240,7 @@ class NoStages(Tabletop):
 def test_percepts_that_are_not_those_of_w_and_m(
     folder: Path, change: Callable[[torch.Tensor], torch.Tensor]
 ) -> None:
-    run, path = open_run(folder), folder / "S0" / "seen.safetensors"
+    run, path = read_run(folder), folder / "S0" / "seen.safetensors"
     raw = path.read_bytes()
     try:
         save_tensors(path, {"percepts": change(load_tensors(path, {"percepts"})["percepts"])}, {})
@@ -257,7 +257,7 @@ def test_a_run_of_the_version_before(folder: Path) -> None:
     try:
         assert json.loads(raw)["version"] == 3
         path.write_text(json.dumps({**json.loads(raw), "version": 2}))
-        message = attempt(lambda: open_run(folder))
+        message = attempt(lambda: read_run(folder))
         assert message.endswith(
             "is of version 2, this cgtorch reads 3; use the version that wrote it"
         )
@@ -286,7 +286,7 @@ def test_a_run_of_the_version_before(folder: Path) -> None:
 def test_graphs_that_are_not_valid(
     folder: Path, tmp_path: Path, name: str, change: Callable[[torch.Tensor], torch.Tensor]
 ) -> None:
-    run = open_run(folder)
+    run = read_run(folder)
     names = {"action", "edges", "parameters", "start", "strategy"}
     tensors = load_tensors(folder / "S0/specialists.safetensors", names)
     path = tmp_path / "specialists.safetensors"
@@ -304,15 +304,15 @@ def test_a_run_without_its_robot(folder: Path, name: str) -> None:
     try:
         for content in (b"", b"<robot", b"{}", raw[: len(raw) // 2]):
             path.write_bytes(content)
-            assert attempt(lambda: open_run(folder))
+            assert attempt(lambda: read_run(folder))
         path.unlink()
-        assert attempt(lambda: open_run(folder))
+        assert attempt(lambda: read_run(folder))
     finally:
         path.write_bytes(raw)
 
 
 def test_models_of_the_other_kind(folder: Path) -> None:
-    run = open_run(folder)
+    run = read_run(folder)
     gamma, classifier = (folder / "S0" / f"{n}.safetensors" for n in ("gamma", "classifier"))
     raw = gamma.read_bytes(), classifier.read_bytes()
     try:

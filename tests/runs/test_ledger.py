@@ -16,8 +16,8 @@ from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.ledger import WAS, enter, read_entry, read_index
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_progress
+from cgtorch.runs.stored_run import read_run
 from cgtorch.training.evaluate import under_other_noise
 
 W, M, NEW = range(len(WAS))
@@ -32,7 +32,7 @@ def last_accepted(trained: Trained, name: str) -> SkillAccepted[Any]:
 def test_the_whole_history_can_be_read(trained: Trained) -> None:
     index = read_index(trained.folder)
     assert [(s["name"], s["parent"]) for s in index] == [("S0", None), ("S1", "S0")]
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     for line, result in zip(index, trained.results, strict=True):
         entry = read_entry(trained.folder, line["name"], run.actions, run.like())
         assert entry.summary == line
@@ -45,7 +45,7 @@ def test_the_whole_history_can_be_read(trained: Trained) -> None:
 
 
 def test_every_skill_is_restored_as_it_was(trained: Trained) -> None:
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     for name in ("S0", "S1"):
         restored = read_entry(trained.folder, name, run.actions, run.like()).skill
         kept = load_progress(run, run.folder / name).skill
@@ -55,7 +55,7 @@ def test_every_skill_is_restored_as_it_was(trained: Trained) -> None:
 
 def test_the_evidence_is_what_the_world_says(trained: Trained) -> None:
     """Eq. 1 from the ledger alone: the world gives the same result on every scenario again."""
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     for name in ("S0", "S1"):
         entry = read_entry(run.folder, name, run.actions, run.like())
         again = try_skill(entry.skill, run.domain.world(entry.scenarios)).succeeded
@@ -66,7 +66,7 @@ def test_the_evidence_is_what_the_world_says(trained: Trained) -> None:
 
 def test_w_under_other_noise(trained: Trained) -> None:
     """All of W, which is small here, was met by other noise than its own and mostly holds."""
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     for name in ("S0", "S1"):
         entry = read_entry(run.folder, name, run.actions, run.like())
         solved = load_progress(run, run.folder / name).solved
@@ -85,7 +85,7 @@ def test_a_ledger_from_before_other_noise_was_tried(trained: Trained, tmp_path: 
             del line["w_other_noise"]
         path.write_text(json.dumps(data))
     assert [s["name"] for s in read_index(tmp_path)] == ["S0", "S1"]
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     entry = read_entry(tmp_path, "S1", run.actions, run.like())
     assert entry.other_noise is None
     assert entry.summary["w_other_noise"] is None
@@ -93,7 +93,7 @@ def test_a_ledger_from_before_other_noise_was_tried(trained: Trained, tmp_path: 
 
 def test_w_and_m_before_and_after(trained: Trained) -> None:
     """What a stage ends with is what its entry says, and W before is W after the one before."""
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
 
     def seeds(rows: Any) -> list[Any]:
         return sorted(zip(rows.seed.tolist(), rows.object.tolist(), strict=True))
@@ -114,14 +114,14 @@ def test_w_and_m_before_and_after(trained: Trained) -> None:
 def test_entries_are_for_people_too(trained: Trained) -> None:
     lines = (trained.folder / "ledger" / "S1.json").read_text().splitlines()
     rows = [line for line in lines if '"was"' in line]
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     assert len(rows) == len(read_entry(trained.folder, "S1", run.actions, run.like()).scenarios)
     assert all(json.loads(row.rstrip(",")) for row in rows)
 
 
 def test_an_entry_made_again_replaces_the_old_one(trained: Trained, tmp_path: Path) -> None:
     shutil.copytree(trained.folder / "ledger", tmp_path / "ledger")
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     was = (tmp_path / "ledger" / "S1.json").read_bytes()
     enter(tmp_path, read_entry(trained.folder, "S1", run.actions, run.like()))
     assert read_index(tmp_path) == read_index(trained.folder)
@@ -131,7 +131,7 @@ def test_an_entry_made_again_replaces_the_old_one(trained: Trained, tmp_path: Pa
 
 def test_a_run_without_a_ledger(tmp_path: Path, trained: Trained) -> None:
     assert read_index(tmp_path) == []
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     with pytest.raises(RunError, match="this one has no ledger"):
         read_entry(tmp_path, "S0", run.actions, run.like())
 
@@ -161,7 +161,7 @@ def test_damaged_entries(trained: Trained, tmp_path: Path, change: int) -> None:
     data = json.loads(path.read_text())
     CHANGES[change](data)
     path.write_text(json.dumps(data))
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     with pytest.raises(CgtorchError) as caught:
         read_entry(tmp_path, "S1", run.actions, run.like())
     assert "\n" not in str(caught.value)
@@ -182,7 +182,7 @@ def test_names_in_the_index_lead_nowhere(trained: Trained, tmp_path: Path, name:
 def test_damaged_bytes_end_in_a_typed_error(trained: Trained, tmp_path: Path, file: str) -> None:
     shutil.copytree(trained.folder / "ledger", tmp_path / "ledger")
     path, choice = tmp_path / "ledger" / file, random.Random(file)
-    raw, run = path.read_bytes(), open_run(trained.folder)
+    raw, run = path.read_bytes(), read_run(trained.folder)
     errors = 0
     for _ in range(60):
         damaged = bytearray(raw)

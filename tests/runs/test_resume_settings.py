@@ -13,7 +13,7 @@ from trained import SMALL, Trained, interrupted
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.journal import FileJournal
 from cgtorch.runs.resume_settings import fixed_settings, overridden, refuse_others, take_over
-from cgtorch.runs.run import open_run
+from cgtorch.runs.stored_run import read_run
 
 
 def about(folder: Path) -> dict[str, Any]:
@@ -22,7 +22,7 @@ def about(folder: Path) -> dict[str, Any]:
 
 
 def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> None:
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     fixed, known = fixed_settings(run), {**vars(run.settings), **vars(run.domain.settings)}
     assert set(fixed) == {
         *("domain", "seed", "method", "models", "transitions", "labels", "scenarios", "actions"),
@@ -52,7 +52,7 @@ def test_the_history_grows_and_a_journal_goes_aside_each_time(
         assert (taken.before, taken.set_aside) == ("S1", f"set-aside/{number}")
         assert not (run.folder / "journal").exists()
         run = taken.run
-        assert run == replace(open_run(run.folder), domain=run.domain, actions=run.actions)
+        assert run == replace(read_run(run.folder), domain=run.domain, actions=run.actions)
     taken = take_over(run, overridden(run, {"islands": 3}), "auto")
     assert (taken.before, taken.set_aside) == ("auto-1", None)
     changes = [entry["changed"] for entry in about(run.folder)["history"]]
@@ -81,4 +81,4 @@ def test_what_stops_it_in_between_leaves_a_run_of_the_old_settings(
     monkeypatch.undo()
     taken = take_over(run, overridden(run, {"population": 30}), "S1")
     assert taken.set_aside is None
-    assert open_run(run.folder).settings.population == 30
+    assert read_run(run.folder).settings.population == 30

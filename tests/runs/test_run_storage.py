@@ -13,7 +13,6 @@ from trained import Trained
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.improvement.trial import try_skill
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import (
     load_dataset,
     load_progress,
@@ -25,6 +24,7 @@ from cgtorch.runs.storage import (
     scenarios_from_list,
     scenarios_to_list,
 )
+from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.world import Scenarios, cluttered_scenarios, random_scenarios
 
 LIKE = random_scenarios("near", 0, seeded(0))
@@ -33,7 +33,7 @@ LIKE_CLUTTER = cluttered_scenarios(0, seeded(0))
 
 @pytest.mark.parametrize("stage", ["start", "S0", "S1"])
 def test_progress_comes_back_to_the_last_bit(trained: Trained, stage: str, tmp_path: Path) -> None:
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     progress = load_progress(run, run.folder / stage)
     save_progress(tmp_path, progress, run.settings.seed)
     kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -69,7 +69,7 @@ def test_progress_comes_back_to_the_last_bit(trained: Trained, stage: str, tmp_p
 
 
 def test_a_stage_keeps_what_its_skill_does_in_the_world(trained: Trained) -> None:
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     for stage in run.stages:
         progress = load_progress(run, run.folder / stage)
         assert progress.skill is not None

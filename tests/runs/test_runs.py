@@ -36,9 +36,9 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
-from cgtorch.runs.run import open_run
 from cgtorch.runs.skills import last_skill, lone_skill
 from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.training.context import Training
@@ -94,7 +94,7 @@ def test_where_no_folder_can_be(tmp_path: Path, place: str) -> None:
 def test_a_run_is_opened_as_it_was_begun(tmp_path: Path) -> None:
     run = create_run(tmp_path / "runs" / "one", SMALL)
     assert listing(run.folder) == {"run.json", "robot", "robot/robot.urdf", "robot/robot.json"}
-    again = open_run(run.folder)
+    again = read_run(run.folder)
     assert again.settings == SMALL
     assert again.stages == ()
     assert again.actions.names == run.actions.names
@@ -107,7 +107,7 @@ def test_a_run_is_opened_as_it_was_begun(tmp_path: Path) -> None:
 
 def test_a_run_may_begin_in_an_empty_folder(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    assert open_run(create_run(tmp_path / "empty", SMALL).folder).settings == SMALL
+    assert read_run(create_run(tmp_path / "empty", SMALL).folder).settings == SMALL
 
 
 def test_a_run_is_moved_as_a_whole(trained: Trained, tmp_path: Path) -> None:
@@ -168,10 +168,10 @@ def test_code_is_imported_only_if_it_is_trusted(
     folder = with_action(trained, tmp_path / "run", "marking:Look")
     for trusted in ((), ("other:Look",), ("marking",), ("marking:look",)):
         with pytest.raises(ActionError):
-            open_run(folder, trusted)
+            read_run(folder, trusted)
         assert not (tmp_path / "imported").exists()
         assert "marking" not in sys.modules
-    assert "Look" in open_run(folder, ("marking:Look",)).actions.names
+    assert "Look" in read_run(folder, ("marking:Look",)).actions.names
     assert (tmp_path / "imported").exists()
 
 
@@ -179,13 +179,13 @@ def test_code_is_imported_only_if_it_is_trusted(
 def test_actions_that_lead_nowhere(trained: Trained, tmp_path: Path, spec: str) -> None:
     folder = with_action(trained, tmp_path / "run", spec)
     with pytest.raises(ActionError) as caught:
-        open_run(folder, (spec,))
+        read_run(folder, (spec,))
     assert "\n" not in str(caught.value)
 
 
 def test_every_accepted_skill_kept_what_the_one_before_solved(trained: Trained) -> None:
     """Eq. 1 over the stages, checked in the world with what the run kept."""
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     first, second = (load_progress(run, run.folder / stage) for stage in ("S0", "S1"))
     assert second.skill is not None
     assert try_skill(second.skill, run.domain.world(first.solved)).succeeded.all()
@@ -214,7 +214,7 @@ def test_what_was_told_while_it_was_made(trained: Trained) -> None:
 
 def test_data_grow_and_nothing_is_lost(trained: Trained) -> None:
     """All that was asked is learned from, except after a stage's last candidate."""
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     known = [load_progress(run, run.folder / s).knowledge for s in ("start", "S0", "S1")]
     data = [each.dataset.extended(each.aside) for each in known]
     asked = [run_asked(run.folder / s) for s in ("start", "S0", "S1")]
@@ -249,7 +249,7 @@ def test_results_are_what_the_world_says(trained: Trained) -> None:
         assert result["fresh"]["tried"] == result["overall"]["tried"] == 40
         assert result["generations"] > 0
     assert trained.results[0]["w_size"] == 0
-    run = open_run(trained.folder)
+    run = read_run(trained.folder)
     first = load_progress(run, run.folder / "S0")
     assert trained.results[1]["w_size"] == len(first.solved)
     summary = json.loads((trained.folder / "summary.json").read_text())
@@ -284,7 +284,7 @@ def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
     about["settings"]["seed"] = seed
     (folder / "run.json").write_text(json.dumps(about))
     events: list[Event] = []
-    train(Training(open_run(folder), events.append, quietly), "S0")
+    train(Training(read_run(folder), events.append, quietly), "S0")
     return (folder / "S0" / "skill.json").read_bytes()
 
 
@@ -310,7 +310,7 @@ def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
     trained: Trained, tmp_path: Path
 ) -> None:
     folder = copied(trained, tmp_path / "run", ("S0",))
-    train(Training(open_run(folder), lambda event: None, quietly), "S1")
+    train(Training(read_run(folder), lambda event: None, quietly), "S1")
     one, other = (last_skill(place)[1] for place in (trained.folder, folder))
     assert skill_to_dict(one) == skill_to_dict(other)
     ends_as(trained, folder)
@@ -336,12 +336,12 @@ def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        train(Training(open_run(folder), stop, quietly), "S1")
+        train(Training(read_run(folder), stop, quietly), "S1")
     left = listing(folder) - before
     assert all(name.startswith("journal") for name in left)
     assert "journal/S1/00000.safetensors" in left
     told: list[Event] = []
-    train(Training(open_run(folder), told.append, quietly), "S1")
+    train(Training(read_run(folder), told.append, quietly), "S1")
     assert [type(event) for event in told[:3]] == [StageStarted, WorldAsked, EvolutionRecalled]
     wanted = in_order(trained.events)
     assert in_order(told) == [replace(e, recalled=i < 2) for i, e in enumerate(wanted)]
@@ -366,9 +366,9 @@ def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
     for _ in range(2):
         stop = partial(ends, itertools.count(1))
         with pytest.raises(Interrupted):
-            train(Training(open_run(folder), stop, quietly, checkpoint_seconds=0), "S1")
+            train(Training(read_run(folder), stop, quietly, checkpoint_seconds=0), "S1")
     told: list[Event] = []
-    training = Training(open_run(folder), told.append, quietly)
+    training = Training(read_run(folder), told.append, quietly)
     train(training, "S1")
     wanted = in_order(trained.events)
     assert [replace(e, recalled=False) for e in in_order(told)] == wanted
@@ -393,9 +393,9 @@ def test_a_trial_that_is_killed_is_made_again_and_counted_once(
     with monkeypatch.context() as patch:
         patch.setattr(Recording, "step", ends)
         with pytest.raises(Interrupted):
-            train(Training(open_run(folder), lambda e: None, quietly, purse=purse), "S1")
+            train(Training(read_run(folder), lambda e: None, quietly, purse=purse), "S1")
     assert purse.total.motions > run_asked(folder / "S0")["motions"]
-    train(Training(open_run(folder), lambda e: None, quietly), "S1")
+    train(Training(read_run(folder), lambda e: None, quietly), "S1")
     ends_as(trained, folder)
 
 
@@ -409,14 +409,14 @@ def test_a_stage_that_finds_nothing_leaves_nothing(
     (folder / "run.json").write_text(json.dumps(about))
     before = listing(folder)
     with pytest.raises(NotImprovedError, match="raise --attempts") as caught:
-        train(Training(open_run(folder), lambda event: None, quietly), "S0")
+        train(Training(read_run(folder), lambda event: None, quietly), "S0")
     assert "\n" not in str(caught.value)
     assert listing(folder) == before
 
 
 def test_a_journal_that_a_finished_stage_has_left_goes(trained: Trained, tmp_path: Path) -> None:
     """As after a kill between the end of a stage and that of its journal."""
-    run = open_run(copied(trained, tmp_path / "run"))
+    run = read_run(copied(trained, tmp_path / "run"))
     left = run.folder / "journal" / "S1"
     left.mkdir(parents=True)
     (left / "00001.safetensors").write_bytes(b"x")

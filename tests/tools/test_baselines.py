@@ -36,8 +36,8 @@ from benchmarks.touching import touching
 from benchmarks.workload import Workload, first_population, workload_of
 
 from cgtorch.graphs import NO_NODE, Graphs, widened
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
+from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.tabletop.domain import Tabletop
 
@@ -47,7 +47,7 @@ LIMIT = 12
 
 @cache
 def work() -> Workload:
-    run = open_run(REFERENCE)
+    run = read_run(REFERENCE)
     assert isinstance(run.domain, Tabletop)
     knowledge = load_knowledge(REFERENCE / run.stages[-1], run.domain.unfitted())
     return workload_of(knowledge, run.domain, 6, seeded(0))

@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from compare_methods import METHODS, beginning, compare, published, quietly
 from comparison.table import LABELS, cost_of, spread, table
 
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_dataset, read_asked
+from cgtorch.runs.stored_run import read_run
 from cgtorch.training.context import Training
 
 SEED = f"seed-{SMALL.seed}"
@@ -127,7 +127,7 @@ def test_what_is_there_is_not_made_again(folder: Path) -> None:
 
 
 def test_the_published_settings(folder: Path) -> None:
-    training = Training(open_run(folder / SEED / "stages"), lambda event: None, quietly)
+    training = Training(read_run(folder / SEED / "stages"), lambda event: None, quietly)
     setup = published(training.setup("S0"))
     assert (setup.evolution.population, setup.evolution.elite, setup.evolution.tau) == (
         200,

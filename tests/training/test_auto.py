@@ -18,9 +18,9 @@ from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import act, reached, train_until
 from cgtorch.training.context import Training
@@ -41,16 +41,18 @@ def ignore(event: Event) -> None:
     """Nobody watches."""
 
 
-def prepared(trained: Trained, folder: Path, stages: tuple[str, ...] = (), **settings: Any) -> Run:
+def prepared(
+    trained: Trained, folder: Path, stages: tuple[str, ...] = (), **settings: Any
+) -> StoredRun:
     """A copy of the small run under settings of its own."""
     copied(trained, folder, stages)
     about = json.loads((folder / "run.json").read_text())
     about["settings"].update(settings)
     (folder / "run.json").write_text(json.dumps(about))
-    return open_run(folder)
+    return read_run(folder)
 
 
-Made = tuple[Run, list[Event], list[dict[str, Any]]]
+Made = tuple[StoredRun, list[Event], list[dict[str, Any]]]
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +158,7 @@ def in_its_second_round(made: Made, folder: Path) -> Path:
 def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
     """A run that lost its second round makes the same again."""
     folder = in_its_second_round(made, tmp_path / "run")
-    same_as(made, folder, train_until(Training(open_run(folder), ignore, quietly), GOAL))
+    same_as(made, folder, train_until(Training(read_run(folder), ignore, quietly), GOAL))
 
 
 def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
@@ -174,10 +176,10 @@ def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            train_until(Training(open_run(folder), stop, quietly), GOAL)
+            train_until(Training(read_run(folder), stop, quietly), GOAL)
     assert asked == wanted
     events: list[Event] = []
-    same_as(made, folder, train_until(Training(open_run(folder), events.append, quietly), GOAL))
+    same_as(made, folder, train_until(Training(read_run(folder), events.append, quietly), GOAL))
     again = [e for e in events if isinstance(e, WorldAsked)]
     assert again == [replace(e, recalled=True) for e in wanted]
 
@@ -338,7 +340,7 @@ def test_what_a_robots_world_was_asked_before_a_kill_is_not_asked_again(tmp_path
     goal = Goal(target=0.5, rounds=1)
     with pytest.raises(KeyboardInterrupt):
         train_until(Training(run, stop, quietly), goal)
-    (result,) = train_until(Training(open_run(run.folder), again.append, quietly), goal)
+    (result,) = train_until(Training(read_run(run.folder), again.append, quietly), goal)
     asked = [e for e in again if isinstance(e, WorldAsked)]
     assert asked[:4] == [replace(e, recalled=True) for e in told[1:]]
     assert not any(e.recalled for e in asked[4:])

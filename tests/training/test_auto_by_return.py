@@ -19,10 +19,10 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_progress
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 
@@ -32,7 +32,7 @@ OUT_OF_REACH, EASY = 1e6, 9.0
 ROUND = Goal(rounds=1)
 
 
-def begun(folder: Path, target: float = OUT_OF_REACH) -> Run:
+def begun(folder: Path, target: float = OUT_OF_REACH) -> StoredRun:
     settings = RunSettings(
         domain="gymnasium:CartPole-v1",
         population=12,
@@ -61,7 +61,7 @@ def test_the_fittest_individual_is_the_skill_until_one_meets_eq_1(tmp_path: Path
     assert not len(progress.solved)
 
 
-Made = tuple[Run, list[Event], list[dict[str, Any]]]
+Made = tuple[StoredRun, list[Event], list[dict[str, Any]]]
 
 
 @pytest.fixture(scope="module", params=[OUT_OF_REACH, EASY], ids=["out of reach", "easy"])
@@ -88,7 +88,7 @@ def test_it_is_the_same_after_an_interruption(
 
     with pytest.raises(KeyboardInterrupt):
         train_until(Training(stopped, stop, quietly, checkpoint_seconds=0), ROUND)
-    found = train_until(Training(open_run(stopped.folder), again.append, quietly), ROUND)
+    found = train_until(Training(read_run(stopped.folder), again.append, quietly), ROUND)
     known = [e.found.generations for e in again if isinstance(e, EvolutionRecalled)]
     before = next(i for i, e in enumerate(events) if isinstance(e, WorldTested))
     assert known == ([2] if kind is GenerationDone else [3] * len(evolved_on(events[:before])))

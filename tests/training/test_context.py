@@ -18,14 +18,14 @@ from cgtorch.actions import paper_actions
 from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, read_asked
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.context import Training, initial_progress, recall_spent
 
-RUN = Run(Path("none"), RunSettings(), TABLE, paper_actions())
+RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
 START = Path("start") / "result.json"
 BRIEF = replace(SMALL, labels=0)
 
@@ -34,7 +34,7 @@ def ignore(event: Event) -> None:
     """Nobody watches."""
 
 
-def training_of(run: Run, purse: Purse | None = None) -> Training:
+def training_of(run: StoredRun, purse: Purse | None = None) -> Training:
     return Training(run, ignore, lambda message: nullcontext(), purse=purse or Purse())
 
 
@@ -57,7 +57,7 @@ def test_so_many_fresh_scenarios_are_to_be_solved_in_a_row(
 def test_with_rewards_there_is_no_practice(chosen: int) -> None:
     """Rounds try skills on fresh episodes by themselves."""
     domain = Walking()
-    run = Run(Path("none"), RunSettings(practice=chosen), domain, domain.actions())
+    run = StoredRun(Path("none"), RunSettings(practice=chosen), domain, domain.actions())
     setup = training_of(run).setup("auto-1")
     assert (setup.practice, setup.looks) == (0, 0)
 
@@ -67,7 +67,7 @@ def test_all_that_is_asked_is_paid_from_one_purse() -> None:
     assert training.setup("S0").purse is training.purse
 
 
-def explored(folder: Path, **limits: float) -> tuple[Run, list[Event]]:
+def explored(folder: Path, **limits: float) -> tuple[StoredRun, list[Event]]:
     """A run with its first models only."""
     run, events = create_run(folder, BRIEF), list[Event]()
     initial_progress(
@@ -77,12 +77,12 @@ def explored(folder: Path, **limits: float) -> tuple[Run, list[Event]]:
 
 
 @pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[Event]]:
+def begun(tmp_path_factory: pytest.TempPathFactory) -> tuple[StoredRun, list[Event]]:
     """A run that was not interrupted."""
     return explored(tmp_path_factory.mktemp("begun") / "run")
 
 
-def test_the_first_data_are_counted_and_told(begun: tuple[Run, list[Event]]) -> None:
+def test_the_first_data_are_counted_and_told(begun: tuple[StoredRun, list[Event]]) -> None:
     run, (asked, fitted) = begun
     assert isinstance(asked, WorldAsked)
     assert isinstance(fitted, ModelsFitted)
@@ -95,16 +95,16 @@ def test_the_first_data_are_counted_and_told(begun: tuple[Run, list[Event]]) -> 
     assert asked.asked.episodes == 0 < asked.asked.looks
 
 
-def test_without_labels_c_is_not_tested_in_the_world(begun: tuple[Run, list[Event]]) -> None:
+def test_without_labels_c_is_not_tested_in_the_world(begun: tuple[StoredRun, list[Event]]) -> None:
     _, events = begun
     assert isinstance(events[1], ModelsFitted)
     assert "fresh" not in events[1].summary.text
 
 
-def test_what_is_known_is_not_explored_again(begun: tuple[Run, list[Event]]) -> None:
+def test_what_is_known_is_not_explored_again(begun: tuple[StoredRun, list[Event]]) -> None:
     run, events = begun
     again: list[Event] = []
-    training = Training(open_run(run.folder), again.append, lambda message: nullcontext())
+    training = Training(read_run(run.folder), again.append, lambda message: nullcontext())
     recall_spent(training)
     initial_progress(training)
     assert again == []
@@ -127,13 +127,16 @@ def ends_at(motion: int) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("motion", [1, 8])
 def test_an_exploration_that_is_killed_is_made_again_and_counted_once(
-    begun: tuple[Run, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, motion: int
+    begun: tuple[StoredRun, list[Event]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    motion: int,
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(Recording, "step", ends_at(motion))
         with pytest.raises(KeyboardInterrupt):
             explored(tmp_path / "run")
-    run = open_run(tmp_path / "run")
+    run = read_run(tmp_path / "run")
     assert not (run.folder / "start").exists()
     training = training_of(run)
     recall_spent(training)
@@ -154,7 +157,7 @@ def test_in_a_world_that_does_not_repeat_itself_one_robot_explores(tmp_path: Pat
     own = TabletopSettings(noise="fresh")
     run, events = create_run(tmp_path / "run", replace(SMALL, labels=60), own), list[Event]()
     assert not run.repeats
-    assert not open_run(run.folder).repeats
+    assert not read_run(run.folder).repeats
     initial_progress(Training(run, events.append, lambda message: nullcontext()))
     asked, fitted = events
     assert isinstance(asked, WorldAsked)

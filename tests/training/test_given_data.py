@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from cgtorch.domains import write_data
 from cgtorch.environment import Dataset
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.runs.run import Run, planned_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, planned_run
 from cgtorch.training import given_data as module
 from cgtorch.training.given_data import given_data, known_at_last
 
@@ -24,7 +24,7 @@ def some_data(moves: int, met: int, missed: int) -> Dataset:
     return Dataset(p, p[:, :1] / 1e6, p, tested, torch.arange(met + missed) < met)
 
 
-def run_with(folder: Path, data: Dataset, **settings: object) -> Run:
+def run_with(folder: Path, data: Dataset, **settings: object) -> StoredRun:
     """A run of carts that is given these data."""
     path = folder / "log.csv"
     run = planned_run(

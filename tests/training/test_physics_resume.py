@@ -17,7 +17,7 @@ from trained import SMALL, Trained
 pytest.importorskip("mujoco")
 
 from cgtorch.improvement.events import Event, GenerationDone, WorldTested
-from cgtorch.runs.run import open_run
+from cgtorch.runs.stored_run import read_run
 from cgtorch.svm.storage import notes_of
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training import train as training
@@ -35,7 +35,7 @@ def gone_on(folder: Path, stop_at: int | None = None) -> list[Event]:
         if len(events) - 1 == stop_at:
             raise KeyboardInterrupt
 
-    run = open_run(folder)
+    run = read_run(folder)
     with suppress(KeyboardInterrupt):
         training.train(Training(run, watch, lambda message: nullcontext(), "cpu", 0.0), STAGE)
     return events

@@ -7,11 +7,11 @@ from reaching import TABLE
 
 from cgtorch.actions import paper_actions
 from cgtorch.evolution import EvolutionSettings, lexicase
-from cgtorch.runs.run import Run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.context import evolution_settings
 
-RUN = Run(Path("none"), RunSettings(), TABLE, paper_actions())
+RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
 
 
 def evolution_of(**values: Any) -> EvolutionSettings:

@@ -18,9 +18,9 @@ from cgtorch.environment.asked import Asked, Purse
 from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.run import Run
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, load_result
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_WIDTH
 from cgtorch.training import train as module
@@ -34,13 +34,13 @@ Given = tuple[Progress[Scenarios], Scenarios, Scenarios]
 """What a method got: the progress, the tests, and three scenarios that were drawn."""
 
 
-def run_in(folder: Path, repeats: bool = True) -> Run:
+def run_in(folder: Path, repeats: bool = True) -> StoredRun:
     folder.mkdir()
     (folder / "run.json").write_text("{}")
-    return Run(folder, SETTINGS, TABLE, paper_actions(), repeats)
+    return StoredRun(folder, SETTINGS, TABLE, paper_actions(), repeats)
 
 
-def training_of(run: Run, events: list[Event] | None = None, **limits: float) -> Training:
+def training_of(run: StoredRun, events: list[Event] | None = None, **limits: float) -> Training:
     watch = (events if events is not None else list[Event]()).append
     return Training(run, watch, lambda message: nullcontext(), purse=Purse(limits))
 
@@ -87,7 +87,7 @@ class Method:
 
 
 def made(
-    monkeypatch: pytest.MonkeyPatch, run: Run, *methods: Method, **limits: float
+    monkeypatch: pytest.MonkeyPatch, run: StoredRun, *methods: Method, **limits: float
 ) -> list[dict[str, Any]]:
     """The results of stages of which each has its own method."""
     each = iter(methods)

@@ -36,7 +36,6 @@ from cgtorch.improvement.stopping import Found
 from cgtorch.improvement.trial import Trial, trial_from, trial_tensors
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.runs.ledger import read_entry, read_index
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import (
     load_dataset,
     load_knowledge,
@@ -48,6 +47,7 @@ from cgtorch.runs.storage import (
     save_scenarios,
     save_tensors,
 )
+from cgtorch.runs.stored_run import read_run
 from cgtorch.svm import load_model_and_report, save_model
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot, load_robot
@@ -109,7 +109,7 @@ def prepare(folder: Path) -> ActionSet:
     save_model(stage / "gamma.safetensors", gamma, report)
     for name in ("aside", "data"):
         save_tensors(stage / f"{name}.safetensors", vars(_few(data)), {"seed": "2"})
-    return open_run(folder).actions
+    return read_run(folder).actions
 
 
 def _few(data: Dataset) -> Dataset:
@@ -238,7 +238,7 @@ def _read_part(folder: Path, actions: ActionSet) -> object:
 
 def _read_seen(folder: Path, actions: ActionSet) -> object:
     """W and M with their first percepts, by which scenarios are grouped."""
-    progress = load_progress(open_run(folder), folder / "S3")
+    progress = load_progress(read_run(folder), folder / "S3")
     seen = progress.seen
     every = progress.solved.joined(progress.missed)
     if seen is None or len(seen) != len(every) or not bool(seen.isfinite().all()):
@@ -254,7 +254,7 @@ def _read_models(folder: Path, actions: ActionSet) -> object:
 
 
 def _read_run(folder: Path, actions: ActionSet) -> object:
-    domain = open_run(folder).domain
+    domain = read_run(folder).domain
     assert isinstance(domain, Tabletop)  # noqa: S101
     _moved(domain.robot)
     return domain

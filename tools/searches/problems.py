@@ -9,8 +9,8 @@ from torch import Generator
 from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_knowledge
+from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.domain import ACTIONS, SPECIALISTS
 
 
@@ -47,7 +47,7 @@ latter a whole edge, and the paper's forty placements."""
 
 def pose(problem: Problem, run_folder: Path, seed: int) -> tuple[Environment, ActionSet]:
     """The problem of a seed in the models that a run began with, and what nodes can be."""
-    domain = open_run(run_folder).domain
+    domain = read_run(run_folder).domain
     knowledge = load_knowledge(run_folder / "start", domain.unfitted())
     generator = Generator().manual_seed(1_000_003 * (seed + 1))
     world = domain.world(domain.draw(problem.placement, problem.drawn, generator))

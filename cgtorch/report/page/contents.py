@@ -1,6 +1,5 @@
 """The contents of a run's folder, finished or not."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -15,8 +14,8 @@ from cgtorch.report.tensorboard import BY_ROWS
 from cgtorch.runs.journal import FOLDER as JOURNAL
 from cgtorch.runs.journal import FileJournal
 from cgtorch.runs.ledger import read_index
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_models, load_result, load_scenarios
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.svm import LearningCurve
 
 START = "start"
@@ -47,7 +46,7 @@ class Fitted:
 class Contents:
     """Everything that the page shows."""
 
-    run: Run
+    run: StoredRun
     about: dict[str, Any]
     summary: dict[str, Any]
     stages: tuple[Stage, ...]
@@ -57,9 +56,9 @@ class Contents:
     by_rows: EventData
 
 
-def read_contents(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> Contents:
-    """Read a run, as `open_run` does; nothing is tried or computed again."""
-    run = open_run(folder, trusted, domain)
+def read_contents(run: StoredRun) -> Contents:
+    """Read all files of a run; nothing is tried or computed again."""
+    folder = run.folder
     index = {line["name"]: line for line in read_index(folder)}
     summary = folder / "summary.json"
     return Contents(
@@ -86,7 +85,7 @@ def _an_object(path: Path) -> dict[str, Any]:
     return data
 
 
-def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
+def _stage(run: StoredRun, name: str, accepted: dict[str, Any] | None) -> Stage:
     folder = run.folder / name
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
     skill = load_skill(folder / "skill.json", run.actions)
@@ -96,7 +95,7 @@ def _stage(run: Run, name: str, accepted: dict[str, Any] | None) -> Stage:
     return Stage(name, result, skill, solved, missed, accepted)
 
 
-def _fitted(run: Run) -> Fitted | None:
+def _fitted(run: StoredRun) -> Fitted | None:
     """The latest reports of the models; a run may have been copied without models."""
     for name in (*reversed(run.stages), START):
         folder = run.folder / name

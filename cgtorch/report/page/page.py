@@ -2,9 +2,7 @@
 
 import shlex
 from base64 import b64encode
-from collections.abc import Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
@@ -24,20 +22,19 @@ from cgtorch.report.page.models import model_quality
 from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.page.reproduce import changes_of, training_commands
 from cgtorch.report.page.stages import stage_sections
-from cgtorch.runs.run import AUTO, Run, versions
 from cgtorch.runs.settings import all_fields, defaults_of, help_of
+from cgtorch.runs.stored_run import AUTO, StoredRun, versions
 
 PACKAGE = "cgtorch.report.page"
 
 
-def report_page(folder: Path, trusted: Sequence[str] = (), domain: str | None = None) -> bytes:
+def report_page(run: StoredRun) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
     It is UTF-8. The same run under the same name, even an unfinished one, always gives the same
-    bytes. For `trusted` and `domain` see `cgtorch.runs.run.open_run`. CgtorchError if there is no
-    run, or a file of it is damaged.
+    bytes. CgtorchError if a file of the run is damaged.
     """
-    contents = read_contents(folder, trusted, domain)
+    contents = read_contents(run)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
     template = templates(PACKAGE).get_template("page.html")
     with rc_context(STYLE):
@@ -168,7 +165,7 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     }
 
 
-def _settings(run: Run) -> list[tuple[str, str, str, str]]:
+def _settings(run: StoredRun) -> list[tuple[str, str, str, str]]:
     """Name, value, default if it differs, and meaning of each setting."""
     rows, values = [], run.all_settings()
     usual = defaults_of(type(run.domain.settings))

@@ -7,8 +7,8 @@ from typing import Any
 
 from cgtorch.domains.registry import with_name
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import AUTO, Run
 from cgtorch.runs.settings import all_fields, defaults_of, option_of
+from cgtorch.runs.stored_run import AUTO, StoredRun
 
 AGAIN = "runs/again"
 ENGINE, TORCH = "engine", "torch"
@@ -27,7 +27,9 @@ def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     return found
 
 
-def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, Any]) -> list[str]:
+def training_commands(
+    run: StoredRun, about: Mapping[str, Any], summary: Mapping[str, Any]
+) -> list[str]:
     """The commands that train a run again, with the same changes of settings at the same stages."""
     names = {ENGINE, *run.all_settings()}
     taken = [c for c in changes_of(about) if c[1] in names]
@@ -50,7 +52,7 @@ def training_commands(run: Run, about: Mapping[str, Any], summary: Mapping[str, 
 
 
 def _legs(
-    run: Run, summary: Mapping[str, Any], changed: Sequence[str]
+    run: StoredRun, summary: Mapping[str, Any], changed: Sequence[str]
 ) -> list[tuple[list[str], str | None]]:
     """The options of each part of a run under the same settings, and what changed before it."""
     own = list(run.domain.stages)
@@ -80,7 +82,7 @@ def _legs(
     return legs
 
 
-def _settings(run: Run, at_first: Mapping[str, str]) -> list[str]:
+def _settings(run: StoredRun, at_first: Mapping[str, str]) -> list[str]:
     """The options of all settings that differ from the default."""
     own = type(run.domain.settings)
     stored = run.domain.stored_options(run.folder)

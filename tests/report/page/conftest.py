@@ -8,6 +8,7 @@ from made_once import made_once, shared_folder
 from report_pages import REFERENCE
 
 from cgtorch.report.page import report_page
+from cgtorch.runs.stored_run import read_run
 
 
 @pytest.fixture(scope="session")
@@ -18,7 +19,7 @@ def page_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def _write(page: Path) -> None:
-    page.write_bytes(report_page(REFERENCE))
+    page.write_bytes(report_page(read_run(REFERENCE)))
 
 
 @pytest.fixture(scope="session")

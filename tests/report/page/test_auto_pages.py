@@ -9,9 +9,9 @@ from report_pages import parsed, rewrite, words
 from support import create_run, random_graphs, seeded
 
 from cgtorch.graphs import Skill, save_skill
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import save_scenarios
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import act
 
@@ -22,7 +22,7 @@ ASKED = {
 }
 
 
-def auto_run(folder: Path, scenarios: str, count: int, tested: bool = True) -> Run:
+def auto_run(folder: Path, scenarios: str, count: int, tested: bool = True) -> StoredRun:
     """A run with one round, whose skill nobody evolved but the world has tried.
 
     Unless it was `tested` on fresh scenarios, its trials were practice.
@@ -84,7 +84,7 @@ def test_of_many_placements_all_missed_and_some_reached_are_drawn(tmp_path: Path
     everything = known["W"] + known["M"]
     assert len(everything) == 20
     rewrite(path, {"W": everything * 100, "M": everything[:7]})
-    page = parsed(open_run(run.folder).folder)
+    page = parsed(read_run(run.folder).folder)
     drawn = {e.get("data-part"): len([*e.iter("use")]) for e in a_map(page).iter("g")}
     assert (drawn["reached"], drawn["missed"]) == (1493, 7)
     text = words(page.get_element_by_id("stage-1"))

@@ -6,11 +6,12 @@ from report_pages import HOSTILE, hostile_run, words
 
 from cgtorch.ground.errors import printable
 from cgtorch.report.page import report_page
+from cgtorch.runs.stored_run import read_run
 
 
 @pytest.fixture(scope="module")
 def text(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return report_page(hostile_run(tmp_path_factory.mktemp("hostile"))).decode()
+    return report_page(read_run(hostile_run(tmp_path_factory.mktemp("hostile")))).decode()
 
 
 def test_nothing_becomes_an_element_or_attribute(text: str, page: html.HtmlElement) -> None:

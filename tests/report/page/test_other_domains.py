@@ -16,14 +16,14 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report.page import report_page
 from cgtorch.runs.goal import Goal
-from cgtorch.runs.run import Run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 from cgtorch.training.train import train
 
 
-def trained(folder: Path, domain: str, make: Callable[[Training], object]) -> Run:
+def trained(folder: Path, domain: str, make: Callable[[Training], object]) -> StoredRun:
     """A small run, really trained."""
     settings = RunSettings(
         domain=domain, seed=2, population=40, generations=8, attempts=2, practice=12
@@ -37,24 +37,24 @@ def trained(folder: Path, domain: str, make: Callable[[Training], object]) -> Ru
     return run
 
 
-def page_of(run: Run) -> html.HtmlElement:
-    page = report_page(run.folder, domain=run.settings.domain)
+def page_of(run: StoredRun) -> html.HtmlElement:
+    page = report_page(read_run(run.folder, domain=run.settings.domain))
     return html.document_fromstring(page.decode())
 
 
 @pytest.fixture(scope="module")
-def rounds(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def rounds(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
     folder = tmp_path_factory.mktemp("rounds") / "walks"
     return trained(folder, "walking:Walking", lambda t: train_until(t, Goal(rounds=1)))
 
 
 @pytest.fixture(scope="module")
-def page(rounds: Run) -> html.HtmlElement:
+def page(rounds: StoredRun) -> html.HtmlElement:
     return page_of(rounds)
 
 
 @pytest.fixture(scope="module")
-def result(rounds: Run) -> dict[str, Any]:
+def result(rounds: StoredRun) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((rounds.folder / "auto-1" / "result.json").read_text())
     return found
 
@@ -73,7 +73,7 @@ def test_nobody_else_is_beside_the_run(page: html.HtmlElement, result: dict[str,
     assert f"{result['targets_succeeded']} of {result['targets']} to solve, solved now" in said
 
 
-def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: Run) -> None:
+def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: StoredRun) -> None:
     stage = page.get_element_by_id("stage-1")
     known = json.loads((rounds.folder / "auto-1" / "scenarios.json").read_text())
     counts = f"{len(known['W'])} scenarios solved, {len(known['M'])} missed."
@@ -98,7 +98,7 @@ def test_it_was_searched_in_the_world(page: html.HtmlElement) -> None:
     assert "There are no models" not in words(page)
 
 
-def test_the_course_is_one_of_returns(page: html.HtmlElement, rounds: Run) -> None:
+def test_the_course_is_one_of_returns(page: html.HtmlElement, rounds: StoredRun) -> None:
     """What an unfinished episode is worth is on no axis."""
     evolution = page.get_element_by_id("evolution")
     said = [words(text) for text in evolution.iter("text")]
@@ -122,7 +122,9 @@ def test_the_commands_name_the_domain(page: html.HtmlElement) -> None:
     assert "gymnasium" not in text
 
 
-def test_the_final_table_has_no_column_for_others(rounds: Run, result: dict[str, Any]) -> None:
+def test_the_final_table_has_no_column_for_others(
+    rounds: StoredRun, result: dict[str, Any]
+) -> None:
     title, head, *_, last = final_text([result], rounds.domain).splitlines()
     assert title == "Scenarios solved"
     assert head.split() == [

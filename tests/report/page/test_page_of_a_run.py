@@ -15,13 +15,13 @@ from report_pages import REFERENCE, STAGES, final_text, parsed, thinned, words
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.report.page import report_page
-from cgtorch.runs.run import open_run
 from cgtorch.runs.storage import load_models, load_scenarios
+from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.published import EXPERIMENTS
 from cgtorch.tabletop.table_picture import MOST_MARKS
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
-RUN = open_run(REFERENCE)
+RUN = read_run(REFERENCE)
 SUMMARY = json.loads((REFERENCE / "summary.json").read_text())
 
 
@@ -319,7 +319,7 @@ def test_commands_name_the_run_as_it_was_named(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_same_run_is_the_same_page(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "run", "S0")
-    assert report_page(folder) == report_page(folder)
+    assert report_page(read_run(folder)) == report_page(read_run(folder))
 
 
 def test_the_last_result_of_the_paper_names_its_stage(page: html.HtmlElement) -> None:

@@ -16,8 +16,8 @@ from cgtorch.report.page.contents import read_contents
 from cgtorch.report.page.course import course_of
 from cgtorch.report.page.event_files import read_event_files
 from cgtorch.report.page.reproduce import changes_of, training_commands
-from cgtorch.runs.run import Run, open_run
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 
 SLOW = "CGTORCH_NATIVE=0"
@@ -48,7 +48,7 @@ def test_what_was_done_again_is_told_once(tmp_path: Path) -> None:
 
 
 def test_the_course_of_the_reference_run() -> None:
-    contents = read_contents(REFERENCE)
+    contents = read_contents(read_run(REFERENCE))
     course = course_of(contents)
     assert course is not None
     counts = {s.name: s.result["generations"] for s in contents.stages}
@@ -102,11 +102,11 @@ def test_the_command_gives_the_settings(
     assert TabletopSettings(**theirs) == own
 
 
-def with_stages(folder: Path, *names: str) -> Run:
+def with_stages(folder: Path, *names: str) -> StoredRun:
     for name in names:
         (folder / name).mkdir()
         (folder / name / "skill.json").write_text("{}")
-    return open_run(folder)
+    return read_run(folder)
 
 
 def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_another_robot_and_actions_are_named(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "it's", "S0", models=False, events=False)
     path = folder / "robot" / "robot.json"
     path.write_text(path.read_text() + "\n")
-    (line,) = training_commands(open_run(folder), {}, {})
+    (line,) = training_commands(read_run(folder), {}, {})
     values, _ = options(line)
     assert str(values["urdf"]) == "it's/robot/robot.urdf"
     assert str(values["robot"]) == "it's/robot/robot.json"

@@ -15,6 +15,7 @@ from torch.utils.tensorboard import SummaryWriter
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.stored_run import read_run
 from cgtorch.svm.storage import notes_of
 
 
@@ -147,14 +148,14 @@ def test_damaged_files_are_named(tmp_path: Path, file: str, values: dict[str, An
     folder = thinned(tmp_path / "run", "S0", events=False, models=False)
     changed(folder / file, **values)
     with pytest.raises(CgtorchError):
-        report_page(folder)
+        report_page(read_run(folder))
 
 
 def test_a_list_for_an_object(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "run", "S0", events=False, models=False)
     rewrite(folder / "summary.json", [1])
     with pytest.raises(RunError, match=r"summary\.json' holds no object; restore the file"):
-        report_page(folder)
+        report_page(read_run(folder))
 
 
 @pytest.mark.parametrize(
@@ -182,4 +183,4 @@ def test_damaged_reports_of_models(tmp_path: Path, model: str, values: dict[str,
     header["report"] |= values
     path.write_bytes(save(load(data), metadata={"cgtorch": json.dumps(header)}))
     with pytest.raises(RunError, match="damaged"):
-        report_page(folder)
+        report_page(read_run(folder))

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from cgtorch.actions import paper_actions
 from cgtorch.graphs import Graphs, Skill
-from cgtorch.runs.run import Run
 from cgtorch.runs.skills import last_skill
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.viewer.execution import execute
@@ -30,7 +30,7 @@ COUNT = 4
 
 
 @cache
-def opened() -> tuple[Run, Skill]:
+def opened() -> tuple[StoredRun, Skill]:
     return last_skill(REFERENCE)
 
 

@@ -36,6 +36,7 @@ from cgtorch.domains.registry import (
     make_domain,
     make_driver,
     settings_class,
+    spec_of,
 )
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.environment import ScenarioBatch
@@ -53,7 +54,7 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True)
-class Run:
+class StoredRun:
     """An open run: its folder, settings, domain, and primitive actions.
 
     `repeats` is whether the domain says that its world repeats itself, and it was not seen to
@@ -118,8 +119,12 @@ def versions() -> dict[str, str]:
 
 
 def planned_run(
-    folder: Path, settings: RunSettings, domain_settings: Any = None, anew: bool = False
-) -> Run:
+    folder: Path,
+    settings: RunSettings,
+    domain_settings: Any = None,
+    anew: bool = False,
+    domain: Domain[Any] | None = None,
+) -> StoredRun:
     """A run that `write_run` can begin in an empty or new folder; nothing is written.
 
     Args:
@@ -127,14 +132,16 @@ def planned_run(
         settings: The settings of the run.
         domain_settings: The domain's settings; their defaults by default.
         anew: Whether the folder may contain a run that has `only_begun`.
+        domain: The domain; made from the settings by default.
 
     Raises:
         DomainError: The domain cannot be made, or breaks its interface.
         ActionError: An action cannot be found.
         RunError: The folder contains other things.
     """
-    check_options(settings.domain, NAMES)
-    domain = make_domain(settings.domain, domain_settings)
+    if domain is None:
+        check_options(settings.domain, NAMES)
+        domain = make_domain(settings.domain, domain_settings)
     run = _checked(folder, settings, domain, settings.driver)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
@@ -148,7 +155,7 @@ def only_begun(folder: Path) -> bool:
     return all(p.name == "run.json" or ".tfevents." in p.name for p in folder.iterdir())
 
 
-def write_run(run: Run) -> None:
+def write_run(run: StoredRun) -> None:
     """Write the folder of a planned run; RunError if it cannot be written."""
     folder = run.folder
     with writing(folder):
@@ -166,19 +173,19 @@ def write_run(run: Run) -> None:
         write_json(new / "run.json", about)
 
 
-def open_run(
+def read_run(
     folder: Path,
     trusted: Sequence[str] = (),
-    domain: str | None = None,
+    domain: str | Domain[Any] | None = None,
     driver: str | None = None,
-) -> Run:
+) -> StoredRun:
     """Open a run.
 
     Args:
         folder: The folder of the run.
         trusted: "package.module:Class" of actions that may be imported. A name in a file is never
             enough to import code.
-        domain: "package.module:Class" of the domain, if it is your own code; else None.
+        domain: The domain, or its "package.module:Class", if it is your own code; else None.
         driver: "package.module:Class" of the robot's driver, to act; None to leave the robot alone.
 
     Raises:
@@ -189,9 +196,10 @@ def open_run(
     """
     about = read_about(folder)
     settings = from_plain(RunSettings, about.get("settings"))
-    if domain is not None and domain != settings.domain:
+    named = domain if domain is None or isinstance(domain, str) else spec_of(domain)[0]
+    if named is not None and named != settings.domain:
         raise DomainError(
-            f"run {str(folder)!r} is about domain {settings.domain!r}, not {domain!r}; give "
+            f"run {str(folder)!r} is about domain {settings.domain!r}, not {named!r}; give "
             "that, or another --run-dir for a new run"
         )
     if is_code(settings.domain) and domain is None:
@@ -216,6 +224,8 @@ def open_run(
             f"run {str(folder)!r} was begun with {began}, not {driver!r}; give that, or another "
             "--run-dir for a new run"
         )
+    if isinstance(domain, Domain):
+        return _checked(folder, settings, domain, driver or "")
     own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
     read = domain_class(settings.domain).read(own, folder)
     return _checked(folder, settings, read, driver or "")
@@ -228,7 +238,7 @@ def read_about(folder: Path) -> dict[str, Any]:
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 
-def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: str) -> Run:
+def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: str) -> StoredRun:
     """The run, after a dry run of its domain, and of its actions unless the library made both.
 
     With a `driver`, the world is a robot, of which nothing is asked here.
@@ -242,7 +252,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     if driver:
         domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
     elif isinstance(domain, DriverDomain):
-        return Run(folder, settings, domain, domain.actions(), repeats=False)
+        return StoredRun(folder, settings, domain, domain.actions(), repeats=False)
     repeats = check_domain(domain, kind)
     sizes = len(domain.percept), len(domain.control)
     actions = resolve_actions(settings.actions, domain.actions(), sizes)
@@ -254,7 +264,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
         for name, action in own.items():
             _check_sizes(name, action, *sizes)
             check_action(name, action, world)
-    run = Run(folder, settings, domain, actions, repeats)
+    run = StoredRun(folder, settings, domain, actions, repeats)
     if run.learns and domain.rewarded:
         raise SettingsError(
             f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "

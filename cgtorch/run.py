@@ -1,0 +1,182 @@
+"""Training from Python, and what one does with a run; the commands stand on the same functions."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from cgtorch.domains.live import driver_of
+from cgtorch.domains.registry import make_domain, settings_class, spec_of, spec_of_class
+from cgtorch.domains.settings import known_options
+from cgtorch.graphs import Skill, load_skill
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.files import write_bytes
+from cgtorch.ground.json_lines import JsonLines
+from cgtorch.report import ProgressDisplay
+from cgtorch.runs.ledger import read_index
+from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.storage import load_result
+from cgtorch.runs.stored_run import LOG, StoredRun, read_run
+from cgtorch.session import Request, UserWatch, begun, carry_out, prepared, resumed
+from cgtorch.training.evaluate import Score, evaluate_skill
+
+if TYPE_CHECKING:
+    from cgtorch.actions import Action
+    from cgtorch.domains.domain import Domain
+    from cgtorch.domains.robot_driver import RobotDriver
+
+
+class Run(StoredRun):
+    """A run: its folder, settings, domain and actions, its skills, and what happened."""
+
+    @classmethod
+    def of(cls, run: StoredRun) -> Self:
+        """The same run, with what one can do with it."""
+        return cls(**vars(run))
+
+    @property
+    def skill(self) -> Skill:
+        """The last accepted skill; RunError if there is none yet."""
+        if not self.stages:
+            raise RunError(f"run {str(self.folder)!r} has no skill yet; resume it")
+        return self.skills[self.stages[-1]]
+
+    @property
+    def skills(self) -> dict[str, Skill]:
+        """The skill of each finished stage or round, by its name, in order."""
+        files = {name: self.folder / name / "skill.json" for name in self.stages}
+        return {name: load_skill(path, self.actions) for name, path in files.items()}
+
+    @property
+    def results(self) -> list[dict[str, Any]]:
+        """The result of each finished stage or round, in order."""
+        return [load_result(self.folder / name / "result.json") for name in self.stages]
+
+    @property
+    def ledger(self) -> list[dict[str, Any]]:
+        """A row for each accepted skill, with the evidence for eq. 1."""
+        return read_index(self.folder)
+
+    def log(self) -> list[dict[str, Any]]:
+        """What happened, a row each, as `pandas.DataFrame` takes them (`cgtorch.runs.log`)."""
+        return list(JsonLines(self.folder / LOG).rows())
+
+    def evaluate(
+        self,
+        count: int = 1000,
+        scenarios: str | None = None,
+        seed: int = 0,
+        skill: Skill | None = None,
+    ) -> Score:
+        """Try a skill, by default the last one, on fresh scenarios of a kind in the world."""
+        skill = self.skill if skill is None else skill
+        return evaluate_skill(skill, self.domain, scenarios or self.kind, count, seed)
+
+    def report(self, path: Path | str) -> None:
+        """Write the run as one HTML page."""
+        from cgtorch.report.page import report_page
+
+        write_bytes(Path(path), report_page(self))
+
+    def resume(
+        self,
+        stage: str | None = None,
+        *,
+        watch: UserWatch | None = None,
+        quiet: bool = False,
+        **overrides: Any,
+    ) -> Self:
+        """Continue the run, to its own stage or goal, or to others; returns the run afterwards.
+
+        `overrides` are settings to continue with, or `target`, `minutes`, `rounds`, `budget`,
+        `device` and `checkpoint_seconds` as for `train`.
+        """
+        request, rest = Request.taken_from({"stage": stage, **overrides})
+        settings = resumed(self, rest, rest)
+        with ProgressDisplay(quiet=quiet) as display:
+            carry_out(prepared(self, settings, request), display, watch)
+        return type(self).of(read_run(self.folder, self.settings.actions, self.domain))
+
+
+def make(name: str, **settings: Any) -> "Domain[Any]":
+    """A domain by the name that it has on the command line, with its own settings.
+
+    DomainError if there is none, SettingsError for a setting that it does not have.
+    """
+    kind = settings_class(name)
+    return make_domain(name, kind(**known_options(kind, settings)))
+
+
+def train(
+    domain: "str | Domain[Any] | type[Domain[Any]] | type[RobotDriver]" = "tabletop",
+    folder: Path | str | None = None,
+    *,
+    stage: str | None = None,
+    target: float | None = None,
+    actions: "Sequence[str | type[Action]]" = (),
+    watch: UserWatch | None = None,
+    quiet: bool = False,
+    **settings: Any,
+) -> Run:
+    """Train a run, or continue it if `folder` has it: what `cgtorch-train` does.
+
+    Args:
+        domain: A domain, a class of one or of a `RobotDriver`, or a name as on the command line.
+        folder: The folder of the run; runs/seed-N by default.
+        stage: The last stage to make, or "auto" for rounds until the target is reached.
+        target: The share of fresh scenarios to solve, or the mean return to reach, in rounds.
+        actions: More actions for graphs: classes, or names as on the command line.
+        watch: Receives every event (`cgtorch.improvement.events`), with the champion of each
+            generation; the run stops if it returns True.
+        quiet: Whether to show no progress.
+        settings: Settings of the run and of the domain (docs/settings.md), and `minutes`, `rounds`,
+            `budget` (such as {"motions": 300}), `device` and `checkpoint_seconds`.
+
+    Returns:
+        The run, which may have stopped before its goal.
+
+    Raises:
+        CgtorchError: Something given cannot work; the message says what and what to do.
+    """
+    spec, made = spec_of(domain)
+    kind = settings_class(spec) if made is None else type(made.settings)
+    rewarded = "target_return" in {f.name for f in fields(kind)}
+    aim = {"target_return" if rewarded else "target": target}
+    request, rest = Request.taken_from({"stage": stage, **aim, **settings})
+    own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
+    if made is not None and own:
+        name = next(iter(own))
+        raise SettingsError(
+            f"{name} is a setting of the domain, which is made already; set it there"
+        )
+    rest |= {"actions": tuple(spec_of_class(each) for each in actions), "domain": spec}
+    rest.setdefault("driver", driver_of(spec) if made is None else "")
+    run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
+    place = Path("runs") / f"seed-{run_settings.seed}" if folder is None else Path(folder)
+    domain_settings = kind(**own) if made is None else made.settings
+    with ranks.together():
+        run = begun(place, run_settings, domain_settings, request, made)
+        with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+            carry_out(prepared(run, run_settings, request), display, watch)
+    return Run.of(run)
+
+
+def open_run(
+    folder: Path | str,
+    domain: "str | Domain[Any] | type[Domain[Any]] | None" = None,
+    actions: "Sequence[str | type[Action]]" = (),
+) -> Run:
+    """Open a run.
+
+    Args:
+        folder: The folder of the run.
+        domain: The run's domain if it is your own: an object, its class, or its name.
+        actions: The run's actions that are your own, as a file never names code to import.
+
+    Raises:
+        CgtorchError: There is no run, it is damaged, or something of it is not given.
+    """
+    spec, made = (None, None) if domain is None else spec_of(domain)
+    trusted = tuple(spec_of_class(each) for each in actions)
+    return Run.of(read_run(Path(folder), trusted, made or spec))

@@ -1,0 +1,338 @@
+"""From what is asked of a run to its result: begin or continue it, and write its files."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Self, TypeAlias
+
+import torch
+
+from cgtorch import native
+from cgtorch.domains.domain import Domain
+from cgtorch.domains.settings import DomainSettings, known_options, to_plain
+from cgtorch.environment.asked import NAMES as ASKED
+from cgtorch.environment.asked import Purse
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.counted_work import listening
+from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.json_lines import JsonLines
+from cgtorch.improvement.events import Event, Watch
+from cgtorch.native.gpu import launcher_of
+from cgtorch.report import ProgressDisplay, TensorBoardWatch
+from cgtorch.runs.goal import Goal
+from cgtorch.runs.journal import SECONDS, recalled_generations
+from cgtorch.runs.log import LogWatch
+from cgtorch.runs.resume_settings import (
+    TakenOver,
+    goes_on_to,
+    overridden,
+    refuse_others,
+    remember_goal,
+    take_over,
+)
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.storage import load_result
+from cgtorch.runs.stored_run import (
+    AUTO,
+    LOG,
+    StoredRun,
+    only_begun,
+    planned_run,
+    read_run,
+    write_run,
+)
+from cgtorch.simulation.compiled_actions import WITH_MEMORY
+from cgtorch.training.auto import train_until
+from cgtorch.training.context import Training
+from cgtorch.training.given_data import given_data
+from cgtorch.training.stages import stages_to_make
+from cgtorch.training.train import finished_generations, train
+
+WORTH_A_GPU = 4000
+"""Population size from which a GPU is faster than the CPU (docs/decisions/engine.md)."""
+
+UserWatch: TypeAlias = Callable[[Event], object]
+"""Receives every event of a training. If it returns True, the run stops and can be resumed."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a run besides its settings.
+
+    Attributes:
+        stage: The last stage to make, "auto" for rounds, or None for the usual one.
+        goal: What is given of the goal of rounds, by name.
+        budget: The largest numbers of what may be asked of the world, by name.
+        device: Where populations are evaluated: "cpu", "cuda", "cuda:N", or "auto" for the fastest.
+        checkpoint_seconds: Seconds between two checkpoints of an evolution.
+    """
+
+    stage: str | None = None
+    goal: Mapping[str, Any] = field(default_factory=dict)
+    budget: Mapping[str, float] = field(default_factory=dict)
+    device: str = "auto"
+    checkpoint_seconds: float = SECONDS
+
+    def __post_init__(self) -> None:
+        """SettingsError for a goal, a device or a budget that cannot be used."""
+        Goal(**known_options(Goal, self.goal))
+        if self.device != "auto":
+            device_named(self.device)
+        for name, limit in self.budget.items():
+            if name not in ASKED or not limit >= 0:
+                raise SettingsError(
+                    f"budget {name}={limit} is no limit; give numbers of {', '.join(ASKED)}"
+                )
+
+    @classmethod
+    def taken_from(cls, values: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """The request in these values by name, None for what is not asked, and the others."""
+        own, aims = [f.name for f in fields(cls)], [f.name for f in fields(Goal)]
+        given = {name: value for name, value in values.items() if value is not None}
+        goal = {name: given.pop(name) for name in aims if name in given}
+        if goal and "stage" not in given:
+            given["stage"] = AUTO
+        asked = {name: given.pop(name) for name in own if name in given and name != "goal"}
+        return cls(goal=goal, **asked), given
+
+
+@dataclass(frozen=True)
+class Work:
+    """A run that is about to be trained: to which stage or goal, where, and what has changed."""
+
+    run: StoredRun
+    stage: str
+    goal: Goal
+    taken: TakenOver
+    request: Request
+    new: bool
+
+    @property
+    def auto(self) -> bool:
+        """Whether it is trained in rounds, until the goal is reached."""
+        return self.stage == AUTO
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the work: the results of stages and rounds, and what the world was asked."""
+
+    work: Work
+    results: list[dict[str, Any]]
+    purse: Purse
+    stopped: bool = False
+
+
+class _StopTraining(BaseException):
+    """The user's watch has asked for the end."""
+
+
+def begun(
+    folder: Path,
+    settings: RunSettings,
+    domain_settings: DomainSettings,
+    request: Request,
+    domain: Domain[Any] | None = None,
+) -> StoredRun:
+    """A new run, or the one in `folder` if it has the same settings or has produced nothing yet."""
+    given = {**to_plain(settings), **to_plain(domain_settings)}
+    new = ranks.broadcast(not (folder / "run.json").is_file())
+    about = settings.actions, domain or settings.domain, settings.driver or None
+    run = None if new else read_run(folder, *about)
+    if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
+        # On every rank, as they share what the world has to compute.
+        run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
+        _stage(run, request, {})
+        if settings.data:
+            given_data(run)  # what is wrong with the files is said before anything is written
+        ranks.wait()  # all have seen the folder before anyone writes
+        if ranks.first():
+            write_run(run)
+        ranks.wait()
+    refuse_others(run, given, "choose another --run-dir")
+    return run
+
+
+def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, Any]) -> RunSettings:
+    """The settings under which a run continues. Given ones must equal them, except `overrides`."""
+    if run.stages and run.learns and not (run.folder / "start").is_dir():
+        raise RunError(
+            f"run {str(run.folder)!r} is stored without its data and models, and cannot continue "
+            "without them; train a new run with --run-dir"
+        )
+    settings = overridden(run, overrides)
+    rest = {name: value for name, value in given.items() if name not in overrides}
+    refuse_others(run, rest, "leave it out")
+    return settings
+
+
+def prepared(run: StoredRun, settings: RunSettings, request: Request) -> Work:
+    """The work that is asked for, by default that for which the run was begun."""
+    stage, goal = _asked(run, request)
+    taken = take_over(run, settings, stage)
+    made = (taken.run.folder / name for name in ("start", "journal"))
+    new = not taken.run.stages and not any(path.exists() for path in made)
+    return Work(taken.run, stage, goal, taken, request, new)
+
+
+def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = None) -> Outcome:
+    """Train the run, and write its log and TensorBoard's files.
+
+    Raises:
+        NotImprovedError: A stage or round ended without a skill.
+        RunError: A file cannot be written or read.
+    """
+    run, auto = work.run, work.auto
+    with _one_thread_each():
+        if native.to_be_compiled():
+            with display.working("compiling the engine for this CPU (once)"):
+                native.available()
+        for line in (*_earlier_stages(work), *_changes(work.taken)):
+            display.say(line)
+        settled = run.all_settings() | (vars(work.goal) if auto else {})
+        purse, stopped = Purse(work.request.budget), False
+        with listening(display.counted), _board(run, settled) as board:
+            log = LogWatch(JsonLines(run.folder / LOG)) if ranks.first() else board
+
+            def told(event: Event) -> None:
+                board(event)
+                log(event)
+                display(event)
+                if watch is not None and watch(event) is True:
+                    raise _StopTraining
+
+            device = _device(work, display)
+            about = display.working, device, work.request.checkpoint_seconds, purse
+            training = Training(run, told, *about)
+            try:
+                found = train_until(training, work.goal) if auto else train(training, work.stage)
+            except _StopTraining:
+                stopped = True
+                found = [load_result(run.folder / name / "result.json") for name in run.stages]
+    return Outcome(work, found, purse, stopped)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """A context in which torch uses one thread, as the tensors of a generation are too small."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    native.use_threads(ranks.cores())
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _device(work: Work, display: ProgressDisplay) -> torch.device:
+    """The device that is asked for; SettingsError if it cannot be used."""
+    name = work.request.device
+    return fastest_device(work.run, display) if name == "auto" else device_named(name)
+
+
+def device_named(name: str) -> torch.device:
+    """The device with that name; SettingsError if it cannot be used."""
+    # Each rank of a machine has its own.
+    number = f":{os.environ['LOCAL_RANK']}" if name == "cuda" and "LOCAL_RANK" in os.environ else ""
+    try:
+        device = torch.device(name + number)
+        torch.zeros(1, device=device).item()  # which the meta device refuses
+    except (RuntimeError, AssertionError) as e:
+        raise SettingsError(f"device {name!r} cannot be used; give auto, cpu or cuda") from e
+    return device
+
+
+def fastest_device(run: StoredRun, display: ProgressDisplay) -> torch.device:
+    """A GPU, if its kernels support the run and the population is large; else the CPU.
+
+    If there is a GPU, the choice is shown. Actions without a kernel run as torch operations on a
+    GPU, which are slower than the CPU.
+    """
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    gpu, population = torch.device("cuda"), run.settings.population
+    actions = run.actions.actions
+    known = all(a.native_kind and a.native_kind not in WITH_MEMORY for a in actions)
+    known &= ranks.count() == 1
+    name, why, other = "cpu", f"is as fast as a GPU for a population of {population}", "cuda"
+    if not known or launcher_of(gpu) is None:
+        why = "is faster, as a GPU has no kernels for this run"
+    elif population >= WORTH_A_GPU:
+        name, why, other = "cuda", f"is faster for a population of {population}", "cpu"
+    display.say(f"device: {name}, which {why}; --device {other} selects the other one")
+    return torch.device(name)
+
+
+def _asked(run: StoredRun, request: Request) -> tuple[str, Goal]:
+    """The stage and goal that are asked for; by default those for which the run was begun."""
+    before = goes_on_to(run)
+    stage, goal = _stage(run, request, before), Goal(**request.goal)
+    if request.stage is None and isinstance(before.get("goal"), dict):
+        try:
+            goal = Goal(**{**before["goal"], **request.goal})
+        except TypeError as e:
+            raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
+    remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
+    return stage, goal
+
+
+def _stage(run: StoredRun, request: Request, before: Mapping[str, Any]) -> str:
+    """The stage to make, by default that of the run; SettingsError for a goal without auto."""
+    stage = request.stage
+    if stage is None:
+        stage = str(before.get("stage") or type(run.domain.settings).usual_stage)
+    if stage != AUTO:
+        if request.goal:
+            raise SettingsError(
+                f"--target, --minutes and --rounds are for --stage {AUTO}; add that or leave them "
+                "out"
+            )
+        stages_to_make(run, stage)
+    return stage
+
+
+def _earlier_stages(work: Work) -> Iterator[str]:
+    """The stages that are made first, though others were asked for."""
+    missing = [s for s in work.run.domain.stages if s not in work.run.stages]
+    if not (work.new or work.auto) and work.stage in missing[1:]:
+        earlier = ", ".join(missing[: missing.index(work.stage)])
+        made = "is made" if work.stage == missing[1] else "are made"
+        yield f"{work.stage} builds on {earlier}, which {made} first"
+
+
+def _changes(taken: TakenOver) -> Iterator[str]:
+    """The changes under which a run continues."""
+    again = f"; {taken.before} begins again" if taken.set_aside else f" from {taken.before} on"
+    versions = [name for name in ("cgtorch", "torch", "engine") if name in taken.changed]
+    for name in (n for n in taken.changed if n not in versions):
+        was, now = taken.changed[name]
+        yield f"{name} is {now} instead of {was}{again}"
+    if versions:
+        was, now = (
+            " and ".join(f"{name} {taken.changed[name][i]!s:.20}" for name in versions)
+            for i in (0, 1)
+        )
+        yield (
+            f"run {taken.run.folder} was made with {was} so far, this is {now}: finished stages "
+            f"stay, later results may differ from those of {was}{again}"
+        )
+    if taken.set_aside:
+        yield f"the unfinished work on {taken.before} is in {taken.run.folder / taken.set_aside}"
+
+
+def _board(run: StoredRun, settings: dict[str, Any]) -> AbstractContextManager[Watch]:
+    """A context that writes the run's TensorBoard files, on the first rank."""
+    if not ranks.first():
+        return nullcontext(lambda event: None)
+    recalled = recalled_generations(run.folder)
+    models = int((run.folder / "start").is_dir())
+    return TensorBoardWatch(
+        run.folder,
+        settings,
+        models + finished_generations(run) + len(run.stages) + recalled,
+        recalled=recalled,
+        actions=run.actions,
+        draw_scenarios=run.domain.draw_scenarios,
+    )

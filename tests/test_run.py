@@ -1,0 +1,144 @@
+"""Training from Python: a run as an object, the same as by the command."""
+
+import importlib.util
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from click.testing import CliRunner
+
+import cgtorch
+from cgtorch.commands.train import command
+from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsError
+from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
+
+SMALL: dict[str, Any] = {"population": 40, "generations": 10, "labels": 0, "practice": 10}
+CART = Path(__file__).parents[1] / "examples" / "cart.py"
+
+
+@pytest.fixture(scope="module")
+def cart() -> Iterator[Any]:
+    """The module of the example's cart, as one that a program has imported."""
+    about = importlib.util.spec_from_file_location("a_cart", CART)
+    assert about is not None
+    assert about.loader is not None
+    module = importlib.util.module_from_spec(about)
+    sys.modules["a_cart"] = module
+    about.loader.exec_module(module)
+    yield module
+    del sys.modules["a_cart"]
+
+
+def trained(domain: Any, folder: Path, **more: Any) -> cgtorch.Run:
+    return cgtorch.train(domain, folder, quiet=True, rounds=1, **{**SMALL, **more})
+
+
+def test_a_run_from_python_is_that_of_the_command(tmp_path: Path) -> None:
+    run = cgtorch.train("tabletop", tmp_path / "a", stage="S0", quiet=True, seed=3, **SMALL)
+    options = [f"--{name}={value}" for name, value in SMALL.items()]
+    words = ["--stage", "S0", "--seed=3", f"--run-dir={tmp_path / 'b'}", *options]
+    assert CliRunner().invoke(command, words).exit_code == 0
+    other = cgtorch.open_run(tmp_path / "b")
+    assert run.all_settings() == other.all_settings()
+    assert torch.equal(run.skill.graph.parameters, other.skill.graph.parameters)
+    assert [row["event"] for row in run.log()] == [row["event"] for row in other.log()]
+
+
+def test_a_run_tells_all_that_it_has(cart: Any, tmp_path: Path) -> None:
+    run = trained(cart.Cart, tmp_path / "run")
+    assert run.stages == ("auto-1",)
+    assert list(run.skills) == ["auto-1"]
+    assert run.skill.name == run.ledger[-1]["name"] == "auto-1"
+    assert run.results[0]["stage"] == "auto-1"
+    score = run.evaluate(50, seed=4)
+    assert score.tried == 50
+    assert score.successes == run.evaluate(50, seed=4, skill=run.skills["auto-1"]).successes > 25
+    run.report(tmp_path / "page.html")
+    assert b"auto-1" in (tmp_path / "page.html").read_bytes()
+    assert run.log()[0]["event"] == "asked"
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda cart: cart.Cart,
+        lambda cart: cart.Cart(),
+        lambda cart: "a_cart:Cart",
+        lambda cart: type("Local", (cart.Cart,), {"__qualname__": "f.<locals>.Local"}),
+    ],
+    ids=["class", "object", "name", "class within a function"],
+)
+def test_a_domain_is_an_object_a_class_or_a_name(
+    cart: Any, made: Callable[[Any], Any], tmp_path: Path
+) -> None:
+    domain = made(cart)
+    run = trained(domain, tmp_path / "run")
+    opened = cgtorch.open_run(tmp_path / "run", domain)
+    assert opened.skill.num_nodes == run.skill.num_nodes
+    with pytest.raises(CgtorchError, match="code of its own"):
+        cgtorch.open_run(tmp_path / "run")
+
+
+def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(cart: Any, tmp_path: Path) -> None:
+    """The run that was stopped goes on to the same skill."""
+    told: list[Event] = []
+
+    def until_fourth(event: Event) -> bool:
+        told.append(event)
+        return sum(isinstance(each, GenerationDone) for each in told) == 4
+
+    run = trained(cart.Cart(), tmp_path / "run", watch=until_fourth)
+    assert not run.stages
+    generations = [each.generation for each in told if isinstance(each, GenerationDone)]
+    assert [len(each.champion) for each in generations] == [1] * 4
+    with pytest.raises(RunError, match="has no skill yet"):
+        _ = run.skill
+    run = run.resume(quiet=True, watch=told.append)
+    assert any(isinstance(event, SkillAccepted) for event in told)
+    whole = trained(cart.Cart(), tmp_path / "other")
+    assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
+
+
+def test_a_run_resumes_with_more(cart: Any, tmp_path: Path) -> None:
+    run = trained(cart.Cart(), tmp_path / "run")
+    more = run.resume(quiet=True, rounds=2, target=0.999, population=41)
+    assert more.settings.population == 41
+    assert len(more.stages) >= 1
+    with pytest.raises(SettingsError, match=r"seed 0 of run .* cannot become 5"):
+        run.resume(quiet=True, seed=5)
+
+
+def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
+    domain = cgtorch.make("tabletop", position_noise=0.01)
+    assert domain.settings.position_noise == 0.01
+    with pytest.raises(SettingsError, match="robot is a setting of the domain, which is made"):
+        cgtorch.train(domain, tmp_path / "run", robot="fetch")
+    cartpole = cgtorch.make("gymnasium:CartPole-v1", target_return=100.0)
+    assert math.isclose(cartpole.target_return, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"populaton": 3}, SettingsError, "unknown setting 'populaton'; did you mean 'population'"),
+        ({"position_nose": 3}, SettingsError, "did you mean 'position_noise'"),
+        ({"population": "many"}, SettingsError, "population is 'many'; give a whole number"),
+        ({"target": 2.0}, SettingsError, "target is 2.0; give a number from 0.5"),
+        ({"budget": {"grasps": 3}}, SettingsError, "budget grasps=3 is no limit"),
+        ({"device": "abacus"}, SettingsError, "device 'abacus' cannot be used"),
+        ({"stage": "S9"}, SettingsError, "unknown stage 'S9'"),
+        ({"domain": 3}, DomainError, "domain is 3; give a name"),
+        ({"domain": "table"}, DomainError, "unknown domain 'table'"),
+        ({"actions": ["Fly"]}, CgtorchError, "unknown action 'Fly'"),
+    ],
+)
+def test_what_cannot_work_is_said_before_anything_is_written(
+    given: dict[str, Any], error: type[CgtorchError], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(error, match=message):
+        cgtorch.train(**{"domain": "tabletop", "folder": tmp_path / "run", "quiet": True, **given})
+    assert not (tmp_path / "run").exists()
