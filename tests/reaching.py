@@ -49,7 +49,7 @@ TABLE = Reaching(robot=BASE, networks="percept")
 
 def fitted_to(data: Dataset) -> Knowledge:
     """The tabletop's models of these data."""
-    return fit_models(TABLE, data, 0, lambda gamma: None)[0]
+    return fit_models(TABLE, data, 0)
 
 
 @cache

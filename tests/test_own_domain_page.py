@@ -40,7 +40,7 @@ def explored(domain: Domain[Any], most: int) -> Dataset:
         return domain.world(domain.draw(kind, count, generator))
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0, lambda _: None, alone=True)[0]
+        return fit_models(domain, data, 0)
 
     about = domain.usual_kind, worlds, fit, most, 2, generator, Purse()
     return domain.explore(Exploration(*about))

@@ -16,7 +16,7 @@ from cgtorch.commands.train import command
 from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsError
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
-SMALL: dict[str, Any] = {"population": 40, "generations": 10, "labels": 0, "practice": 10}
+SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
 CART = Path(__file__).parents[1] / "examples" / "cart.py"
 
 

@@ -34,7 +34,6 @@ SMALL = RunSettings(
     attempts=5,
     practice=4,
     transitions=200,
-    labels=240,
 )
 STAGE = "S1"
 

@@ -29,8 +29,8 @@ SMALL = [
     *("--checkpoint-seconds", "0.5", "--quiet"),
 ]
 SIZES = {
-    "kinematic": ["--practice", "10", "--transitions", "300", "--labels", "600"],
-    "mujoco": ["--practice", "4", "--transitions", "100", "--labels", "200"],
+    "kinematic": ["--practice", "10", "--transitions", "300"],
+    "mujoco": ["--practice", "4", "--transitions", "100"],
 }
 """Of the runs, by the world that they are made in."""
 TIMES = ("seconds", "search_seconds")

@@ -29,13 +29,11 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
-from cgtorch.domains.summary import summary_of
 from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.environment import Dataset, Environment, Rewarded, ScenarioBatch
 from cgtorch.environment.fields import Field
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping
 from cgtorch.simulation.model import anything
@@ -101,9 +99,6 @@ class Domain(ABC, Generic[S]):
         models: "learned" if skills are evolved in Γ and C, "none" if in the world itself.
         published: Published results by stage, or under "" for all scenarios together.
         publisher: The authors of these results.
-        fresh_tests: What the tests of the first models in `summary` are about, by the prefix of
-            their tags, such as "gamma/fresh_x" for tags with _error and _floor, or "classifier/x"
-            for tags with _accuracy and _possible.
         solved: The word for a solved scenario, and for several of them.
         specialists: How missed scenarios are assigned to specialists.
     """
@@ -120,7 +115,6 @@ class Domain(ABC, Generic[S]):
     models: str = "learned"
     published: ClassVar[Mapping[str, Published]] = {}
     publisher: ClassVar[str] = "published"
-    fresh_tests: ClassVar[Mapping[str, str]] = {}
     solved: ClassVar[tuple[str, str]] = ("solved", "Scenarios solved")
     specialists: Specialists = Specialists()
 
@@ -214,22 +208,6 @@ class Domain(ABC, Generic[S]):
         """C fitted to the tests of success, with hyper-parameters from cross-validation."""
         model = self._success_classifier()
         return fit_success_classifier(model, data.tested, data.succeeded, seed=seed)
-
-    def try_transition(
-        self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
-    ) -> Any:
-        """Results of the first Γ of a run on fresh data, for `summary`; nothing by default.
-
-        It may run in a process of its own, so it must not change anything. `tests` is the maximum
-        number of fresh tests of success, on which C is evaluated.
-        """
-        return None
-
-    def summary(
-        self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
-    ) -> ModelSummary:
-        """A summary of the first models of a run; `fresh` is the result of `try_transition`."""
-        return summary_of(knowledge)
 
     def imagine(
         self,

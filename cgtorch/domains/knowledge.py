@@ -35,7 +35,6 @@ MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 FEW = 1000  # rows below which models are fitted anew, which takes less than a second
 MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
 
-Found = TypeVar("Found")
 Model = TypeVar("Model", bound=LearnedModel)
 
 
@@ -65,33 +64,22 @@ class Knowledge:
     acceptances: tuple[Acceptance, Acceptance] | None = None
 
 
-def fit_models(
-    domain: "Domain[Any]",
-    dataset: Dataset,
-    seed: int,
-    more: Callable[[TransitionModel], Found],
-    alone: bool = False,
-) -> tuple[Knowledge, Found]:
-    """Γ and C from the data, and the result of `more`, which needs a fitted Γ.
+def fit_models(domain: "Domain[Any]", dataset: Dataset, seed: int) -> Knowledge:
+    """Γ and C from the data. From `SPARE` rows on, a tenth of them is held out.
 
-    From `SPARE` rows on, a tenth of them is held out.
-
-    C takes longest. If compiled code may use several threads, all else runs beside it in another
-    process, unless `alone` is True; that is necessary if `more` communicates with other ranks.
-    `more` must not draw from a generator that is used later.
+    If compiled code may use several threads and there are many rows, Γ is fitted beside C in
+    another process.
     """
     many = max(len(dataset.percept), len(dataset.succeeded)) >= SPARE
     data, aside = hold_out(dataset) if many else (dataset, taken(dataset, slice(0), slice(0)))
 
     def part(number: int) -> Any:
-        if number == 0:
-            return domain.fit_success(data, seed)
-        gamma, report = domain.fit_transition(data, seed)
-        return gamma, swift_gamma(gamma, data), report, more(gamma)
+        return (domain.fit_success, domain.fit_transition)[number](data, seed)
 
-    fitted = in_processes(part, 2, 1 if alone else native.threads())
-    (classifier, report), (gamma, swift, gamma_report, found) = fitted
-    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside), found
+    fitted = in_processes(part, 2, native.threads() if many else 1)
+    (classifier, report), (gamma, gamma_report) = fitted
+    swift = swift_gamma(gamma, data)
+    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside)
 
 
 def hold_out(dataset: Dataset) -> tuple[Dataset, Dataset]:
@@ -182,7 +170,7 @@ def learn(
     every = knowledge.dataset.extended(knowledge.aside).extended(experience)
     if max(len(every.percept), len(every.succeeded)) < FEW:
         seed = int(torch.randint(2**31, (), generator=generator))
-        return fit_models(domain, every, seed, lambda _: None, alone=True)[0]
+        return fit_models(domain, every, seed)
     return learn_more(knowledge, experience, generator)
 
 

@@ -108,13 +108,6 @@ class RunSettings:
         also=(0,),
         when="Lower it if motions are dear and success is easily met.",
     )
-    labels: int = option(
-        200,
-        "Number of fresh tests on which the first C is judged for the report; 0 for none.",
-        "the first models were learned from them",
-        least=0,
-        when="Raise it to know the accuracy of C better.",
-    )
     scenarios: str = option(
         "auto",
         f"{SCENARIOS} The tabletop has perimeter (the paper's table), general (any table, from any "

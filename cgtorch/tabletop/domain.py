@@ -24,7 +24,6 @@ from cgtorch.environment.fields import Field, named
 from cgtorch.ground import distributed
 from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
-from cgtorch.improvement.events import ModelSummary
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.data import WITHIN, Scenes, collect, motions_to_try
@@ -38,7 +37,6 @@ from cgtorch.tabletop.kinematics import (
 )
 from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
-from cgtorch.tabletop.models.summary import Fresh, fresh_experience, tabletop_summary
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics
 from cgtorch.tabletop.physics.engine import mujoco
@@ -99,13 +97,6 @@ class Tabletop(Domain[Scenarios]):
     published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
     publisher = "the paper"
     solved = ("reached", "Objects reached")
-    fresh_tests: ClassVar[Mapping[str, str]] = {
-        "gamma/fresh_object": "the object, x and y",
-        "gamma/fresh_table": "the table's sides",
-        "classifier/near": "near the object, any side and heading",
-        "classifier/overall": "anywhere around the table",
-        "classifier/beside": "just across the boundary of what can be grasped",
-    }
     control = (
         *named("dx", "dy", unit="m", low=-2, high=2),
         Field("dθ", "rad", -torch.pi, torch.pi, "angle"),
@@ -251,18 +242,6 @@ class Tabletop(Domain[Scenarios]):
         """See `Domain.fit_success`."""
         rows = data.tested, data.succeeded
         return fit_success_classifier(GraspClassifier(), *rows, seed=seed, C=COSTS, gamma=GAMMAS)
-
-    def try_transition(
-        self, kind: str, gamma: TransitionModel, tests: int, generator: Generator
-    ) -> Fresh:
-        """See `Domain.try_transition`."""
-        return fresh_experience(self._scenes(kind), gamma, tests, generator)
-
-    def summary(
-        self, kind: str, knowledge: Knowledge, fresh: Any, generator: Generator
-    ) -> ModelSummary:
-        """See `Domain.summary`: figures are shown beside the best possible from percepts."""
-        return tabletop_summary(self._scenes(kind), knowledge, fresh, generator)
 
     def imagine(
         self,

@@ -14,7 +14,6 @@ from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.domains.live import OnRobot
 from cgtorch.domains.summary import summary_of
-from cgtorch.domains.transition import TransitionModel
 from cgtorch.environment import Dataset, Environment, Live
 from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import (
@@ -28,7 +27,6 @@ from cgtorch.evolution import (
     lexicase,
     tournament,
 )
-from cgtorch.evolution.islands import derived_generator
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Journal
@@ -45,8 +43,6 @@ Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 """Makes a context that shows a message during a long step."""
 
 LANES = 2  # robots that explore side by side, where there can be several
-OWN = 40  # the generator of what C is judged by, derived like an island's
-
 
 SEARCHES = 2
 """Evolutions of a specialist in the models, which take a second where trials in the world of what
@@ -193,31 +189,18 @@ def initial_progress(training: Training) -> Progress[Any]:
     start = run.folder / "start"
     if start.is_dir():
         return load_progress(run, start)
-    settings, domain, kind = run.settings, run.domain, run.kind
+    settings = run.settings
     generator = Generator().manual_seed(settings.seed)
     before = training.purse.total
     dataset = _first_data(training, generator)
     asked = training.purse.total - before
     if asked != Asked():
         training.watch(WorldAsked("start", EXPLORATION, asked))
-    own = derived_generator(generator, OWN)
-
-    def fresh(gamma: TransitionModel) -> Any:
-        return domain.try_transition(kind, gamma, settings.labels, generator)
-
     began = time.perf_counter()
-    judged = run.repeats and settings.labels > 0
     with working("fitting Γ and C"):
-        # Several ranks share out work in the world, which forked processes cannot.
-        alone = ranks.count() > 1
-        about = dataset, settings.seed, fresh if judged else lambda _: None, alone
-        knowledge, found = fit_models(domain, *about)
+        knowledge = fit_models(run.domain, dataset, settings.seed)
     seconds = time.perf_counter() - began
-    summary = summary_of(knowledge)
-    if judged:
-        with working("testing C on fresh labels"):
-            summary = domain.summary(kind, knowledge, found, own)
-    training.watch(ModelsFitted("start", summary, seconds))
+    training.watch(ModelsFitted("start", summary_of(knowledge), seconds))
     progress = Progress(None, nothing, nothing, knowledge)
     if ranks.first():
         with whole_folder(start) as folder:
@@ -251,7 +234,7 @@ def _exploration(training: Training, generator: Generator, known: Dataset | None
         return Recording(made, training.purse, EXPLORATION)
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, run.settings.seed, lambda _: None, alone=True)[0]
+        return fit_models(domain, data, run.settings.seed)
 
     lanes = LANES if run.repeats else 1
     about = run.settings.transitions, lanes, generator, training.purse

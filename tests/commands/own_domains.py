@@ -16,7 +16,7 @@ from cgtorch import DomainSettings, option
 class CartSettings(DomainSettings):
     """Settings of one's own."""
 
-    run_defaults = {"labels": 77}
+    run_defaults = {"practice": 77}
 
     wind: float = option(0.25, "Strongest wind, m.", least=0, most=1)
     colour: str = option("red", "Of the cart.", choices=("red", "blue"))

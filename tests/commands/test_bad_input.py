@@ -250,7 +250,7 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
             ["seed=3"],
             f"--seed {SMALL.seed} of run .* cannot become 3, as everything in the run",
         ),
-        (["--labels=300"], "--labels 240 of run .* as the first models were learned from them"),
+        (["--transitions=300"], "--transitions 200 of run .* as the first models were learned"),
         (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
         (
             ["percept=yaw"],

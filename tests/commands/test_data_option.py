@@ -26,7 +26,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "data.md"
 DOMAIN = "examples.cart:Cart"
 CART = ["--domain", DOMAIN]
 QUICK = [
-    *("--population=60", "--generations=20", "--practice=10", "--labels=0", "--rounds=1"),
+    *("--population=60", "--generations=20", "--practice=10", "--rounds=1"),
     "--quiet",
 ]
 ALONE = ["--data", "log.csv", "--transitions", "0"]

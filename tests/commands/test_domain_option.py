@@ -18,7 +18,7 @@ EXPORT, REPORT = "cgtorch-export", "cgtorch-report"
 CART = ["--domain", "own_cart:Cart"]
 SMALL = [
     *("--population=40", "--generations=10", "--attempts=4", "--practice=10"),
-    *("--transitions=100", "--labels=120"),
+    *("--transitions=100"),
 ]
 
 

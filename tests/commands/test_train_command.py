@@ -10,7 +10,7 @@ from trained import SMALL, Trained, copied
 TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
 OPTIONS = as_options(SMALL)
 HASTY = ["--population=2", "--generations=1", "--attempts=1", "--tournament=1", "--practice=4"]
-LITTLE = ["--transitions=50", "--labels=0"]
+LITTLE = ["--transitions=50"]
 
 
 ACTIONS = '''

@@ -378,7 +378,7 @@ def test_models_of_what_was_explored_are_of_use() -> None:
     right, off, motions = list[float](), list[float](), list[int]()
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0, lambda gamma: None, alone=True)[0]
+        return fit_models(domain, data, 0)
 
     for seed in (1, 2, 3):
         data, log = explored(domain, seed, most=60, fit=fit)

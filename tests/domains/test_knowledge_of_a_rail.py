@@ -22,13 +22,13 @@ PERCEPTS = Cart().world(Cart().draw("any", 5, seeded(9))).start(torch.arange(5))
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), driven(300, 300, 0), 0, lambda gamma: None)[0]
+    return fit_models(Cart(), driven(300, 300, 0), 0)
 
 
-def test_fits_are_asked_for_and_what_else_is_wanted_is_found_with_gamma() -> None:
+def test_models_are_fitted_with_the_features_of_their_domain() -> None:
     data = driven(80, 120, 1)
-    knowledge, found = fit_models(SeeingCart(), data, 0, lambda gamma: type(gamma).__name__)
-    assert found == "KernelTransitionModel"
+    knowledge = fit_models(SeeingCart(), data, 0)
+    assert type(knowledge.gamma).__name__ == "KernelTransitionModel"
     assert len(knowledge.dataset.percept) == knowledge.gamma_report.rows == 80
     assert len(knowledge.dataset.tested) == knowledge.classifier_report.rows == 120
     assert len(knowledge.aside.percept) == len(knowledge.aside.tested) == 0

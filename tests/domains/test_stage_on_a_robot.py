@@ -44,7 +44,7 @@ def met(count: int) -> Dataset:
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Knowledge:
     domain = cart(tmp_path_factory.mktemp("cart") / "log")
-    return fit_models(domain, met(90), 0, lambda gamma: None, alone=True)[0]
+    return fit_models(domain, met(90), 0)
 
 
 def setup_of(domain: OnRobot, journal: FileJournal | None = None, **more: Any) -> Setup[Any]:

@@ -16,7 +16,7 @@ from cgtorch.svm import Acceptance
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), driven(60, 80, 0), 0, lambda gamma: None)[0]
+    return fit_models(Cart(), driven(60, 80, 0), 0)
 
 
 def with_numbers(known: Knowledge, *numbers: tuple[str, float, str]) -> Knowledge:

@@ -67,8 +67,8 @@ def test_a_tenth_is_held_out_as_soon_as_it_can_be_spared(
 ) -> None:
     domain: Any = Counting()
     data = numbered(transitions, tests)
-    found, extra = fit_models(domain, data, seed, lambda gamma: gamma, alone=True)
-    assert extra is found.gamma is found.swift
+    found = fit_models(domain, data, seed)
+    assert found.gamma is found.swift
     assert [s for _, s in domain.fits] == [seed, seed]
     assert all(fitted is found.dataset for fitted, _ in domain.fits)
     many = max(transitions, tests) >= SPARE
@@ -117,5 +117,5 @@ def test_what_is_held_out_leaves_c_enough_to_learn_from() -> None:
     tested = no[:300].clone()
     tested[met] = yes[:3]
     rare = Dataset(data.percept, data.control, data.next_percept, tested, met)
-    found, _ = fit_models(Cart(), rare, 0, lambda gamma: None, alone=True)
+    found = fit_models(Cart(), rare, 0)
     assert int(found.dataset.succeeded.sum()) >= 2

@@ -28,7 +28,7 @@ from examples.mountain_car import HELD, SOLVED, MountainCar, Starts
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 SMALL = [
-    *("--population", "60", "--practice", "20", "--transitions", "300", "--labels", "300"),
+    *("--population", "60", "--practice", "20", "--transitions", "300"),
     *("--checkpoint-seconds", "0.05", "--quiet"),
 ]
 EXAMPLES = {

@@ -1,7 +1,5 @@
 """One small stage, told by the events of a real evolution in a real world."""
 
-from dataclasses import dataclass
-
 import pytest
 import torch
 from support import FOOTPRINT, search, seeded
@@ -10,6 +8,7 @@ from torch import Tensor
 from cgtorch.actions import paper_actions
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.success import fit_success_classifier
+from cgtorch.domains.summary import summary_of
 from cgtorch.domains.transition import Grid
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.evolution import EvolutionSettings
@@ -20,7 +19,6 @@ from cgtorch.improvement.events import (
     FreshTested,
     GenerationDone,
     ModelsFitted,
-    ModelSummary,
     SkillAccepted,
     StageStarted,
     WorldTested,
@@ -30,15 +28,7 @@ from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.data import Scenes, collect
-from cgtorch.tabletop.models import (
-    GraspClassifier,
-    SuccessQuality,
-    TableTransitionModel,
-    fresh_labels,
-    success_quality,
-    transition_quality,
-)
-from cgtorch.tabletop.models.summary import Fresh, tabletop_summary
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios
 from cgtorch.tabletop.world.scenarios import stage_scenarios
 
@@ -57,7 +47,9 @@ def _world_of(scenarios: Scenarios) -> TabletopWorld:
 SCENES = Scenes(_world_of)
 
 
-def _knowledge() -> Knowledge:
+@pytest.fixture(scope="session")
+def knowledge() -> Knowledge:
+    """The models that the events tell of."""
     data = collect(SCENES, 120, 100, seeded(0))
     gamma, gamma_report = fit_transition_model(
         TableTransitionModel(),
@@ -72,31 +64,8 @@ def _knowledge() -> Knowledge:
     return Knowledge(data, gamma, gamma, classifier, gamma_report, report, data)
 
 
-@dataclass(frozen=True)
-class Models:
-    """What is known of the models that the events tell of."""
-
-    knowledge: Knowledge
-    fresh: Fresh
-    judged: SuccessQuality
-
-    def summary(self, fresh: Fresh | None = None) -> ModelSummary:
-        """What is told of them, or would be with other fresh experience."""
-        given = fresh or self.fresh
-        return tabletop_summary(SCENES, self.knowledge, given, seeded(4))
-
-
 @pytest.fixture(scope="session")
-def models() -> Models:
-    knowledge = _knowledge()
-    tried = transition_quality(SCENES, knowledge.gamma, 40, seeded(2))
-    labels = fresh_labels(SCENES, 60, seeded(1))
-    judged = success_quality(SCENES, knowledge.classifier, labels, seeded(4))
-    return Models(knowledge, Fresh(tried, labels), judged)
-
-
-@pytest.fixture(scope="session")
-def events(models: Models) -> list[Event]:
+def events(knowledge: Knowledge) -> list[Event]:
     """Two candidates of stage S1, the models between them, and the skill made of both."""
     told: list[Event] = []
     actions, generator = paper_actions(), seeded(3)
@@ -104,7 +73,7 @@ def events(models: Models) -> list[Event]:
     targets = torch.arange(11) >= 6
     world, keep = _world_of(scenarios), ~targets
     told.append(StageStarted("S1", ("S0", "S1", "S2"), 6, 5, attempts=4))
-    told.append(ModelsFitted("S1", models.summary(), 1.5))
+    told.append(ModelsFitted("S1", summary_of(knowledge), 1.5))
     members: list[Skill] = []
     kept = torch.zeros(11, dtype=torch.bool)
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):

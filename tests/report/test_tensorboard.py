@@ -7,7 +7,6 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -15,6 +14,7 @@ from reaching import TABLE
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.actions import paper_actions
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
@@ -67,9 +67,6 @@ def documented() -> dict[str, set[str]]:
         kinds.setdefault(kind, set()).update(re.findall(r"`(.+?)`", tags))
     kinds["histogram"] = {f"strategy/{name}" for name in STRATEGY}
     kinds["scalar"] -= {"gamma/error_<coordinate>", "world/mean_return"}
-    for what in ("accuracy", "possible"):
-        kinds["scalar"].remove(f"classifier/<draw>_{what}")
-        kinds["scalar"] |= {f"classifier/{draw}_{what}" for draw in ("near", "overall", "beside")}
     for what in ("table", "object"):
         ends = ("x_min", "x_max", "y_min", "y_max") if what == "table" else ("x", "y", "z")
         kinds["scalar"] |= {f"gamma/error_{what}_{end}" for end in ends}
@@ -110,20 +107,15 @@ def test_scalars_of_each_generation(written: EventAccumulator, events: list[Even
     assert len(set(best)) > 1  # the evolution has got somewhere
 
 
-def test_models_and_world(written: EventAccumulator, events: list[Event], models: Any) -> None:
-    gamma, classifier = models.knowledge.gamma_report, models.knowledge.classifier_report
+def test_models_and_world(
+    written: EventAccumulator, events: list[Event], knowledge: Knowledge
+) -> None:
+    gamma, classifier = knowledge.gamma_report, knowledge.classifier_report
     wanted = {
         "gamma/error_table_x_min": gamma.error[0],
         "gamma/error_object_z": gamma.error[6],
-        "gamma/object_error": (gamma.error[4] + gamma.error[5]) / 2,
-        "gamma/fresh_object_error": models.fresh.quality.object_error,
-        "gamma/fresh_object_floor": models.fresh.quality.object_floor,
-        "gamma/fresh_table_error": models.fresh.quality.table_error,
-        "gamma/fresh_table_floor": models.fresh.quality.table_floor,
         "classifier/balanced_accuracy": classifier.balanced_accuracy,
         "classifier/calibration_error": classifier.calibration_error,
-        "classifier/near_accuracy": models.judged.near.balanced,
-        "classifier/beside_possible": models.judged.beside.possible_balanced,
         "models/fit_seconds": 1.5,
         "models/rows": 120,
     }
@@ -140,13 +132,13 @@ def test_models_and_world(written: EventAccumulator, events: list[Event], models
 
 
 def test_learning_curves_have_rows_as_their_step(
-    events: list[Event], tmp_path: Path, models: Any
+    events: list[Event], tmp_path: Path, knowledge: Knowledge
 ) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     with TensorBoardWatch(tmp_path, {}) as watch:
         watch(fitted)
     found = read(tmp_path / module.BY_ROWS)
-    curve = models.knowledge.classifier_report.learning_curve
+    curve = knowledge.classifier_report.learning_curve
     for kind, scores in (("train", curve.train_scores), ("test", curve.test_scores)):
         drawn = found.Scalars(f"classifier/learning_curve/{kind}")
         assert [s.step for s in drawn] == list(curve.sizes)
@@ -155,11 +147,11 @@ def test_learning_curves_have_rows_as_their_step(
 
 
 def test_learning_on_repeats_nothing_of_the_first_fit(
-    events: list[Event], tmp_path: Path, models: Any
+    events: list[Event], tmp_path: Path, knowledge: Knowledge
 ) -> None:
     fitted = next(e for e in events if isinstance(e, ModelsFitted))
     same = Acceptance(True, 10, 0.1, 0.1, 0.01)
-    learned = replace(models.knowledge, acceptances=(same, same))
+    learned = replace(knowledge, acceptances=(same, same))
     later = replace(fitted, summary=summary_of(learned))
     with TensorBoardWatch(tmp_path, {}) as watch:
         for event in (fitted, later, later):

@@ -25,7 +25,7 @@ def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> N
     run = read_run(trained.folder)
     fixed, known = fixed_settings(run), {**vars(run.settings), **vars(run.domain.settings)}
     assert set(fixed) == {
-        *("domain", "seed", "method", "models", "transitions", "labels", "scenarios", "actions"),
+        *("domain", "seed", "method", "models", "transitions", "scenarios", "actions"),
         *("data", "driver"),
         *("robot", "urdf", "position_noise", "heading_noise", "noise", "percept", "networks"),
         *("world", "touch", "grasp"),

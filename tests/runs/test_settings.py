@@ -26,7 +26,7 @@ CHOICES = {f.name: (kind, f.metadata["choices"]) for kind, f in EVERY if f.metad
 TEXTS = [
     (kind, f.name) for kind, f in EVERY if isinstance(f.default, str) and f.name not in CHOICES
 ]
-LEAST = {"seed": 0, "population": 2, "practice": 0, "lineages": 0, "transitions": 12, "labels": 0}
+LEAST = {"seed": 0, "population": 2, "practice": 0, "lineages": 0, "transitions": 12}
 
 
 def refused(kind: Kind, **values: Any) -> str:
@@ -118,13 +118,13 @@ def test_no_setting_has_two_meanings() -> None:
 class Slow(DomainSettings):
     """Settings of a domain whose motions are dear."""
 
-    run_defaults: ClassVar[Mapping[str, Any]] = {"transitions": 60, "labels": 0}
+    run_defaults: ClassVar[Mapping[str, Any]] = {"transitions": 60}
 
 
 def test_a_domain_may_have_other_defaults_of_a_run() -> None:
     usual = {f.name: f.default for f in fields(RunSettings)}
     assert defaults_of(DomainSettings) == defaults_of(TabletopSettings) == usual
-    assert defaults_of(Slow) == {**usual, "transitions": 60, "labels": 0}
+    assert defaults_of(Slow) == {**usual, "transitions": 60}
 
 
 def test_nothing_is_explored_only_if_there_are_other_data() -> None:

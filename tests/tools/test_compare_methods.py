@@ -24,7 +24,7 @@ from cgtorch.training.context import Training
 
 SEED = f"seed-{SMALL.seed}"
 
-HASTY = replace(SMALL, transitions=100, labels=0, attempts=2, generations=4)
+HASTY = replace(SMALL, transitions=100, attempts=2, generations=4)
 
 
 Result = dict[str, Any]

@@ -12,10 +12,7 @@ from click.testing import CliRunner
 
 from cgtorch.ground.files import read_json
 
-HASTY = (
-    "--transitions 200 --labels 0 --attempts 8 --population 100 --generations 15 --practice 4 "
-    "--rounds 1"
-)
+HASTY = "--transitions 200 --attempts 8 --population 100 --generations 15 --practice 4 --rounds 1"
 
 
 def test_a_run_is_made_once_and_measured(tmp_path: Path) -> None:

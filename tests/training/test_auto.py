@@ -292,7 +292,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
     So small a search finds nothing under some seeds.
     """
-    many = replace(SMALL, scenarios="general-clutter", population=100, generations=30, labels=60)
+    many = replace(SMALL, scenarios="general-clutter", population=100, generations=30)
     for seed in range(8):
         run = create_run(tmp_path_factory.mktemp("wide") / "run", replace(many, seed=seed))
         events: list[Event] = []

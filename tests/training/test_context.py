@@ -27,7 +27,7 @@ from cgtorch.training.context import Training, initial_progress, recall_spent
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
 START = Path("start") / "result.json"
-BRIEF = replace(SMALL, labels=0)
+BRIEF = SMALL
 
 
 def ignore(event: Event) -> None:
@@ -155,7 +155,7 @@ def test_a_budget_that_does_not_cover_the_first_data_is_one_error(tmp_path: Path
 def test_in_a_world_that_does_not_repeat_itself_one_robot_explores(tmp_path: Path) -> None:
     """No two are side by side in it, and nothing is asked of it only for a report."""
     own = TabletopSettings(noise="fresh")
-    run, events = create_run(tmp_path / "run", replace(SMALL, labels=60), own), list[Event]()
+    run, events = create_run(tmp_path / "run", SMALL, own), list[Event]()
     assert not run.repeats
     assert not read_run(run.folder).repeats
     initial_progress(Training(run, events.append, lambda message: nullcontext()))

@@ -57,7 +57,7 @@ def explored(domain: MountainCar, generator: Generator) -> Knowledge:
         return domain.world(domain.draw(kind, count, generator))
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0, lambda gamma: None, alone=True)[0]
+        return fit_models(domain, data, 0)
 
     about = Exploration("valley", world, fit, MOTIONS, 2, generator, Purse())
     return fit(domain.explore(about))

@@ -47,7 +47,7 @@ def workload() -> Workload:
     """What the paper's method begins with: random data of the robot's world, and Γ and C."""
     generator, domain = _seeded(0), Tabletop()
     data = collect(Scenes(domain.world), TRANSITIONS, LABELS, generator)
-    knowledge, _ = fit_models(domain, data, 0, lambda gamma: None)
+    knowledge = fit_models(domain, data, 0)
     return workload_of(knowledge, domain, SCENARIOS, generator)
 
 

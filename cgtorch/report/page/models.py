@@ -1,6 +1,5 @@
 """The quality of Γ and C, as rows of tables and pictures."""
 
-from collections.abc import Callable, Mapping
 from statistics import fmean
 from typing import Any
 
@@ -9,7 +8,6 @@ from markupsafe import Markup
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents
-from cgtorch.report.page.event_files import EventData
 from cgtorch.report.page.plots import Curve, draw_learning
 from cgtorch.report.reliability_picture import draw_reliability
 from cgtorch.svm import Choice
@@ -31,13 +29,10 @@ def model_quality(contents: Contents) -> dict[str, Any]:
     if fitted is not None and (bins := fitted.classifier.reliability):
         figure = draw_reliability(bins, title="C", of="held-out labels")
         reliability = inline_svg(figure, "reliability", "Reliability diagram of C")
-    tests = contents.run.domain.fresh_tests
     return {
         "fitted": fitted,
         "errors": _errors(contents),
         "choices": [] if fitted is None else _choices(fitted.gamma),
-        "fresh": _beside(events, tests, "error", "floor", _cm),
-        "accuracy": _beside(events, tests, "accuracy", "possible", "{:.1%}".format),
         "balanced": events.last("classifier/balanced_accuracy"),
         "seconds": [seconds for _, seconds in events.scalars.get("models/fit_seconds", ())],
         "learning": learning,
@@ -69,18 +64,6 @@ def _choices(report: TransitionReport) -> list[tuple[str, Choice]]:
         names = [""] * len(report.choice)
     pairs = zip(names, report.choice, strict=True)
     return [(name, choice) for name, choice in pairs if choice is not None]
-
-
-def _beside(
-    events: EventData, tests: Mapping[str, str], ours: str, best: str, text: Callable[[float], str]
-) -> Rows:
-    """Results of fresh tests, beside the best possible ones."""
-    rows: Rows = []
-    for tag, words in tests.items():
-        found, possible = events.last(f"{tag}_{ours}"), events.last(f"{tag}_{best}")
-        if found is not None and possible is not None:
-            rows.append((words, text(found), text(possible)))
-    return rows
 
 
 def _curves(contents: Contents) -> list[Curve]:

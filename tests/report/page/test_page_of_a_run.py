@@ -276,11 +276,6 @@ def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None
     found = facts(page.get_element_by_id("models"))
     right = labels.balanced_accuracy
     assert found["C: balanced accuracy, cross-validated"] == f"{right:.1%}"
-    assert [row[0] for row in table(page, "C on fresh labels")[1:]] == [
-        "near the object, any side and heading",
-        "anywhere around the table",
-        "just across the boundary of what can be grasped",
-    ]
     count = sum(n for _, _, n in labels.reliability)
     assert f"C on {count} held-out labels" in words(page.get_element_by_id("models"))
 

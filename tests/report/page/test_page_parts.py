@@ -84,7 +84,7 @@ def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
             RunSettings(scenarios="general", islands=3, migration=2),
             TabletopSettings(heading_noise=0.0),
         ),
-        (RunSettings(practice=24, labels=0), TabletopSettings(noise="fresh")),
+        (RunSettings(practice=24), TabletopSettings(noise="fresh")),
         (
             RunSettings(transitions=0, data=("logs/one day.csv", "two.parquet")),
             TabletopSettings(),
