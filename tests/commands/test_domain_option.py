@@ -18,7 +18,7 @@ EXPORT, REPORT = "cgtorch-export", "cgtorch-report"
 CART = ["--domain", "own_cart:Cart"]
 SMALL = [
     *("--population=40", "--generations=10", "--attempts=4", "--practice=10"),
-    *("--transitions=100"),
+    "--transitions=100",
 ]
 
 
@@ -363,13 +363,13 @@ def test_a_skill_file_for_no_domain(shell: Shell, trained: Trained) -> None:
     [
         (
             "tabletop",
-            ["--position-noise", "--percept", "--robot", "--noise", "[default: 200]", "perimeter"],
+            ["--position-noise", "--percept", "--robot", "--noise", "[default: 0]", "perimeter"],
             ["--wind", "This domain has", "[default: 77]"],
         ),
         (
             "own_cart:Cart",
             ["--wind", "--colour", "[default: 0.25]", "[default: 77]", "has calm, windy."],
-            ["--robot", "[default: 200]", "perimeter"],
+            ["--robot", "perimeter"],
         ),
     ],
 )

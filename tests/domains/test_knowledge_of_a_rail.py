@@ -12,6 +12,7 @@ from torch import Tensor
 from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn, learn_more, taken
 from cgtorch.domains.robust_success import robust_success
+from cgtorch.domains.summary import summary_of
 from cgtorch.environment import Dataset, start_lanes
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import Skill
@@ -137,7 +138,7 @@ def test_errors_of_an_angle_go_the_shorter_way() -> None:
 
 
 def test_the_summary_tells_of_each_number(known: Knowledge) -> None:
-    told = Cart().summary("any", known, None, seeded(0))
+    told = summary_of(known)
     assert told.first
     for part in (
         " m on place, ",

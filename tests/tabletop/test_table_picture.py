@@ -55,7 +55,7 @@ def test_title_and_legend_count() -> None:
     axes = figure.axes[0]
     good, both = int(succeeded.sum()), int((succeeded & targets).sum())
     assert axes.get_title() == f"S2: {good} of 35 reached\n{both} of 5 test placements"
-    names = [t.get_text() for t in axes.get_legend().get_texts()]
+    names = [t.get_text() for t in figure.legends[0].get_texts()]
     assert f"reached ({good})" in names
     assert f"missed ({35 - good})" in names
     plain = draw_table_top(scenarios, succeeded)
