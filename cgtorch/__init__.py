@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from cgtorch.actions import ActionSet as ActionSet
     from cgtorch.actions import DelayNN as DelayNN
     from cgtorch.actions import RecurrentNN as RecurrentNN
-    from cgtorch.actions import paper_actions as paper_actions
     from cgtorch.actions import resolve_actions as resolve_actions
     from cgtorch.domains.domain import Domain as Domain
     from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from cgtorch.environment import ScenarioBatch as ScenarioBatch
     from cgtorch.environment.fields import Field as Field
     from cgtorch.evolution import EvolutionSettings as EvolutionSettings
+    from cgtorch.evolution import Search as Search
     from cgtorch.evolution import ask as ask
     from cgtorch.evolution import evolve as evolve
     from cgtorch.evolution import initial_state as initial_state
@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from cgtorch.run import open_run as open_run
     from cgtorch.run import train as train
     from cgtorch.simulation.rollout import rollout as rollout
+    from cgtorch.simulation.stepper import Request as Request
+    from cgtorch.simulation.stepper import Stepper as Stepper
+    from cgtorch.tabletop.actions import paper_actions as paper_actions
     from cgtorch.tabletop.edge_networks import edge_actions as edge_actions
     from cgtorch.tabletop.kinematics import graspable as graspable
     from cgtorch.tabletop.kinematics import load_robot as load_robot
@@ -54,7 +57,6 @@ _FOLDERS = {
         "ActionSet",
         "DelayNN",
         "RecurrentNN",
-        "paper_actions",
         "resolve_actions",
     ),
     "domains": (
@@ -68,11 +70,13 @@ _FOLDERS = {
         "option",
     ),
     "environment": ("Environment", "Lanes"),
-    "evolution": ("EvolutionSettings", "ask", "evolve", "initial_state", "tell"),
+    "evolution": ("EvolutionSettings", "Search", "ask", "evolve", "initial_state", "tell"),
     "graphs": ("Skill", "load_skill", "save_skill"),
     "report": ("draw_skill",),
     "run": ("Run", "make", "open_run", "train"),
     "simulation": ("rollout",),
+    "simulation.stepper": ("Request", "Stepper"),
+    "tabletop.actions": ("paper_actions",),
     "tabletop.edge_networks": ("edge_actions",),
     "tabletop.kinematics": ("graspable", "load_robot"),
     "tabletop.world": ("TabletopWorld", "random_scenarios", "stage_scenarios"),

@@ -2,9 +2,9 @@
 
 import networkx as nx
 
-from cgtorch.actions import paper_actions
 from cgtorch.graphs import Skill, from_networkx
 from cgtorch.graphs.view import View
+from cgtorch.tabletop.actions import paper_actions
 
 
 def nearly(ahead: float) -> Skill:

@@ -6,7 +6,7 @@ import torch
 from support import as_double_actions, random_skill, seeded
 from torch import Generator
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Detect, Grasp, MoveBase
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Perceive, Step, Test
 from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import KernelTransitionModel
@@ -66,7 +66,7 @@ def actions_for(environment: ModelEnvironment, hidden: int, nested: bool) -> Act
     d, u = environment.percept_size, environment.control_size
     actions = ActionSet(
         ("Aim", "Step", "Look", "Branch", "Test"),
-        (ContinuousNN(d, hidden, u), MoveBase(u), Detect(), BranchingNN(d, hidden), Grasp()),
+        (ContinuousNN(d, hidden, u), Step(u), Perceive(), BranchingNN(d, hidden), Test()),
     )
     if nested:
         inner = random_skill(3, "inner", actions, max_transitions=5)

@@ -8,12 +8,12 @@ import torch
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.environment import Dataset
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld

@@ -9,7 +9,7 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN
 from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
@@ -21,6 +21,7 @@ from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import Classifier
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.kinematics import ArmModel
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 

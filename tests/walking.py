@@ -8,7 +8,7 @@ import torch
 from support import seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Grasp, MoveBase
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Step, Test
 from cgtorch.domains import Domain, Field, ScenarioBatch, World
 from cgtorch.environment import Lanes
 from cgtorch.graphs import Graphs, from_networkx
@@ -73,7 +73,7 @@ def walking_actions() -> ActionSet:
     """A network that aims, a step, a branch, and a test that ends a skill before the walk's end."""
     return ActionSet(
         ("Aim", "Step", "Branch", "Test"),
-        (ContinuousNN(2, outputs=1), MoveBase(1), BranchingNN(2), Grasp()),
+        (ContinuousNN(2, outputs=1), Step(1), BranchingNN(2), Test()),
     )
 
 

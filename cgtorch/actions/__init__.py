@@ -2,8 +2,6 @@
 
 from cgtorch.actions.action import Action as Action
 from cgtorch.actions.action_set import ActionSet as ActionSet
-from cgtorch.actions.action_set import named_actions as named_actions
-from cgtorch.actions.action_set import paper_actions as paper_actions
 from cgtorch.actions.action_set import reward_actions as reward_actions
 from cgtorch.actions.linear import DelayNN as DelayNN
 from cgtorch.actions.linear import LinearNN as LinearNN
@@ -12,6 +10,6 @@ from cgtorch.actions.networks import ContinuousNN as ContinuousNN
 from cgtorch.actions.recurrent import RecurrentNN as RecurrentNN
 from cgtorch.actions.registry import check_action as check_action
 from cgtorch.actions.registry import resolve_actions as resolve_actions
-from cgtorch.actions.routines import Detect as Detect
-from cgtorch.actions.routines import Grasp as Grasp
-from cgtorch.actions.routines import MoveBase as MoveBase
+from cgtorch.actions.routines import Perceive as Perceive
+from cgtorch.actions.routines import Step as Step
+from cgtorch.actions.routines import Test as Test

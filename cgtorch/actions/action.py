@@ -31,6 +31,8 @@ class Action(nn.Module, ABC):
             without a name, the part is the action's own.
         native_kind: The name of its compiled counterpart in native/engine/lanes.h, for exactly this
             class; "" if there is none.
+        request: What it asks of a robot, for exactly this class: "control" for the message as a
+            control, "perceive", or "test" for whether the task has succeeded; "" for nothing.
         plain_module: The module with the same class in plain Python, for exported state machines;
             "" if there is none.
         plain_arguments: Arguments of that class besides its parameters and sizes.
@@ -48,6 +50,7 @@ class Action(nn.Module, ABC):
     memory_size: int = 0
     memory_part: str = ""
     native_kind: ClassVar[str] = ""
+    request: ClassVar[str] = ""
     plain_module: ClassVar[str] = ""
     plain_arguments: Mapping[str, object] = {}
     first_step: float = 1.0

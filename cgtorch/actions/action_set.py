@@ -11,7 +11,7 @@ from cgtorch.actions.action import Action
 from cgtorch.actions.linear import DelayNN, LinearNN
 from cgtorch.actions.networks import BranchingNN, ContinuousNN
 from cgtorch.actions.recurrent import RecurrentNN
-from cgtorch.actions.routines import Detect, Grasp, MoveBase
+from cgtorch.actions.routines import Step
 from cgtorch.ground.errors import ActionError
 
 
@@ -132,17 +132,6 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
             )
 
 
-def paper_actions(percept_size: int = 7) -> ActionSet:
-    """The five actions of section VI, with networks for percepts of `percept_size` numbers."""
-    return named_actions(ContinuousNN(percept_size), BranchingNN(percept_size))
-
-
-def named_actions(*networks: Action) -> ActionSet:
-    """The routines of section VI and the given networks, named by their classes."""
-    actions = (MoveBase(), Detect(), Grasp(), *networks)
-    return ActionSet(tuple(type(a).__name__ for a in actions), actions)
-
-
 def reward_actions(percept: int, control: int) -> ActionSet:
     """The actions of domains with rewards, for percepts and controls of these lengths.
 
@@ -156,7 +145,7 @@ def reward_actions(percept: int, control: int) -> ActionSet:
             ContinuousNN(percept, 8, control),
             DelayNN(percept, outputs=control),
             RecurrentNN(percept, outputs=control),
-            MoveBase(control),
+            Step(control),
             BranchingNN(percept),
         ),
     )

@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions.action import Action
-from cgtorch.actions.action_set import ActionSet, paper_actions
+from cgtorch.actions.action_set import ActionSet
 from cgtorch.actions.linear import DelayNN, LinearNN
 from cgtorch.actions.recurrent import RecurrentNN
 from cgtorch.environment import Environment, Lanes, start_lanes
@@ -27,8 +27,6 @@ from cgtorch.ground.errors import ActionError
 ENTRY_POINTS = "cgtorch.actions"
 VISITS = 3
 """Times that an action is tried on the same lanes, as its memory may be used from the second on."""
-TABLETOP = 7, 3
-"""The lengths of a percept and of a control in the paper."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
     "LinearNN": LinearNN,
     "DelayNN": lambda percept, control: DelayNN(percept, outputs=control),
@@ -37,19 +35,15 @@ BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
 """Actions for any domain by name; each is made from the lengths of its percepts and controls."""
 
 
-def resolve_actions(
-    names: Sequence[str] = (),
-    basic: ActionSet | None = None,
-    sizes: tuple[int, int] = TABLETOP,
-) -> ActionSet:
-    """The `basic` actions, by default those of the paper, followed by those named.
+def resolve_actions(names: Sequence[str], basic: ActionSet, sizes: tuple[int, int]) -> ActionSet:
+    """The `basic` actions, such as those of a domain, followed by those named.
 
     A name is that of a built-in action, which is made for percepts and controls of these `sizes`;
     that of an entry point of the group "cgtorch.actions" of an installed package; or
     "package.module:Class". An action that is named twice, or is already basic, is added once.
     ActionError if a name is unknown or cannot be made into an action.
     """
-    actions = paper_actions() if basic is None else basic
+    actions = basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
     for spec in dict.fromkeys(names):
         if spec in actions.names:

@@ -1,4 +1,4 @@
-"""The hand-written actions of section VI: MoveBase, Detect and Grasp."""
+"""The actions that ask the robot: carry out a control, perceive again, and test success."""
 
 from collections.abc import Mapping
 
@@ -8,18 +8,20 @@ from cgtorch.actions.action import Action
 from cgtorch.environment import Environment, Lanes
 
 
-class MoveBase(Action):
-    """Carry out the message as a control; for the paper's robot dx, dy in m and dθ in rad.
+class Step(Action):
+    """Carry out the message as a control.
 
     Fails, and changes nothing, if the environment cannot carry it out, or if there is no message.
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")
-    native_kind = "MOVE_BASE"
+    native_kind = "STEP"
+    request = "control"
+    plain_module = "cgtorch.export.plain.routines"
 
-    def __init__(self, control_size: int = 3):
+    def __init__(self, control_size: int):
         super().__init__()
-        self.message_size = control_size
+        self.message_size = self.control_size = control_size
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
@@ -32,11 +34,13 @@ class MoveBase(Action):
         return lanes, (~moved).long()
 
 
-class Detect(Action):
-    """Perceive again, as the paper's robot detects the table; always succeeds."""
+class Perceive(Action):
+    """Perceive again without acting; always succeeds."""
 
     outcomes: tuple[str, ...] = ("success",)
-    native_kind = "DETECT"
+    native_kind = "PERCEIVE"
+    request = "perceive"
+    plain_module = "cgtorch.export.plain.routines"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
@@ -45,16 +49,20 @@ class Detect(Action):
         return environment.observe(lanes), lanes.step.new_zeros(len(lanes))
 
 
-class Grasp(Action):
-    """Test whether the task succeeds here, for example by a grasp; success ends the computation.
+class Test(Action):
+    """Test whether the task succeeds here; success ends the computation.
 
     If the environment returns a probability, success means more than one half (section III: C(p) >
     0.5).
     """
 
+    __test__ = False  # for pytest, which takes names like this one for tests
+
     outcomes: tuple[str, ...] = ("success", "failure")
     terminal: Mapping[str, bool] = {"success": True}
-    native_kind = "GRASP"
+    native_kind = "TEST"
+    request = "test"
+    plain_module = "cgtorch.export.plain.routines"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment

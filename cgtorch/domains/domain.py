@@ -19,8 +19,8 @@ from cgtorch.actions import (
     ActionSet,
     BranchingNN,
     ContinuousNN,
-    Grasp,
-    MoveBase,
+    Step,
+    Test,
     reward_actions,
 )
 from cgtorch.domains import knowledge as learned
@@ -146,7 +146,7 @@ class Domain(ABC, Generic[S]):
         if self.rewarded:
             return reward_actions(d, u)
         aim, branch = ContinuousNN(d, outputs=u), BranchingNN(d)
-        return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, MoveBase(u), branch, Grasp()))
+        return ActionSet(("Aim", "Step", "Branch", "Test"), (aim, Step(u), branch, Test()))
 
     def tests(self, kind: str) -> S:
         """The fixed test scenarios of a stage of this kind; none by default."""

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, Grasp, MoveBase
+from cgtorch.actions import ActionSet, Step, Test
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.domains.registry import domain_class, is_code
@@ -295,7 +295,7 @@ def _plain(numbers: Tensor) -> list[float]:
 def routine_names(actions: ActionSet) -> tuple[str, str]:
     """The names of the methods that carry out a motion and a test, by those of the actions."""
     found = []
-    for kind in (MoveBase, Grasp):
+    for kind in (Step, Test):
         names = zip(actions.names, actions.actions, strict=True)
         name = next((name for name, action in names if isinstance(action, kind)), None)
         if name is None:

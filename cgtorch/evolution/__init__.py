@@ -1,5 +1,6 @@
 """Algorithm 2: evolution of computational graphs, with the whole population in batched tensors."""
 
+from cgtorch.evolution.ask_and_tell import Search as Search
 from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell

@@ -6,7 +6,7 @@ from typing import NamedTuple, NoReturn, cast
 import torch
 from torch import Tensor, nn
 
-from cgtorch.actions import Action, MoveBase
+from cgtorch.actions import Action, Step
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import NO_NODE, Skill, SubSkill
 from cgtorch.ground.errors import ActionError
@@ -28,10 +28,15 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
             yield name, action
 
 
+def request_of(action: Action) -> str:
+    """What an action asks of a robot, for exactly its class (`Action.request`); "" for nothing."""
+    return str(vars(type(action)).get("request", ""))
+
+
 def control_size_of(skill: Skill) -> int:
-    """U, the size of the control of a skill's MoveBase; 3 without one, as in the paper."""
-    sent = (a.message_size for a in skill.actions.actions if isinstance(a, MoveBase))
-    return max(sent, default=3)
+    """U, the size of the controls that a skill asks for, or of its messages if it asks for none."""
+    asked = [a.control_size for a in skill.actions.actions if isinstance(a, Step)]
+    return max(asked, default=skill.actions.message_size)
 
 
 class Sizes(NamedTuple):

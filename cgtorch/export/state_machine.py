@@ -1,7 +1,7 @@
 """A skill as a state machine: one Python file that needs nothing but Python.
 
-It is similar to files for SMACH or YASMIN. The library's networks are included. MoveBase, Detect,
-Grasp and user-defined actions are classes to fill in.
+It is similar to files for SMACH or YASMIN. The library's networks are included. Actions that ask
+the robot, and user-defined ones, are classes to fill in.
 """
 
 import ast
@@ -16,8 +16,7 @@ from textwrap import fill, indent
 
 from cgtorch.actions import Action
 from cgtorch.actions.action import memory_parts
-from cgtorch.export.computed import control_size_of, named_primitives
-from cgtorch.export.step import ROUTINES
+from cgtorch.export.computed import control_size_of, named_primitives, request_of
 from cgtorch.export.text import filled
 from cgtorch.graphs import Skill
 from cgtorch.graphs.clusters import Cluster, Node, clusters_of
@@ -25,10 +24,10 @@ from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 
 PLAIN = "cgtorch.export.plain"
-BASE = f"{PLAIN}.networks"
+BASES = f"{PLAIN}.machine", f"{PLAIN}.routines", f"{PLAIN}.networks"
+"""The modules with what the plain classes of other modules stand on."""
 SIZES = "inputs", "hidden", "delays", "outputs"
 """The constructor arguments of plain networks, as far as an action has them."""
-"""Has what the plain classes of other modules stand on."""
 
 
 def to_state_machine(skill: Skill) -> bytes:
@@ -37,10 +36,10 @@ def to_state_machine(skill: Skill) -> bytes:
     All names are written as quoted strings, so nothing in a skill becomes code.
     """
     clusters, primitives = clusters_of(skill), list(named_primitives(skill))
-    modules = dict.fromkeys([BASE, *filter(None, (_plain(action) for _, action in primitives))])
-    texts = {
-        module: _source(module) for module in (f"{PLAIN}.machine", f"{PLAIN}.routines", *modules)
-    }
+    asks = {_plain(action): None for _, action in primitives if request_of(action)}
+    thinks = {_plain(action): None for _, action in primitives if not request_of(action)}
+    modules = [each for each in dict.fromkeys([*BASES, *asks, *thinks]) if each]
+    texts = {module: _source(module) for module in modules}
     classes = _classes(primitives, texts.values())
     memory, memory_size = memory_parts([action for _, action in primitives])
     places = {
@@ -51,18 +50,21 @@ def to_state_machine(skill: Skill) -> bytes:
         {"class": classes[id(action)], "name": name, "action": action,
          "memory": places[id(action)], "about": _about(action)}
         for name, action in primitives
-        if type(action) not in ROUTINES and not _plain(action)
+        if not _plain(action)
     ]  # fmt: skip
     body = {module: _after_imports(text) for module, text in texts.items()}
-    routines = body[f"{PLAIN}.routines"]
+    size = f"control_size = {control_size_of(skill)}"
+    routines = dict.fromkeys([BASES[1], *filter(None, asks)])
+    asking = [classes[id(action)] for _, action in primitives if request_of(action)]
     return filled(
         "state_machine.py.jinja",
-        machine=body[f"{PLAIN}.machine"],
-        routines=routines.replace("control_size = 3", f"control_size = {control_size_of(skill)}"),
+        machine=body[BASES[0]],
+        routines=[body[module].replace("control_size = 1", size) for module in routines],
         own=own,
-        networks=[body[module] for module in modules],
+        networks=[body[module] for module in modules if module not in (BASES[0], *routines)],
         clusters=clusters,
-        fill_in=[*ROUTINES.values(), *(state["class"] for state in own)],
+        asking=asking,
+        fill_in=[*asking, *(state["class"] for state in own)],
         message_size=max(cluster.skill.actions.message_size for cluster in clusters),
         memory_size=memory_size,
         most_steps=most_steps,
@@ -107,7 +109,7 @@ def _classes(primitives: Iterable[tuple[str, Action]], texts: Iterable[str]) -> 
     taken = {name for text in texts for name in pattern.findall(text)}
     classes: dict[int, str] = {}
     for name, action in primitives:
-        if type(action) in ROUTINES or _plain(action):
+        if _plain(action):
             classes[id(action)] = type(action).__name__
             continue
         base = re.sub(r"\W", "_", name, flags=re.ASCII)[:40]
@@ -125,7 +127,7 @@ def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str
     action, name = node.action, classes[id(node.action)]
     values = fill(", ".join(map(repr, node.parameters)), 92)
     values = f"[\n{indent(values, ' ' * 8)},\n    ]" if node.parameters else ""
-    if _plain(action):
+    if _plain(action) and not request_of(action):
         names = [name for name in SIZES if hasattr(action, name)]
         sizes = ", ".join(f"{name}={getattr(action, name)}" for name in names)
         sizes += f", memory={places[id(action)]}" if action.memory_size else ""

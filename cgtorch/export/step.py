@@ -10,8 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from cgtorch.actions import Action, Detect, Grasp, MoveBase
-from cgtorch.export.computed import Computed, Sizes, control_size_of, named_primitives
+from cgtorch.export.computed import (
+    Computed,
+    Sizes,
+    control_size_of,
+    named_primitives,
+    request_of,
+)
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import most_steps
@@ -19,9 +24,11 @@ from cgtorch.simulation.action_table import SUCCESS, TIMEOUT
 from cgtorch.simulation.program import compile_graphs
 
 ENDS = ("success", "failure", "timeout")
-ROUTINES: dict[type[Action], str] = {MoveBase: "MoveBase", Detect: "Detect", Grasp: "Grasp"}
-REQUESTS = (*ENDS, *ROUTINES.values())
+ASKS = {"control": ("success", "failure"), "perceive": ("success",), "test": ("success", "failure")}
+"""What a robot can be asked (`Action.request`), and the outcomes of each."""
+REQUESTS = (*ENDS, *ASKS)
 """The meaning of each value of `request`: how the skill has ended, or what the robot should do."""
+CONTROL = REQUESTS.index("control")
 
 FRESH, RUNNING = 0, 1
 STATUS, NODE, LEVEL, STEP, STACK = range(5)  # columns of `place`
@@ -33,8 +40,8 @@ class SkillStep(nn.Module):
     Networks and other actions that only compute run inside. For all others, the robot gets a
     request. The position in the skill is in `place`, messages and memory are in `mind`; both are
     zeros at the beginning, and the module stores nothing. It behaves like the engine: sub-skills
-    with their own limits, messages and the common memory, and `max_steps` on all levels. A MoveBase
-    without a message, or with one that is not finite, fails without a request.
+    with their own limits, messages and the common memory, and `max_steps` on all levels. A control
+    that is not there or not finite fails without a request.
 
     Attributes:
         name: The skill's name.
@@ -78,12 +85,13 @@ class SkillStep(nn.Module):
         self.mind_size = self.message_size + 1 + self.memory_size
         self.num_primitives = len(table.primitives)
         request = torch.full((self.num_primitives + len(program.limit),), -1)
+        self.asks = {each: each for each in ASKS}  # by the names that they have in the skill
         self.own: list[tuple[int, int, slice]] = []  # kind, parameters, part of the memory
         self.computed = nn.ModuleList()
         for name, action in named_primitives(skill):
             i = next(i for i, p in enumerate(table.primitives) if p is action)
-            if type(action) in ROUTINES:
-                request[i] = REQUESTS.index(ROUTINES[type(action)])
+            if asks := request_of(action):
+                request[i], self.asks[asks] = REQUESTS.index(asks), name
             else:
                 part = table.memory[i]
                 widths = self.percept_size, self.control_size, self.message_size
@@ -111,7 +119,7 @@ class SkillStep(nn.Module):
             mind: (mind_size,) float, from the last step; zeros in the first.
 
         Returns:
-            `request` () long, an index into `REQUESTS`; `control` (U,), the motion of a MoveBase,
+            `request` () long, an index into `REQUESTS`; `control` (U,), what to carry out,
                 else zeros; and `place` and `mind` for the next step. After its end, a skill
                 requests nothing and does not change.
         """
@@ -132,7 +140,7 @@ class SkillStep(nn.Module):
                 place, mind = think(place, mind)
         status = place[:, STATUS]
         request = torch.where(status == RUNNING, self.request[place[:, NODE]], SUCCESS - status)
-        moves = (request == REQUESTS.index("MoveBase"))[:, None]
+        moves = (request == CONTROL)[:, None]
         control = torch.where(moves, mind[:, : self.control_size], 0.0)
         return request[0], control[0], place[0], mind[0]
 
@@ -194,14 +202,14 @@ class SkillStep(nn.Module):
         asks = self.request[place[:, NODE]]
         finite = mind[:, : self.control_size].isfinite().all(1)
         possible = (mind[:, self.message_size] > 0) & finite
-        needs_robot = (asks >= 0) & ((asks != REQUESTS.index("MoveBase")) | possible)
+        needs_robot = (asks >= 0) & ((asks != CONTROL) | possible)
         return (place[:, STATUS] == RUNNING) & ~needs_robot
 
     def _think(self, percept: Tensor, place: Tensor, mind: Tensor) -> tuple[Tensor, Tensor]:
         """Run one action at all places that need no robot."""
         node = place[:, NODE]
         thinks, kind = self._thinks(place, mind), self.kind[node]
-        outcome = torch.ones_like(node)  # a MoveBase that is not possible fails
+        outcome = torch.ones_like(node)  # a control that is not possible fails
         message, has, memory = mind.split([self.message_size, 1, self.memory_size], 1)
         lanes = (percept, message, has[:, 0] > 0)
         for (i, width, part), action in zip(self.own, self.computed, strict=True):
@@ -237,8 +245,8 @@ class SkillStep(nn.Module):
             "control": self.control_size,
             "place": self.place_size,
             "mind": self.mind_size,
-            "requests": list(REQUESTS),
-            "outcomes": {name: list(routine.outcomes) for routine, name in ROUTINES.items()},
+            "requests": [*ENDS, *self.asks.values()],
+            "outcomes": {self.asks[each]: list(outcomes) for each, outcomes in ASKS.items()},
         }
 
 

@@ -6,21 +6,24 @@ reads these results instead of computing them, and computes from where the journ
 evolution in progress, the journal also stores a checkpoint.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.actions import ActionSet
-from cgtorch.evolution import EvolutionState, Island, Population, population_from
-from cgtorch.graphs import Graphs
+from cgtorch.evolution import Island
+from cgtorch.evolution.island_tensors import (
+    damage,
+    island_from,
+    island_tensors,
+    population_named,
+    population_tensors,
+)
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.search_tensors import population_tensors as _tensors
-from cgtorch.improvement.search_tensors import search_tensors, with_search
 from cgtorch.improvement.stopping import Found
 
 
@@ -62,7 +65,7 @@ class Journal:
 def found_tensors(found: Found) -> dict[str, Tensor]:
     """The tensors that `found_from` reads."""
     return {
-        **_tensors("champion", found.champion),
+        **population_tensors("champion", found.champion),
         "solved": found.solved,
         "generations": torch.tensor(found.generations),
         "counts": torch.tensor([found.since, found.transitions]),
@@ -72,8 +75,8 @@ def found_tensors(found: Found) -> dict[str, Tensor]:
 
 def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -> Found:
     """The intermediate result of an evolution on B scenarios; RunError for damaged tensors."""
-    with _damage():
-        champion = _population("champion", tensors, actions)[:1]
+    with damage():
+        champion = population_named("champion", tensors, actions)[:1]
         (since, transitions), (best, seconds) = (tensors[n].tolist() for n in ("counts", "numbers"))
         solved, generations = tensors["solved"], tensors["generations"].item()
         if type(generations) is not int or generations < 0:
@@ -98,16 +101,6 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
     return Checkpoint(found_tensors(found), parts, apart=len(held) < count)
 
 
-def island_tensors(island: Island) -> dict[str, Tensor]:
-    """The tensors that `island_from` reads."""
-    state = {"generator": island.generator.get_state()}
-    return {
-        **_tensors("population", island.state.population),
-        **state,
-        **search_tensors(island.state),
-    }
-
-
 def islands_from(
     checkpoint: Checkpoint, actions: ActionSet, generator: Generator, count: int
 ) -> list[Island]:
@@ -125,36 +118,3 @@ def islands_from(
         island_from(checkpoint.parts[i](), actions, Generator() if i else generator, done)
         for i in ranks.held(count)
     ]
-
-
-def island_from(
-    tensors: dict[str, Tensor], actions: ActionSet, generator: Generator, generation: int
-) -> Island:
-    """An island that evaluates this generation next, from untrusted `island_tensors`."""
-    with _damage():
-        population = _population("population", tensors, actions)
-        state = EvolutionState(population, generation, population[:1], float("-inf"))
-        state = with_search(state, tensors, partial(_population, actions=actions))
-    restore(generator, tensors)
-    return Island(state, generator)
-
-
-def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
-    """Set a generator to the state in `tensors`; RunError if there is no valid one."""
-    with _damage():
-        generator.set_state(tensors["generator"])
-
-
-@contextmanager
-def _damage() -> Iterator[None]:
-    """Turn any exception from reading damaged tensors into a RunError."""
-    try:
-        yield
-    except (KeyError, ValueError, TypeError, RuntimeError) as e:
-        reason = " ".join(str(e).split())[:200]
-        raise RunError(f"the checkpoint of an evolution is damaged ({reason}); remove it") from e
-
-
-def _population(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:
-    names = [*(f.name for f in fields(Graphs)), "strategy"]
-    return population_from({name: tensors[f"{part}.{name}"] for name in names}, actions)

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from cgtorch.environment import Environment
 from cgtorch.evolution import Population, evolve
+from cgtorch.evolution.island_tensors import restore
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.checkpoint import (
     checkpoint_of,
     found_from,
     found_tensors,
     islands_from,
-    restore,
 )
 from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, solved_of
 from cgtorch.improvement.setup import Stage

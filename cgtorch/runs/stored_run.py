@@ -25,7 +25,7 @@ from typing import Any
 import torch
 
 from cgtorch import native
-from cgtorch.actions import Action, ActionSet, MoveBase, check_action, resolve_actions
+from cgtorch.actions import Action, ActionSet, Step, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
@@ -288,10 +288,10 @@ def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:
         raise ActionError(
             f"action {name!r} reads {reads} numbers, and a percept has {percept}; make it for these"
         )
-    if type(action) is MoveBase and action.message_size != control:  # others may send more
+    if type(action) is Step and action.message_size != control:  # others may send more
         raise ActionError(
             f"action {name!r} sends {action.message_size} numbers as a control, of which the "
-            f"domain has {control}; make it as MoveBase({control})"
+            f"domain has {control}; make it as Step({control})"
         )
 
 

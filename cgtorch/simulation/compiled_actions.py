@@ -26,7 +26,7 @@ LARGEST = 2**30
 """The largest number of nodes, transitions or scenarios in compiled code."""
 SIZES = ("inputs", "hidden", "delays", "outputs")
 """The sizes of a network in an `Action` of program.h; 0 if it does not have them."""
-ROUTINES = ("MOVE_BASE", "GRASP", "DETECT")
+ROUTINES = ("STEP", "TEST", "PERCEIVE")
 """Kinds of actions that call the environment."""
 NETWORKS = ("CONTINUOUS", "BRANCHING")
 WITH_MEMORY = ("RECURRENT", "DELAY")

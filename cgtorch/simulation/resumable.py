@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet, Grasp, MoveBase
+from cgtorch.actions import Action, ActionSet
 from cgtorch.environment import Environment, Lanes, Rewarded
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import ActionError
@@ -91,7 +91,7 @@ def _known(
 ) -> CompiledActions | None:
     """The compiled actions, where the environment is in Python."""
     # Γ predicts what would be perceived.
-    more = ("DETECT",) if type(environment) is ModelEnvironment else ()
+    more = ("PERCEIVE",) if type(environment) is ModelEnvironment else ()
     kinds = (*NETWORKS, *WITH_MEMORY, *more)
     return compiled_actions(actions, environment.percept_size, dtype, kinds)
 
@@ -153,11 +153,12 @@ def _done(
     action: Action, lanes: Lanes, parameters: Tensor, environment: Environment, waiting: Any
 ) -> Answer:
     """Run an action for n lanes; routines call the environment directly, which is faster."""
-    kind = None if action._forward_hooks or action._forward_pre_hooks else type(action)
-    if kind is MoveBase and not waiting.silent:
+    hooked = action._forward_hooks or action._forward_pre_hooks
+    request = "" if hooked else vars(type(action)).get("request", "")
+    if request == "control" and not waiting.silent:
         control = lanes.message[:, : environment.control_size]
         return *environment.step(lanes, control), "done"
-    if kind is Grasp:
+    if request == "test":
         return *environment.success(lanes), "chance"
     return *action(lanes, parameters, environment), "outcome"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.domains.domain import Domain, Published, Specialists
 from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.knowledge import Knowledge, imagine
@@ -26,6 +26,7 @@ from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import WITHIN, Scenes, collect, motions_to_try
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.kinematics import (

@@ -6,9 +6,10 @@ node does at one edge, it does at all.
 
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, named_actions
+from cgtorch.actions import ActionSet
 from cgtorch.actions.networks import BranchingNN, ContinuousNN, one_hidden_layer
 from cgtorch.environment import Lanes
+from cgtorch.tabletop.actions import named_actions
 from cgtorch.tabletop.world.edge_frame import (
     SCENE,
     edge_frame,
@@ -27,7 +28,7 @@ class EdgeNN(ContinuousNN):
     way, and another node can then choose another pose.
     """
 
-    native_kind = "EDGE"
+    native_kind = "DOMAIN_NN"
     plain_module = "cgtorch.tabletop.plain_edge_networks"
 
     def __init__(self, percept_size: int = 9, hidden: int = 3):
@@ -53,7 +54,7 @@ class EdgeWayNN(EdgeNN):
     min, y max of the base with a margin.
     """
 
-    native_kind = "EDGE_WAY"
+    native_kind = "DOMAIN_OTHER_NN"
     plain_module = "cgtorch.tabletop.plain_edge_networks"
 
     def __init__(
@@ -75,7 +76,7 @@ class EdgeWayNN(EdgeNN):
 class EdgeBranchingNN(BranchingNN):
     """Maps the scene in the edge's frame to one of two branches."""
 
-    native_kind = "EDGE_BRANCHING"
+    native_kind = "DOMAIN_BRANCHING"
     plain_module = "cgtorch.tabletop.plain_edge_networks"
 
     def __init__(self, percept_size: int = 9, hidden: int = 3):

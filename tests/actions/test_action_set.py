@@ -2,8 +2,9 @@ import pytest
 import torch
 from support import Counter, custom_actions, seeded
 
-from cgtorch.actions import Action, ActionSet, Detect, Grasp, paper_actions
+from cgtorch.actions import Action, ActionSet
 from cgtorch.ground.errors import ActionError
+from cgtorch.tabletop.actions import Detect, Grasp, paper_actions
 
 
 def test_the_papers_five() -> None:

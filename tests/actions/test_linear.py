@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from support import model, seeded, world
 
 import cgtorch
-from cgtorch.actions import DelayNN, LinearNN, check_action, paper_actions, resolve_actions
+from cgtorch.actions import DelayNN, LinearNN, check_action, resolve_actions
 from cgtorch.actions.action import memory_parts
 from cgtorch.actions.linear import percept_and_changes
 from cgtorch.environment import start_lanes
+from cgtorch.tabletop.actions import paper_actions
 
 
 @given(st.integers(0, 2**31), st.integers(1, 6), st.integers(0, 4))
@@ -83,7 +84,7 @@ def test_no_neighbour_changes_a_row(dtype: torch.dtype) -> None:
 
 @pytest.mark.parametrize("name", ["DelayNN", "LinearNN"])
 def test_its_name_is_known_in_any_domain(name: str) -> None:
-    assert resolve_actions([name]).names == (*paper_actions().names, name)
+    assert resolve_actions([name], paper_actions(), (7, 3)).names == (*paper_actions().names, name)
     action = resolve_actions([name], paper_actions(), (9, 2)).actions[-1]
     assert (action.inputs, action.outputs) == (9, 2)
     assert cgtorch.DelayNN is DelayNN

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from support import create_run, model, seeded, world
 
 import cgtorch
-from cgtorch.actions import ActionSet, RecurrentNN, check_action, paper_actions, resolve_actions
+from cgtorch.actions import ActionSet, RecurrentNN, check_action, resolve_actions
 from cgtorch.actions.action import memory_parts
 from cgtorch.actions.recurrent import recurrent_parameters, recurrent_step
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.environment import start_lanes
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import read_run
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
 
 Numbers = NDArray[np.float64]
@@ -120,12 +121,12 @@ def test_all_nodes_of_an_action_share_its_memory() -> None:
 
 
 def test_its_name_is_known_in_any_domain() -> None:
-    assert resolve_actions(["RecurrentNN"]).names == (*paper_actions().names, "RecurrentNN")
+    assert resolve_actions(["RecurrentNN"], paper_actions(), (7, 3)).names[-1] == "RecurrentNN"
     action = resolve_actions(["RecurrentNN"], paper_actions(), (9, 2)).actions[-1]
     assert isinstance(action, RecurrentNN)
     assert (action.inputs, action.hidden, action.outputs) == (9, 3, 2)
     mine = ActionSet(("RecurrentNN",), (RecurrentNN(2, 5, 1),))
-    assert resolve_actions(["RecurrentNN"], mine) == mine
+    assert resolve_actions(["RecurrentNN"], mine, (7, 3)) == mine
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,15 @@ import torch
 from support import Counter, model, world
 from torch import Generator, Tensor
 
-from cgtorch.actions import check_action, paper_actions, resolve_actions
+from cgtorch.actions import ActionSet, check_action, resolve_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
+from cgtorch.tabletop.actions import paper_actions
 
 MODULE = """
 import torch
-from cgtorch.actions import Action, Detect
+from cgtorch.actions import Action
+from cgtorch.tabletop.actions import Detect
 
 class Wave(Detect):
     outcomes = ("success", "tired")
@@ -33,6 +35,11 @@ class Holder:
 
 number = 3
 """
+
+
+def resolved(names: Sequence[str] = ()) -> ActionSet:
+    """What names stand for, beside the actions of the paper."""
+    return resolve_actions(names, paper_actions(), (7, 3))
 
 
 @pytest.fixture(autouse=True)
@@ -53,13 +60,13 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_papers_actions_are_always_there() -> None:
     five = paper_actions().names
-    assert resolve_actions().names == five
-    assert resolve_actions(["Grasp", "Detect", "Grasp"]).names == five
+    assert resolved().names == five
+    assert resolved(["Grasp", "Detect", "Grasp"]).names == five
 
 
 def test_entry_points_and_classes_are_added() -> None:
     names = ["wave", "arm_actions:Wave", "wave", "arm_actions:Holder.Inner"]
-    actions = resolve_actions(names)
+    actions = resolved(names)
     assert actions.names == (*paper_actions().names, "wave", "Wave", "Inner")
     assert actions.actions[5].outcomes == ("success", "tired")
     assert type(actions.actions[5]) is type(actions.actions[6])
@@ -87,7 +94,7 @@ def test_entry_points_and_classes_are_added() -> None:
 )
 def test_names_that_stand_for_nothing(name: str, message: str) -> None:
     with pytest.raises(ActionError, match=message) as caught:
-        resolve_actions([name])
+        resolved([name])
     assert "\n" not in str(caught.value)
 
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 import torch
 from support import judged_by, model, seeded, world
 
-from cgtorch.actions import Detect, Grasp, MoveBase
 from cgtorch.environment import start_lanes
+from cgtorch.tabletop.actions import Detect, Grasp, MoveBase
 from cgtorch.tabletop.world import Noise
 
 NO_PARAMETERS = torch.zeros(4, 0)

@@ -18,11 +18,12 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet, Detect, check_action, paper_actions
+from cgtorch.actions import Action, ActionSet, check_action
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.graphs import Graphs, Skill, SubSkill
 from cgtorch.ground.errors import ActionError, ModelError
 from cgtorch.simulation import ModelEnvironment, Recording, rollout
+from cgtorch.tabletop.actions import Detect, paper_actions
 from cgtorch.tabletop.world import Noise, TabletopWorld
 
 ACTIONS = stochastic_actions()

@@ -291,7 +291,7 @@ def test_a_history_that_is_none(shell: Shell, run_folder: Path) -> None:
 MODULE = """
 import pathlib
 pathlib.Path("imported").write_text("yes")
-from cgtorch.actions import Detect
+from cgtorch.tabletop.actions import Detect
 class Look(Detect): pass
 """
 

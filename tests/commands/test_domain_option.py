@@ -200,7 +200,7 @@ def test_a_damaged_name_of_a_domain(
 
 OTHERS = """
 from cgtorch import Action, Domain, DomainSettings, option
-from cgtorch.actions import ContinuousNN, MoveBase
+from cgtorch.actions import ContinuousNN, Step
 from dataclasses import dataclass
 from own_cart import Cart
 
@@ -249,7 +249,7 @@ class Crabs(Cart):
 
 class Narrow(Cart):
     def actions(self):
-        return super().actions().extended(["Half"], [MoveBase(9)])
+        return super().actions().extended(["Half"], [Step(9)])
 
 class Sighted(Cart):
     def actions(self):
@@ -295,7 +295,7 @@ class Thawed(DomainSettings):
         ("own_cart:Fly", "cannot import domain 'own_cart:Fly'"),
         ("json:loads", "give a subclass of cgtorch.Domain"),
         ("others:nothing", "domain 'others:nothing' is 3; give a subclass of cgtorch.Domain"),
-        ("cgtorch.actions:Grasp", "give a subclass of cgtorch.Domain"),
+        ("cgtorch.tabletop.actions:Grasp", "give a subclass of cgtorch.Domain"),
         ("others:SeededCart", "has a setting 'seed', which every run has; rename it"),
         ("others:TimedCart", "has a setting 'minutes', which every run has; rename it"),
         ("others:StagedCart", "has a setting 'stage', which every run has; rename it"),

@@ -13,7 +13,7 @@ import pytest
 from command_line import Ended, as_options, in_a_shell
 from trained import SMALL
 
-from cgtorch.actions import paper_actions
+from cgtorch.tabletop.actions import paper_actions
 
 HERE = Path(__file__).parent.parent
 SOURCE = HERE / "plugin_package"
@@ -61,8 +61,8 @@ def test_it_holds_what_the_document_says() -> None:
 def test_it_is_found_by_name(installed: Path) -> None:
     assert (installed / "reaching_actions" / "approach.py").is_file()
     program = (
-        "from cgtorch import resolve_actions\n"
-        "actions = resolve_actions(['Approach', 'Wander'])\n"
+        "from cgtorch import paper_actions, resolve_actions\n"
+        "actions = resolve_actions(['Approach', 'Wander'], paper_actions(), (7, 3))\n"
         "print(*actions.names)\n"
         "print(actions.actions[-2].__class__.__module__)\n"
     )

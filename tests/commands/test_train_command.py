@@ -180,7 +180,7 @@ def test_an_action_of_ones_own_that_is_used_is_told(
     shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_steps.py").write_text(
-        "from cgtorch.actions import MoveBase\n\nclass Stride(MoveBase):\n    'A step.'\n"
+        "from cgtorch.tabletop.actions import MoveBase\n\nclass Stride(MoveBase):\n    'A step.'\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     folder = copied(trained, tmp_path / "run")

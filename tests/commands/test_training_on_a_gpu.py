@@ -14,7 +14,7 @@ from safetensors.torch import load_file
 from support import custom_actions
 from trained import SMALL
 
-from cgtorch.actions import RecurrentNN, paper_actions
+from cgtorch.actions import RecurrentNN
 from cgtorch.commands.train import command
 from cgtorch.ground.files import read_json
 from cgtorch.native import gpu as native_gpu
@@ -22,6 +22,7 @@ from cgtorch.report import ProgressDisplay
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import planned_run
 from cgtorch.session import fastest_device
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
 
 OPTIONS = as_options(replace(SMALL, practice=0, generations=8, attempts=1))

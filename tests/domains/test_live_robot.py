@@ -14,13 +14,14 @@ from driven_cart import NEAR, CartDriver, begun, cart, lines, push, pusher, told
 from rail import Cart, Rail
 from support import seeded
 
-from cgtorch.actions import ActionSet, BranchingNN, Grasp, MoveBase, paper_actions
+from cgtorch.actions import ActionSet, BranchingNN, Step, Test
 from cgtorch.domains.live import Placements, Robot, domain_of_driver, on_robot, routine_names
 from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
 from cgtorch.environment import Environment, Live, Rewarded, start_lanes
 from cgtorch.ground.errors import DomainError, RobotStoppedError
 from cgtorch.ground.json_lines import JsonLines
 from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.actions import paper_actions
 
 
 def test_a_robot_is_a_live_environment(tmp_path: Path) -> None:
@@ -284,9 +285,9 @@ def test_a_method_that_is_missing_is_named(name: str, what: str, tmp_path: Path)
 def test_routines_are_named_like_the_actions() -> None:
     assert routine_names(paper_actions()) == ("move_base", "grasp")
     names = ("PushFarAway", "Look", "TestIt2Now")
-    found = ActionSet(names, (MoveBase(1), BranchingNN(2), Grasp()))
+    found = ActionSet(names, (Step(1), BranchingNN(2), Test()))
     assert routine_names(found) == ("push_far_away", "test_it2_now")
-    for kind, rest in (("MoveBase", (BranchingNN(2), Grasp())), ("Grasp", (MoveBase(1),))):
+    for kind, rest in (("Step", (BranchingNN(2), Test())), ("Test", (Step(1),))):
         few = ActionSet(tuple(f"A{i}" for i in range(len(rest))), rest)
         with pytest.raises(DomainError, match=f"is no {kind}; add one"):
             routine_names(few)

@@ -11,12 +11,12 @@ from reaching import unrepeatable
 from support import Counter, custom_actions, model, nested_actions, seeded, world
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment import Environment, Lanes
 from cgtorch.environment.dry_run import check_environment, repeats_itself
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.ground.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
 
 SETTINGS = EvolutionSettings(population=8, capacity=8, initial_nodes=(2, 6))

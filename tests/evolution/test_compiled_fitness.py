@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from random_models import random_models
 from support import as_double, as_double_actions, nested_actions, random_graphs, seeded
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.ground.numerics import row_means
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")

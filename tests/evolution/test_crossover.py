@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from support import nested_actions, random_graphs, same, seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.evolution import Population, compiled
 from cgtorch.evolution import crossover as module
 from cgtorch.evolution.crossover import graft, group, undirected_distance
@@ -16,6 +15,7 @@ from cgtorch.evolution.offspring import crossover
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, compacted, to_networkx
 from cgtorch.ground.counter_rng import keys, random_key, words
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = nested_actions()
 seeds = st.integers(0, 2**31)

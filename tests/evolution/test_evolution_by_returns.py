@@ -8,7 +8,6 @@ from support import model, random_graphs, seeded
 from torch import Tensor
 from walking import Path, RewardedPath, Walks, chain, path, walking_actions
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment import Lanes
 from cgtorch.evolution import (
     EvolutionSettings,
@@ -26,6 +25,7 @@ from cgtorch.evolution.selection import deviation
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.shrink import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = walking_actions()
 NOTHING = torch.zeros(5, dtype=torch.bool)

@@ -11,7 +11,7 @@ from random_models import models_as, random_models
 from support import nested_actions, seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, ContinuousNN, paper_actions
+from cgtorch.actions import ActionSet, ContinuousNN
 from cgtorch.evolution import EvolutionSettings, compiled, evolve, gpu
 from cgtorch.evolution.compiled import lexicase as lexicase_in_c
 from cgtorch.evolution.offspring import breed
@@ -23,6 +23,7 @@ from cgtorch.native import available
 from cgtorch.native import gpu as native_gpu
 from cgtorch.native.gpu import Launcher
 from cgtorch.simulation import ModelEnvironment
+from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(
     not available() or shutil.which("c++") is None, reason="there is no C++ compiler"

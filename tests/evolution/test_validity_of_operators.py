@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from support import all_valid, nested_actions, same, same_nodes, seeded, stochastic_actions
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.evolution import (
     STRATEGY,
     EvolutionSettings,
@@ -22,6 +22,7 @@ from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.parameters import perturb_parameters, with_origins
 from cgtorch.evolution.population import TAU, random_population, seeded_population
 from cgtorch.graphs import pruned, valid
+from cgtorch.tabletop.actions import paper_actions
 
 SETS = [paper_actions(), stochastic_actions(), nested_actions()]
 SIZE = 8

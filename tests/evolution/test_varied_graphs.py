@@ -13,8 +13,8 @@ from cgtorch.actions import (
     ContinuousNN,
     DelayNN,
     LinearNN,
-    MoveBase,
     RecurrentNN,
+    Step,
 )
 from cgtorch.evolution.varied_graphs import looping, occurrence, varied_graphs
 from cgtorch.graphs import Graphs, to_networkx, valid
@@ -27,7 +27,7 @@ REWARDED = ActionSet(
         DelayNN(4, outputs=2),
         RecurrentNN(4, outputs=2),
         BranchingNN(4),
-        MoveBase(2),
+        Step(2),
     ),
 )
 

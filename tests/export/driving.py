@@ -9,9 +9,10 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, Detect, Grasp, MoveBase
+from cgtorch.actions import Action
 from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.export import to_module, to_onnx
+from cgtorch.export.step import REQUESTS
 from cgtorch.graphs import Skill
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
@@ -70,12 +71,11 @@ def by_the_library(
             actions[i].append((action, out))
             motion = lanes.message[row, : environment.control_size]
             idle = not lanes.has_message[row] or not motion.isfinite().all()
-            if type(action) not in (MoveBase, Detect, Grasp):
+            asks = vars(type(action)).get("request", "")
+            moves = asks == "control"
+            if not asks or (moves and idle):
                 continue
-            if isinstance(action, MoveBase) and idle:
-                continue
-            run.routines.append(type(action).__name__)
-            moves = isinstance(action, MoveBase)
+            run.routines.append(asks)
             run.controls.append(motion.clone() if moves else torch.zeros_like(motion))
             run.outcomes.append(out)
             run.percepts.append(lanes.percept[row].clone())
@@ -101,8 +101,8 @@ def by_steps(
     place, mind = torch.zeros(about["place"], dtype=torch.long), torch.zeros(about["mind"])
     while True:
         request, control, place, mind = step(lanes.percept[0], outcome, place, mind)
-        wanted = about["requests"][int(request)]
-        if wanted not in about["outcomes"]:
+        wanted = REQUESTS[int(request)]
+        if about["requests"][int(request)] not in about["outcomes"]:
             run.end, run.steps = wanted, int(place[3])
             return run
         lanes, out = act(wanted, lanes, control, environment)
@@ -116,12 +116,12 @@ def by_steps(
 def act(wanted: str, lanes: Lanes, control: Tensor, environment: Environment) -> tuple[Lanes, int]:
     """A routine and its outcome's index."""
     match wanted:
-        case "MoveBase":
+        case "control":
             lanes, moved = environment.step(lanes, control[None])
             return lanes, int(not moved)
-        case "Detect":
+        case "perceive":
             return environment.observe(lanes), 0
-        case "Grasp":
+        case "test":
             lanes, probability = environment.success(lanes)
             return lanes, int(probability <= 0.5)
     raise AssertionError(wanted)
@@ -139,10 +139,9 @@ def stacked(runs: list[Execution]) -> dict[str, Tensor]:
     """Executions as tensors, for another process: the inputs of all steps and what is to come out.
 
     Step t of run i gets `percept[t, i]` and `outcome[t, i]` and is to give `request` (by name:
-    0 success, 1 failure, 2 timeout, then MoveBase, Detect, Grasp) and `control`. `rows` (R,) says
+    0 success, 1 failure, 2 timeout, then control, perceive, test) and `control`. `rows` (R,) says
     how many steps a run has.
     """
-    names = ["success", "failure", "timeout", "MoveBase", "Detect", "Grasp"]
     longest = max(len(r.percepts) for r in runs)
     size, motion = len(runs[0].percepts[0]), 3
     out = {
@@ -158,7 +157,7 @@ def stacked(runs: list[Execution]) -> dict[str, Tensor]:
             if t:
                 out["outcome"][t, i] = run.outcomes[t - 1]
             last = t == len(run.routines)
-            out["request"][t, i] = names.index(run.end if last else run.routines[t])
+            out["request"][t, i] = REQUESTS.index(run.end if last else run.routines[t])
             if not last:
                 out["control"][t, i] = run.controls[t]
     return out

@@ -39,20 +39,25 @@ def filled_in(module: ModuleType, environment: Environment, scenario: int) -> di
         userdata.percept = lanes.percept[0].tolist()
         return out
 
-    class Drive(module.MoveBase):
-        def move(self, userdata: Any, *motion: float) -> bool:
-            return do("MoveBase", userdata, motion) == 0
+    step, look, test = (
+        next((getattr(module, name) for name in names if hasattr(module, name)), None)
+        for names in (("MoveBase", "Step"), ("Detect", "Perceive"), ("Grasp", "Test"))
+    )
 
-    class Look(module.Detect):
-        def detect(self, userdata: Any) -> list[float]:
-            do("Detect", userdata)
+    class Drive(step):  # type: ignore[misc, valid-type]
+        def step(self, userdata: Any, *motion: float) -> bool:
+            return do("control", userdata, motion) == 0
+
+    class Look(look):  # type: ignore[misc, valid-type]
+        def perceive(self, userdata: Any) -> list[float]:
+            do("perceive", userdata)
             return userdata.percept
 
-    class Grip(module.Grasp):
-        def grasp(self, userdata: Any) -> bool:
-            return do("Grasp", userdata) == 0
+    class Try(test):  # type: ignore[misc, valid-type]
+        def test(self, userdata: Any) -> bool:
+            return do("test", userdata) == 0
 
-    return {"MoveBase": Drive, "Detect": Look, "Grasp": Grip}
+    return {base.__name__: own for base, own in ((step, Drive), (look, Look), (test, Try))}
 
 
 def executed(

@@ -15,12 +15,13 @@ from torch import Tensor
 from walking import Path as Walk
 from walking import chain, path, walking_actions
 
-from cgtorch.actions import Action, ActionSet, ContinuousNN, Detect, paper_actions
+from cgtorch.actions import Action, ActionSet, ContinuousNN
 from cgtorch.environment import Environment, Lanes
 from cgtorch.export import SkillStep, to_module, to_state_machine
 from cgtorch.graphs import Skill, SubSkill
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
+from cgtorch.tabletop.actions import Detect, paper_actions
 
 SQUASHING = '''"""What squashes, in plain Python."""
 
@@ -125,7 +126,7 @@ def test_controls_are_as_long_as_the_skill_s(
         step = SkillStep(skill)
         assert (step.percept_size, step.control_size) == (2, 1)
         module = imported(to_state_machine(skill), tmp_path, f"skill_{seed}")
-        assert module.MoveBase.control_size == 1
+        assert module.Step.control_size == 1
         for scenario, run in enumerate(runs):
             assert_same(by_steps(step, step.about(), place, scenario), run, 1e-6)
             wanted = named(actions, told[scenario]), run.end

@@ -15,7 +15,7 @@ from test_onnx_model import runtime
 from torch import Tensor
 from walking import chain
 
-from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN, paper_actions
+from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN
 from cgtorch.export import (
     SkillStep,
     to_dot,
@@ -29,6 +29,7 @@ from cgtorch.export import (
 from cgtorch.export.torch_module import ABOUT
 from cgtorch.graphs import Skill, SubSkill, load_skill
 from cgtorch.report import draw_skill
+from cgtorch.tabletop.actions import paper_actions
 
 PLACE = model(0, 6)
 
@@ -126,9 +127,9 @@ def test_a_state_machine_has_it_as_plain_python(tmp_path: Path, wanted: Wanted) 
         states, controls = filled_in(module, PLACE, scenario), list[Tensor]()
 
         class Drive(states["MoveBase"]):  # type: ignore[misc]
-            def move(self, userdata: Any, *motion: float, to: list[Tensor] = controls) -> bool:
+            def step(self, userdata: Any, *motion: float, to: list[Tensor] = controls) -> bool:
                 to.append(torch.tensor(motion))
-                return bool(super().move(userdata, *motion))
+                return bool(super().step(userdata, *motion))
 
         class Visit(module.Visits):  # type: ignore[name-defined, misc]
             def execute(self, userdata: Any) -> str:
@@ -144,7 +145,7 @@ def test_a_state_machine_has_it_as_plain_python(tmp_path: Path, wanted: Wanted) 
         assert machine.execute(userdata) == run.end
         assert userdata.steps == len(actions[scenario])
         sent = zip(run.controls, run.routines, strict=True)
-        moves = [control for control, routine in sent if routine == "MoveBase"]
+        moves = [control for control, routine in sent if routine == "control"]
         torch.testing.assert_close(torch.stack(controls), torch.stack(moves), atol=1e-5, rtol=0)
 
 

@@ -21,12 +21,13 @@ from support import (
 )
 from torch import Tensor, nn
 
-from cgtorch.actions import Action, ActionSet, Grasp, MoveBase, paper_actions
+from cgtorch.actions import Action, ActionSet
 from cgtorch.environment import Environment, Lanes
 from cgtorch.export import SkillStep
 from cgtorch.export.step import REQUESTS
 from cgtorch.graphs import Graphs, Skill
 from cgtorch.ground.errors import ActionError, SettingsError
+from cgtorch.tabletop.actions import Grasp, MoveBase, paper_actions
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -182,7 +183,7 @@ def test_actions_that_no_node_uses_do_no_harm() -> None:
         torch.tensor([[2]]), torch.tensor([[[-1, 0]]]), torch.zeros(1, 1, 33), torch.tensor([0])
     )
     step = SkillStep(Skill("grasp", graph, both), percept_size=7)
-    assert REQUESTS[int(step(*step.first())[0])] == "Grasp"
+    assert REQUESTS[int(step(*step.first())[0])] == "test"
 
 
 def test_the_percept_has_to_be_known() -> None:
@@ -196,7 +197,7 @@ def test_a_robot_is_never_sent_where_no_number_is() -> None:
     step = SkillStep(lone(Learned(), then=MoveBase), percept_size=7)
     percept, outcome, place, mind = step.first()
     request, control, *_ = step(percept, outcome, place, mind)
-    assert REQUESTS[int(request)] == "MoveBase"
+    assert REQUESTS[int(request)] == "control"
     assert control.isfinite().all()
     request, control, place, _ = step(percept * torch.nan, outcome, place, mind)
     assert REQUESTS[int(request)] == "timeout"

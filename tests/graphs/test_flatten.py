@@ -22,12 +22,13 @@ from support import (
     world,
 )
 
-from cgtorch.actions import ActionSet, Detect, Grasp, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment
 from cgtorch.graphs import Skill, SubSkill, flattened, from_networkx, merged, same_behaviour
 from cgtorch.graphs.view import View
 from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import rollout
+from cgtorch.tabletop.actions import Detect, Grasp, paper_actions
 
 limits = st.sampled_from([(2, 4, 6), (3, 5, 20), (20, 20, 20), (30, 2, 7), (60, 60, 60)])
 """Of the innermost, middle and outermost level."""

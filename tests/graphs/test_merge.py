@@ -18,7 +18,7 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.graphs import (
     NO_NODE,
     Graphs,
@@ -30,6 +30,7 @@ from cgtorch.graphs import (
     same_behaviour,
 )
 from cgtorch.simulation import rollout
+from cgtorch.tabletop.actions import Detect, Grasp, MoveBase, paper_actions
 
 SETS = [paper_actions(), custom_actions(), nested_actions(0)]
 PLAIN = ActionSet(("MoveBase", "Detect", "Grasp"), (MoveBase(), Detect(), Grasp()))

@@ -21,7 +21,7 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.graphs import (
     Skill,
     SubSkill,
@@ -34,6 +34,7 @@ from cgtorch.graphs import (
 from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError
 from cgtorch.simulation import rollout
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = stochastic_actions()
 NESTED = nested_actions(base=ACTIONS)

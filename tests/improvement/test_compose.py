@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support import random_skill, seeded, world
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, Detect, Grasp, MoveBase, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.environment import Lanes
 from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, save_skill
 from cgtorch.graphs.view import View
@@ -20,6 +20,7 @@ from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
 from cgtorch.improvement.gating import selected_members, train_gating
 from cgtorch.simulation import rollout
+from cgtorch.tabletop.actions import Detect, Grasp, MoveBase, paper_actions
 
 ACTIONS = paper_actions()
 BRANCH = branching_action(ACTIONS)[1]

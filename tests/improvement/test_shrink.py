@@ -3,10 +3,10 @@
 import torch
 from support import model, random_graphs
 
-from cgtorch.actions import paper_actions
 from cgtorch.evolution import Population, evaluator, initial_strategy
 from cgtorch.graphs import valid
 from cgtorch.improvement.shrink import READABLE, SLACK, _without_each, shrunk
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = paper_actions()
 

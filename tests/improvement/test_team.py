@@ -14,7 +14,6 @@ from support import random_graphs, seeded
 from torch import Tensor
 from watched import along, first_stage, of_kind, stage_of, state_of, without_models
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment import Dataset
 from cgtorch.environment.asked import Asked
 from cgtorch.evolution import Population, initial_strategy
@@ -36,6 +35,7 @@ from cgtorch.improvement.team import (
     with_member,
 )
 from cgtorch.improvement.trial import Trial, first_percepts, try_skill
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
 ACTIONS = paper_actions()

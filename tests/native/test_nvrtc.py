@@ -10,12 +10,12 @@ from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from random_models import models_as, random_models
 from support import nested_actions
 
-from cgtorch.actions import paper_actions
 from cgtorch.evolution import gpu as evolution
 from cgtorch.native import available, gpu, nvrtc
 from cgtorch.native.gpu import Module
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 

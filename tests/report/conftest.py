@@ -5,7 +5,6 @@ import torch
 from support import FOOTPRINT, search, seeded
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.success import fit_success_classifier
 from cgtorch.domains.summary import summary_of
@@ -27,6 +26,7 @@ from cgtorch.improvement.setup import Stage
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios

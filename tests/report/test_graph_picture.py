@@ -14,12 +14,13 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.graphs import Graphs, Skill, SubSkill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.report import draw_skill
 from cgtorch.report.graph_picture import COLOURS, START
+from cgtorch.tabletop.actions import paper_actions
 
 PAPER = paper_actions()
 

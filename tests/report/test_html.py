@@ -4,11 +4,11 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from support import random_graphs
 
-from cgtorch.actions import paper_actions
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import printable
 from cgtorch.report import draw_skill
 from cgtorch.report.html import STYLE, inline_svg
+from cgtorch.tabletop.actions import paper_actions
 
 
 def test_names_in_a_graph_are_no_formulas() -> None:

@@ -13,7 +13,6 @@ import torch
 from reaching import TABLE
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from cgtorch.actions import paper_actions
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import summary_of
 from cgtorch.evolution.fitness import WORST
@@ -33,6 +32,7 @@ from cgtorch.improvement.stopping import Found
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
 from cgtorch.svm import Acceptance
+from cgtorch.tabletop.actions import paper_actions
 
 SETTINGS = {"population": 60, "seed": 3, "stages": ("S0", "S1"), "quiet": True, "device": "cpu"}
 ALL = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}

@@ -19,7 +19,6 @@ import torch
 from support import create_run, random_skill
 from trained import SMALL, Trained, copied, without_success
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import save_skill, skill_to_dict
 from cgtorch.ground.errors import ActionError, GraphError, RunError
@@ -40,6 +39,7 @@ from cgtorch.runs.skills import last_skill, lone_skill
 from cgtorch.runs.storage import load_progress, load_result, read_asked
 from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.domain import ACTIONS, Tabletop
 from cgtorch.training.context import Training
 from cgtorch.training.train import NotImprovedError, train
@@ -155,7 +155,7 @@ def test_a_skill_file_of_no_percept(tmp_path: Path) -> None:
 MARKING = """
 import pathlib
 pathlib.Path(__file__).with_name("imported").write_text("yes")
-from cgtorch.actions import Detect
+from cgtorch.tabletop.actions import Detect
 class Look(Detect): pass
 """
 

@@ -19,14 +19,12 @@ from cgtorch.actions import (
     BranchingNN,
     ContinuousNN,
     DelayNN,
-    Detect,
-    Grasp,
     LinearNN,
-    MoveBase,
     RecurrentNN,
 )
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, SubSkill, to_networkx
+from cgtorch.tabletop.actions import Detect, Grasp, MoveBase
 
 End = Literal["success", "failure", "timeout"]
 

@@ -22,13 +22,14 @@ from support import (
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.graphs import Graphs, Skill, SubSkill, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")

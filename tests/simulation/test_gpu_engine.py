@@ -19,13 +19,14 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, RecurrentNN, paper_actions
+from cgtorch.actions import ActionSet, RecurrentNN
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.world import ClearMotion
 

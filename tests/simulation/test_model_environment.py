@@ -6,9 +6,9 @@ import torch
 from support import model, random_graphs
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment, rollout
+from cgtorch.tabletop.actions import paper_actions
 
 
 def losing(count: int, seed: int = 0) -> ModelEnvironment:

@@ -8,13 +8,13 @@ from random_models import random_models
 from support import as_double, as_double_actions
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.evolution import evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import compiled_actions as engine
 from cgtorch.simulation import rollout
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = as_double_actions(paper_actions())
 

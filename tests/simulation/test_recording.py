@@ -12,11 +12,11 @@ from support import random_graphs, world
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment import Dataset, Environment, Lanes, start_lanes
 from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.graphs import Graphs
 from cgtorch.simulation import Recording, Rollouts, rollout
+from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = paper_actions()
 COUNT = 6

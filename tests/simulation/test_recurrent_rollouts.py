@@ -26,22 +26,14 @@ from torch.nn.functional import pad
 from walking import Path, RewardedPath, chain, path
 
 from cgtorch import native
-from cgtorch.actions import (
-    ActionSet,
-    BranchingNN,
-    ContinuousNN,
-    DelayNN,
-    Grasp,
-    MoveBase,
-    RecurrentNN,
-    paper_actions,
-)
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, DelayNN, RecurrentNN, Step, Test
 from cgtorch.environment import Environment
 from cgtorch.graphs import Graphs
 from cgtorch.native import available
 from cgtorch.simulation import rollout
 from cgtorch.simulation.compiled_actions import NETWORKS, WITH_MEMORY, compiled_actions
 from cgtorch.simulation.engines import engine_of
+from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -99,7 +91,7 @@ def test_in_the_models_of_any_domain(domain: str, hidden: int) -> None:
     d, u = environment.percept_size, environment.control_size
     networks = RecurrentNN(d, hidden, u), BranchingNN(d), ContinuousNN(d - 1, outputs=u)
     actions = ActionSet(
-        ("RecurrentNN", "Branch", "Aim", "Step", "Test"), (*networks, MoveBase(u), Grasp())
+        ("RecurrentNN", "Branch", "Aim", "Step", "Test"), (*networks, Step(u), Test())
     )
     graphs = as_double(random_graphs(hidden, 60, actions))
     given = graphs, actions, environment, (20, 60)
@@ -109,7 +101,7 @@ def test_in_the_models_of_any_domain(domain: str, hidden: int) -> None:
 
 
 def walk_back(hidden: int = 3) -> ActionSet:
-    return ActionSet(("RecurrentNN", "Step"), (RecurrentNN(2, hidden, 1), MoveBase(1)))
+    return ActionSet(("RecurrentNN", "Step"), (RecurrentNN(2, hidden, 1), Step(1)))
 
 
 @pytest.mark.parametrize("kind", [Path, RewardedPath])
@@ -258,7 +250,7 @@ def test_long_delays_are_pythons(sizes: tuple[int, int, int], compiled: bool) ->
 
 @pytest.mark.parametrize("delays", [0, 1, 3, 100])
 def test_whole_walks_by_changes(delays: int) -> None:
-    actions = ActionSet(("DelayNN", "Step"), (DelayNN(2, delays, 1), MoveBase(1)))
+    actions = ActionSet(("DelayNN", "Step"), (DelayNN(2, delays, 1), Step(1)))
     one = chain(actions, "DelayNN", "Step", "DelayNN", "Step")
     graphs = one[torch.zeros(40, dtype=torch.long)]
     values = torch.randn(graphs.parameters.shape, generator=seeded(delays)) / (1 + delays)

@@ -21,7 +21,7 @@ from torch import Tensor
 from walking import Path, Walks, chain, path, walking_actions
 
 from cgtorch import native
-from cgtorch.actions import Action, ActionSet, paper_actions
+from cgtorch.actions import Action, ActionSet
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import ActionError
@@ -31,6 +31,7 @@ from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.resumable import resumable_rollout
 from cgtorch.simulation.rollout import MAX_STEPS, MOST_IDLE, rollout_in_torch
+from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from walking import END, GAINED, NEAR, PLACE, Path, RewardedPath, Walks, chain, is_over, path
 from walking import walking_actions as walking
 
-from cgtorch.actions import ActionSet, Detect
+from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes, Rewarded
 from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import Graphs, Skill, SubSkill
@@ -30,6 +30,7 @@ from cgtorch.simulation import (
 )
 from cgtorch.simulation.compiled import LARGEST
 from cgtorch.simulation.rollout import MOST_IDLE
+from cgtorch.tabletop.actions import Detect
 
 SETS = [walking(), nested_actions(0, walking(), limits=(4, 9))]
 

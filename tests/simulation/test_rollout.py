@@ -24,11 +24,12 @@ from support import (
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, Detect, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.environment import Environment, Lanes
 from cgtorch.graphs import Graphs, Skill, SubSkill, from_networkx, to_networkx
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.simulation.program import compile_graphs
+from cgtorch.tabletop.actions import Detect, paper_actions
 
 PLAIN_SETS = [
     paper_actions(),

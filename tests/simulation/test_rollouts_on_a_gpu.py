@@ -13,10 +13,11 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, paper_actions
+from cgtorch.actions import ActionSet
 from cgtorch.simulation import rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions
 
 AT_ONCE = {

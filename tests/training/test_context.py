@@ -14,7 +14,6 @@ from support import create_run
 from trained import SMALL
 from walking import Walking
 
-from cgtorch.actions import paper_actions
 from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
@@ -22,6 +21,7 @@ from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, read_asked
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import Recording
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.context import Training, initial_progress, recall_spent
 

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from reaching import TABLE
 from support import random_skill, seeded
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, paper_actions
+from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN
 from cgtorch.graphs import SubSkill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
 from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
 

@@ -5,10 +5,10 @@ from typing import Any
 import torch
 from reaching import TABLE
 
-from cgtorch.actions import paper_actions
 from cgtorch.evolution import EvolutionSettings, lexicase
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.training.context import evolution_settings
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())

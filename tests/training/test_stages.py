@@ -7,10 +7,10 @@ import pytest
 import torch
 from reaching import TABLE
 
-from cgtorch.actions import paper_actions
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, round_name
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training.stages import stage_generator, stages_to_make
 

@@ -13,7 +13,6 @@ from members import nearly
 from reaching import TABLE
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.environment.asked import Asked, Purse
 from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
 from cgtorch.improvement.setup import Progress, Stage
@@ -21,6 +20,7 @@ from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, load_result
 from cgtorch.runs.stored_run import StoredRun
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_WIDTH
 from cgtorch.training import train as module

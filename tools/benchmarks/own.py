@@ -18,7 +18,7 @@ from benchmarks.measure import (
     run_threads,
 )
 from benchmarks.workload import GENERATIONS, Workload, first_population, later_population, workload
-from cgtorch.actions import Action, ActionSet, ContinuousNN, MoveBase
+from cgtorch.actions import Action, ActionSet, ContinuousNN, Step
 from cgtorch.domains import World
 from cgtorch.environment import Environment, Lanes, ScenarioBatch
 from cgtorch.graphs import Graphs
@@ -177,7 +177,7 @@ def own_world(effort: Effort) -> Line:
     sets = {
         "own action": (ActionSet(("Drive",), (Drive(),)), (0,), 1),
         "network → step": (
-            ActionSet(("Aim", "Step"), (ContinuousNN(SEEN, HIDDEN, SAID), MoveBase(SAID))),
+            ActionSet(("Aim", "Step"), (ContinuousNN(SEEN, HIDDEN, SAID), Step(SAID))),
             (0, 1),
             2,
         ),

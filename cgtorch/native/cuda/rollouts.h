@@ -98,7 +98,7 @@ INLINE Done one_action(const Task *task, Layout layout, const Run *run, Lanes *l
     }
   }
   __syncwarp();
-  bool drives = kind == MOVE_BASE, asks = kind == GRASP || (EVALUATES && run->active && run->ended);
+  bool drives = kind == STEP, asks = kind == TEST || (EVALUATES && run->active && run->ended);
   if (any_of(drives)) {
     vwhole moved = move(m, NULL, layout, lanes, every(-drives));
     if (m->errors) add_errors(m, run->errors, lanes, moved);

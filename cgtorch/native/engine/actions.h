@@ -102,6 +102,6 @@ APART void answer(const Action *a, const real *weights, const void *models, Layo
   answer_with(a, weights, NULL, models, layout, percept, here, out);
 }
 INLINE Done apply_output(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
-  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
+  if (a->kind == BRANCHING || a->kind == DOMAIN_BRANCHING) return MAKE(Done){branch(out), every(0)};
   return say(lanes, out, a->outputs, here);
 }

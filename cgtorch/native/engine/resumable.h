@@ -24,7 +24,7 @@ INLINE const real *weights_of(const Waiting *w, int64_t node) {
   return node < own ? p->parameters + node * p->each : p->learned + (node - own) * p->width;
 }
 
-INLINE int reads_all(int64_t kind) { return kind == EDGE || kind == EDGE_WAY || kind == EDGE_BRANCHING; }
+INLINE int reads_all(int64_t kind) { return kind == DOMAIN_NN || kind == DOMAIN_OTHER_NN || kind == DOMAIN_BRANCHING; }
 
 /* `count` weights: those of the node of all lanes or, in columns, each lane's own (returns NULL). */
 INLINE const real *weights_for(const Waiting *w, Together *t, int count, vec *columns) {
@@ -60,7 +60,7 @@ INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Togethe
   const void *models = w->environment ? w->environment->models : NULL;
   if (weights) answer(a, weights, models, layout, percept, t->here, out);
   else answer_with(a, NULL, columns, models, layout, percept, t->here, out);
-  if (a->kind == BRANCHING || a->kind == EDGE_BRANCHING) return MAKE(Done){branch(out), every(0)};
+  if (a->kind == BRANCHING || a->kind == DOMAIN_BRANCHING) return MAKE(Done){branch(out), every(0)};
   vwhole changed = every(0);
   for (int i = 0; i < t->count; i++) changed[i] = -tell(w, t->lane[i], out, i, a->outputs);
   return MAKE(Done){every(0), changed};
@@ -122,7 +122,7 @@ INLINE void read_state(const Waiting *w, Together *t, Lanes *lanes) {
 }
 
 /* `ModelEnvironment.step` */
-APART Done move_of(const Waiting *w, Layout layout, Together *t) {
+APART Done step_of(const Waiting *w, Layout layout, Together *t) {
   const ModelEnvironment *m = w->environment;
   Lanes lanes;
   read_percept(w, t, &lanes);
@@ -143,7 +143,7 @@ APART Done move_of(const Waiting *w, Layout layout, Together *t) {
   return MAKE(Done){~moved, moved};
 }
 
-APART Done grasp_of(const Waiting *w, Layout layout, Together *t) {
+APART Done test_of(const Waiting *w, Layout layout, Together *t) {
   Lanes lanes;
   read_state(w, t, &lanes);
   vwhole unknown = t->here & (lanes.chance == UNKNOWN);
@@ -159,9 +159,9 @@ APART Done grasp_of(const Waiting *w, Layout layout, Together *t) {
 
 INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together *t) {
   switch (a->kind) {
-  case MOVE_BASE: return move_of(w, layout, t);
-  case GRASP: return grasp_of(w, layout, t);
-  case DETECT: return MAKE(Done){every(0), every(0)};
+  case STEP: return step_of(w, layout, t);
+  case TEST: return test_of(w, layout, t);
+  case PERCEIVE: return MAKE(Done){every(0), every(0)};
   case RECURRENT: return recurrent_of(w, a, t);
   case DELAY: return delay_of(w, a, t);
   default: return network_of(w, layout, a, t);

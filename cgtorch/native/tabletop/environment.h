@@ -29,16 +29,16 @@ INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint
 
 /* Percepts unchanged, or in the frame of the nearest edge. */
 INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *edge) {
-  if (kind != EDGE && kind != EDGE_WAY && kind != EDGE_BRANCHING) return percept;
+  if (kind != DOMAIN_NN && kind != DOMAIN_OTHER_NN && kind != DOMAIN_BRANCHING) return percept;
   *edge = edge_frame(percept, layout);
   table_scene(edge, percept, seen);
-  if (kind == EDGE_BRANCHING) obstacle_scene(edge, percept, layout, seen + SCENE);
+  if (kind == DOMAIN_BRANCHING) obstacle_scene(edge, percept, layout, seen + SCENE);
   return seen;
 }
 INLINE void said(const void *models, int64_t kind, Layout layout, const vec *percept, const View *edge,
                  vwhole rows, vec *out) {
-  if (kind != EDGE && kind != EDGE_WAY) return;
+  if (kind != DOMAIN_NN && kind != DOMAIN_OTHER_NN) return;
   vec pose[3] = {out[0], out[1], out[2]};
   motion_to(edge, pose, out);
-  if (kind == EDGE_WAY) first_motion(percept, layout, &((const Models *)models)->body, rows, out);
+  if (kind == DOMAIN_OTHER_NN) first_motion(percept, layout, &((const Models *)models)->body, rows, out);
 }

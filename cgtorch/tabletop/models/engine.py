@@ -22,5 +22,5 @@ def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
         gamma=first, classifier=second, body=body_structure(footprint)
     )
     return CompiledModels(
-        "tabletop", percepts.dtype, models, ("EDGE", "EDGE_WAY", "EDGE_BRANCHING")
+        "tabletop", percepts.dtype, models, ("DOMAIN_NN", "DOMAIN_OTHER_NN", "DOMAIN_BRANCHING")
     )

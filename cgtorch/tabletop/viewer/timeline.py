@@ -7,7 +7,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, Detect, Grasp
+from cgtorch.actions import Action
+from cgtorch.tabletop.actions import Detect, Grasp
 from cgtorch.tabletop.kinematics import Robot, arm_ways
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT
 from cgtorch.tabletop.viewer.execution import Execution

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from cgtorch.actions import paper_actions
 from cgtorch.graphs import Graphs, Skill
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
+from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.viewer.execution import execute

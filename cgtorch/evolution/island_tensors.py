@@ -1,15 +1,22 @@
-"""The part of a checkpoint about lineages (`cgtorch.evolution.lineages`), as tensors."""
+"""Islands as tensors by name, for files, and from such tensors, which may be damaged."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import partial
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
-from cgtorch.evolution import EvolutionState, Population
+from cgtorch.actions import ActionSet
 from cgtorch.evolution.cma import Distribution
 from cgtorch.evolution.evaluated import Evaluated
+from cgtorch.evolution.islands import Island
 from cgtorch.evolution.lineages import RECENT, Lineage
+from cgtorch.evolution.population import Population, population_from
+from cgtorch.evolution.state import EvolutionState
+from cgtorch.graphs import Graphs
+from cgtorch.ground.errors import RunError
 
 VECTORS = ("mean", "covariance", "path", "step_path")
 """The tensors of a `Distribution`."""
@@ -24,8 +31,51 @@ def population_tensors(part: str, population: Population) -> dict[str, Tensor]:
     return {f"{part}.{name}": value for name, value in values.items()}
 
 
-def search_tensors(state: EvolutionState) -> dict[str, Tensor]:
-    """The tensors that `with_search` reads; none without lineages and parents."""
+def island_tensors(island: Island) -> dict[str, Tensor]:
+    """The tensors that `island_from` reads."""
+    return {
+        **population_tensors("population", island.state.population),
+        "generator": island.generator.get_state(),
+        **_search_tensors(island.state),
+    }
+
+
+def island_from(
+    tensors: dict[str, Tensor], actions: ActionSet, generator: Generator, generation: int
+) -> Island:
+    """An island that evaluates this generation next, from untrusted `island_tensors`."""
+    with damage():
+        population = population_named("population", tensors, actions)
+        state = EvolutionState(population, generation, population[:1], float("-inf"))
+        state = _with_search(state, tensors, partial(population_named, actions=actions))
+    restore(generator, tensors)
+    return Island(state, generator)
+
+
+def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
+    """Set a generator to the state in `tensors`; RunError if there is no valid one."""
+    with damage():
+        generator.set_state(tensors["generator"])
+
+
+@contextmanager
+def damage() -> Iterator[None]:
+    """Turn any exception from reading damaged tensors into a RunError."""
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError) as e:
+        reason = " ".join(str(e).split())[:200]
+        raise RunError(f"the checkpoint of an evolution is damaged ({reason}); remove it") from e
+
+
+def population_named(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:
+    """The population that `population_tensors` named; ValueError or KeyError if there is none."""
+    names = [*(f.name for f in fields(Graphs)), "strategy"]
+    return population_from({name: tensors[f"{part}.{name}"] for name in names}, actions)
+
+
+def _search_tensors(state: EvolutionState) -> dict[str, Tensor]:
+    """The tensors that `_with_search` reads; none without lineages and parents."""
     found: dict[str, Tensor] = {}
     if state.lineages or state.parents is not None or not state.fresh:
         found["turns"] = torch.tensor([len(state.lineages), int(state.fresh)])
@@ -44,7 +94,7 @@ def search_tensors(state: EvolutionState) -> dict[str, Tensor]:
     return found
 
 
-def with_search(state: EvolutionState, tensors: dict[str, Tensor], read: Read) -> EvolutionState:
+def _with_search(state: EvolutionState, tensors: dict[str, Tensor], read: Read) -> EvolutionState:
     """The state with lineages and parents, if the tensors contain any.
 
     KeyError, ValueError, TypeError or RuntimeError if they do not fit together.
