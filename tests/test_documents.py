@@ -81,8 +81,9 @@ def test_every_command_in_the_documents_is_understood(
 
 
 def test_the_example_of_the_readme_prints_what_it_says(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     text = (ROOT / "README.md").read_text()
     ((code, said),) = re.findall(r"^```python\n(.*?)^```.*?^```text\n(.*?)^```", text, re.M | re.S)
     exec(compile(code, "README.md", "exec"), {})  # noqa: S102
