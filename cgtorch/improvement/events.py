@@ -155,7 +155,8 @@ class SkillAccepted(Event, Generic[S]):
     """A new skill meets eq. 1 in the world.
 
     `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those of W,
-    `targets` (B,) bool the stage's test scenarios.
+    `targets` (B,) bool the stage's test scenarios. `other_noise` is how much of what it had solved
+    it solved under other noise, and how much that was; None if it was not tried.
     """
 
     stage: str
@@ -165,6 +166,7 @@ class SkillAccepted(Event, Generic[S]):
     keep: Tensor
     targets: Tensor
     seconds: float
+    other_noise: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)

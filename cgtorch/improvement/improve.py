@@ -76,13 +76,16 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
             in_a_row = min(state.in_a_row, stage.setup.practice) - REFLECT
             state = replace(state, in_a_row=max(0, in_a_row))
         state, done = _acted(stage, state, candidate, draw)
-        state = _without_chance(stage, state)
+        if state.judged is None and int(state.keep.sum()) >= DECISIVE:
+            state = _without_chance(stage, state)
         accepted |= bool((state.keep & ~state.known).any())
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
         if stage.setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
             break
+    if accepted and state.judged is not state.current:
+        state = _without_chance(stage, state)
     chance = progress.chance or state.repeats != stage.setup.repeats
     about = state.knowledge, state.population
     progress = replace(progress, knowledge=about[0], specialists=about[1], chance=chance)
@@ -296,9 +299,7 @@ def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
     that was solved is no fact.
     """
     setup, rows = stage.setup, state.keep.nonzero()[:, 0]
-    if not (state.repeats and setup.noisy) or state.current is None or len(rows) < DECISIVE:
-        return state
-    if state.judged:
+    if not (state.repeats and setup.noisy) or state.current is None or not len(rows):
         return state
     if len(rows) > MOST_JUDGED:
         rows = rows[torch.linspace(0, len(rows) - 1, MOST_JUDGED).long()]
@@ -308,11 +309,12 @@ def _without_chance(stage: Stage[S], state: StageState[S]) -> StageState[S]:
     except BudgetSpentError:
         return state
     share = int(trial.succeeded.sum()), len(rows)
+    state = replace(state, judged=state.current, other_noise=share)
     _, most = wilson(*share, CONFIDENCE)
-    if most >= SAME:
-        return replace(state, judged=True)
+    if most >= SAME or len(rows) < DECISIVE:
+        return state
     stage.watch(ChanceFound(stage.name, *share))
-    return replace(state, judged=True, repeats=False)
+    return replace(state, repeats=False)
 
 
 def _on_known(
@@ -378,5 +380,6 @@ def _report_accepted(stage: Stage[S], state: StageState[S], skill: Skill, second
             torch.cat([state.known[rows], yes]),
             torch.cat([state.targets[rows], ~yes]),
             seconds,
+            state.other_noise if state.judged is state.current else None,
         )
     )

@@ -74,7 +74,8 @@ class StageState(Generic[S]):
         number: Number of candidates so far.
         in_a_row: Number of fresh scenarios solved one after the other.
         repeats: Whether W is tried again in the world, so that eq. 1 is exact.
-        judged: Whether it is known if what was solved is chance.
+        judged: The skill that has met what it solved under other noise; None before.
+        other_noise: How much of that it solved, and how much it was.
         actions: World actions of each success so far.
     """
 
@@ -95,7 +96,8 @@ class StageState(Generic[S]):
     number: int = 0
     in_a_row: int = 0
     repeats: bool = True
-    judged: bool = False
+    judged: Candidate | None = None
+    other_noise: tuple[int, int] | None = None
     actions: tuple[int, ...] = ()
 
     @property

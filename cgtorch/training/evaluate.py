@@ -15,8 +15,6 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import try_skill
 
 PART = 250  # scenarios that are tried at once, between two signs of progress
-OTHER_NOISE = 100  # scenarios of W at most that an accepted skill meets again
-FRESH_COPY = 1000  # of their noise; copies of small numbers have chosen the members
 
 
 @dataclass(frozen=True)
@@ -110,14 +108,6 @@ def robust_successes(
         return None
     generator = Generator().manual_seed(seed)
     return score.of(robust_success(domain, skill, knowledge, percepts, generator))
-
-
-def under_other_noise(
-    skill: Skill, domain: Domain[Any], solved: Any, seed: int, most: int = OTHER_NOISE
-) -> Score:
-    """The score of a skill on W, on at most `most` scenarios of it, under other noise."""
-    pick = torch.randperm(len(solved), generator=Generator().manual_seed(seed))[:most]
-    return try_on(skill, domain, solved[pick].with_noise(FRESH_COPY))
 
 
 def check_percepts(skill: Skill, size: int, where: str) -> None:

@@ -31,7 +31,7 @@ from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.storage import load_progress, load_result, save_progress
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
-from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
+from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.stages import stage_generator, stages_to_make
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
@@ -222,15 +222,12 @@ def _keep(
 ) -> None:
     """Write the result of a stage or round, on the first rank only."""
     run, (after, result) = training.run, made
-    again = None
-    if accepted is not None and run.domain.noisy_world and run.repeats:
-        with training.working(f"testing {name} on W under other noise"):
-            score = under_other_noise(accepted.skill, run.domain, after.solved, run.settings.seed)
-        again = {"tried": score.tried, "succeeded": score.successes}
     if not ranks.first():
         return
     if accepted is not None:
-        enter(run.folder, entry_of(accepted, before.skill, after, again))
+        again = accepted.other_noise
+        noise = None if again is None else {"tried": again[1], "succeeded": again[0]}
+        enter(run.folder, entry_of(accepted, before.skill, after, noise))
     with whole_folder(run.folder / name) as folder:
         save_progress(folder, after, run.settings.seed)
         write_json(folder / "result.json", result)

@@ -2,8 +2,6 @@
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from reaching import TABLE
 from support import random_skill, seeded
 
@@ -13,7 +11,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
-from cgtorch.training.evaluate import Score, evaluate_skill, under_other_noise
+from cgtorch.training.evaluate import Score, evaluate_skill
 
 
 def score(successes: int, tried: int) -> Score:
@@ -51,17 +49,6 @@ def test_the_score_on_some() -> None:
     assert torch.equal(some.scenarios.object, score(2, 4).scenarios.object[mask])
     assert torch.equal(some.percepts, first_percepts(TABLE.world(some.scenarios)))
     assert (score(2, 4).of(~mask).successes, score(2, 4).of(~mask).tried) == (1, 1)
-
-
-@given(successes=st.integers(0, 30), tried=st.integers(30, 60), seed=st.integers(0, 9))
-def test_what_is_met_again_is_what_was_solved(successes: int, tried: int, seed: int) -> None:
-    solved = score(successes, tried).scenarios
-    skill = random_skill(4, "some", paper_actions())
-    again = under_other_noise(skill, TABLE, solved, seed, most=40)
-    assert again.tried == min(40, tried)
-    places = {tuple(row) for row in solved.object.tolist()}
-    assert {tuple(row) for row in again.scenarios.object.tolist()} <= places
-    assert not set(again.scenarios.seed.tolist()) & set(solved.seed.tolist())
 
 
 @pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])
