@@ -15,6 +15,7 @@ from cgtorch.ground.files import write_bytes
 from cgtorch.ground.json_lines import JsonLines
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.ledger import read_index
+from cgtorch.runs.log import rows_of
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import load_result
 from cgtorch.runs.stored_run import LOG, StoredRun, read_run
@@ -60,7 +61,7 @@ class Run(StoredRun):
 
     def log(self) -> list[dict[str, Any]]:
         """What happened, a row each, as `pandas.DataFrame` takes them (`cgtorch.runs.log`)."""
-        return list(JsonLines(self.folder / LOG).rows())
+        return rows_of(JsonLines(self.folder / LOG))
 
     def evaluate(
         self,

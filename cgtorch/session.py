@@ -193,8 +193,7 @@ def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = No
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
         purse, stopped = Purse(work.request.budget), False
-        with listening(display.counted), _board(run, settled) as board:
-            log = LogWatch(JsonLines(run.folder / LOG)) if ranks.first() else board
+        with listening(display.counted), _board(run, settled) as board, _log(run) as log:
 
             def told(event: Event) -> None:
                 board(event)
@@ -320,6 +319,13 @@ def _changes(taken: TakenOver) -> Iterator[str]:
         )
     if taken.set_aside:
         yield f"the unfinished work on {taken.before} is in {taken.run.folder / taken.set_aside}"
+
+
+def _log(run: StoredRun) -> AbstractContextManager[Watch]:
+    """A context that writes the run's log, on the first rank."""
+    if not ranks.first():
+        return nullcontext(lambda event: None)
+    return LogWatch(JsonLines(run.folder / LOG))
 
 
 def _board(run: StoredRun, settings: dict[str, Any]) -> AbstractContextManager[Watch]:

@@ -24,9 +24,11 @@ class JsonLines:
             with writing(path), path.open("r+b") as file:
                 file.truncate(path.stat().st_size - torn)
 
-    def append(self, row: dict[str, Any]) -> None:
-        """Write one more line; RunError if it cannot be written."""
-        data = (json.dumps(row, allow_nan=False) + "\n").encode()
+    def append(self, *rows: dict[str, Any]) -> None:
+        """Write more lines; RunError if they cannot be written."""
+        data = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
+        if not data:
+            return
         with writing(self.path):
             file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             try:

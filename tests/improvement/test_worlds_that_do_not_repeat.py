@@ -222,7 +222,7 @@ def test_success_that_is_chance_is_found_out_and_no_fact_any_more(
 def test_success_that_is_none_stays_a_fact(
     count: int, noisy: bool, asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is asked for once, as soon as enough is solved to tell or at the end, if there is noise."""
+    """It is asked for once, as soon as enough is solved to tell, or at the end."""
     recruited(monkeypatch, MEMBER)
     told: list[Event] = []
     setup = without_models(practice=5, looks=2, attempts=3, noisy=noisy)
