@@ -1,25 +1,27 @@
 """Skill files: a skill with all the skills in it, as JSON.
 
-A file contains the names of actions, not the actions themselves; these are given when it is read.
 All nested skills, at any level, are listed once under "skills". A node whose action has one of
-these names is that skill.
+these names is that skill. The other actions are listed under "actions": the class of each, and the
+arguments that it was made with. Those of the library are made again when a file is read. Others
+have to be given, as a file never names code to import.
 """
 
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import networkx as nx
 
-from cgtorch.actions import ActionSet
+from cgtorch.actions import Action, ActionSet
+from cgtorch.actions.described import described_action, made_action
 from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.graphs.validity import check_graph
 from cgtorch.graphs.view import View, from_networkx, to_networkx
 from cgtorch.ground.errors import GraphError
 from cgtorch.ground.files import read_json, write_json
 
-FORMAT, VERSION = "cgtorch-skill", 1
+FORMAT, VERSION = "cgtorch-skill", 2
 MAX_BYTES = 32 * 2**20
 MAX_NODES = 10_000
 MAX_DEPTH = 32
@@ -31,7 +33,14 @@ _SKILL: dict[str, type] = {
     "nodes": list,
     "edges": list,
 }
-_FILE: dict[str, type] = {"format": str, "version": int, **_SKILL, "skills": dict}
+_FILE: dict[str, type] = {
+    "format": str,
+    "version": int,
+    **_SKILL,
+    "actions": dict,
+    "skills": dict,
+}
+_ACTION: dict[str, type] = {"class": str, "arguments": dict}
 _NODE: dict[str, type] = {"name": str, "action": str, "parameters": list}
 _EDGE: dict[str, type] = {"tail": str, "head": str, "outcome": str}
 _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
@@ -42,10 +51,11 @@ def save_skill(path: Path | str, skill: Skill) -> None:
     write_json(path, skill_to_dict(skill))
 
 
-def load_skill(path: Path | str, actions: ActionSet) -> Skill:
+def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     """Read a skill file exactly as it was saved; nodes may use these actions and its sub-skills.
 
-    GraphError if it cannot be read or contains no skill, ActionError for an unknown action.
+    Without `actions` they are those that the file names, which have to be the library's. GraphError
+    if it cannot be read or contains no skill, ActionError for an unknown action.
     """
     return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
 
@@ -54,7 +64,23 @@ def skill_to_dict(skill: Skill) -> dict[str, Any]:
     """A skill as the plain data of a skill file."""
     entries: dict[str, Any] = {}
     described = _describe(skill, entries, {})
-    return {"format": FORMAT, "version": VERSION, **described, "skills": entries}
+    used = {name: described_action(action) for name, action in _primitives(skill, set())}
+    about = {"format": FORMAT, "version": VERSION, **described}
+    return {**about, "actions": used, "skills": entries}
+
+
+def _primitives(skill: Skill, known: set[int]) -> Iterator[tuple[str, Action]]:
+    """The actions of a skill's nodes at all levels that are no skills, with their names.
+
+    Skills whose identities are `known` are left out.
+    """
+    known.add(id(skill))
+    for name in sorted({skill.actions.names[i] for i in skill.graph.action[0].tolist() if i >= 0}):
+        action = skill.actions.actions[skill.actions.index(name)]
+        if not isinstance(action, SubSkill):
+            yield name, action
+        elif id(action.skill) not in known:
+            yield from _primitives(action.skill, known)
 
 
 def _describe(skill: Skill, entries: dict[str, Any], keys: dict[int, str]) -> dict[str, Any]:
@@ -87,7 +113,7 @@ def _describe(skill: Skill, entries: dict[str, Any], keys: dict[int, str]) -> di
     }
 
 
-def skill_from_dict(data: object, actions: ActionSet) -> Skill:
+def skill_from_dict(data: object, actions: ActionSet | None = None) -> Skill:
     """A skill from the plain data of a skill file; see `load_skill`."""
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, Mapping) else data
@@ -98,6 +124,14 @@ def skill_from_dict(data: object, actions: ActionSet) -> Skill:
         )
     _check_keys(data, _FILE, "the skill file")
     entries: Mapping[str, object] = data["skills"]
+    if actions is None:
+        named = {name: _check_keys(d, _ACTION, f"action {_short(name)}")
+                 for name, d in data["actions"].items()}  # fmt: skip
+        made = {
+            name: made_action(name, about["class"], about["arguments"])
+            for name, about in named.items()
+        }
+        actions = ActionSet(tuple(made), tuple(made.values()))
     if taken := sorted(set(entries) & set(actions.names)):
         raise GraphError(f"sub-skill {_short(taken[0])} has the name of an action; rename it")
     known: dict[str, SubSkill] = {}

@@ -48,7 +48,7 @@ from cgtorch.ground.version import __version__
 from cgtorch.runs.settings import NAMES, RunSettings
 
 LOG = "log.jsonl"
-FORMAT, VERSION = "cgtorch-run", 3
+FORMAT, VERSION = "cgtorch-run", 4
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 

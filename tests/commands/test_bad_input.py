@@ -188,7 +188,7 @@ def test_a_skill_file_with_parameters_that_are_no_numbers(shell: Shell, run_fold
 
 def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
-    for version in (1, 2, 4, 0, "3", None, [3]):
+    for version in (1, 2, 3, 5, 0, "4", None, [4]):
         edited(run_folder / "run.json", version=version)
         for words in (
             (TRAIN, "--resume", run_folder),
@@ -200,9 +200,9 @@ def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
             ("cgtorch-view", run_folder),
         ):
             message = shell.refuses(*words)
-            said = f"is of version {version!r}, this cgtorch reads 3; use the version that wrote it"
+            said = f"is of version {version!r}, this cgtorch reads 4; use the version that wrote it"
             assert said in message
-    edited(run_folder / "run.json", version=3, format="other")
+    edited(run_folder / "run.json", version=4, format="other")
     assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)
     assert listing(run_folder) == before
 

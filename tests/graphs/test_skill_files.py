@@ -21,7 +21,7 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet
+from cgtorch.actions import ActionSet, DelayNN, RecurrentNN
 from cgtorch.graphs import (
     Skill,
     SubSkill,
@@ -35,6 +35,7 @@ from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
+from cgtorch.tabletop.edge_networks import EdgeWayNN, edge_actions
 
 ACTIONS = stochastic_actions()
 NESTED = nested_actions(base=ACTIONS)
@@ -152,7 +153,7 @@ def visiting_all(name: str, actions: ActionSet) -> Skill:
 
 GOOD: dict[str, Any] = {
     "format": "cgtorch-skill",
-    "version": 1,
+    "version": 2,
     "name": "top",
     "max_transitions": 20,
     "start": "Net",
@@ -167,6 +168,7 @@ GOOD: dict[str, Any] = {
         {"tail": "Move", "head": "Net", "outcome": "failure"},
         {"tail": "Sub", "head": "Net", "outcome": "failure"},
     ],
+    "actions": {},
     "skills": {
         "S1": {
             "name": "S1",
@@ -241,9 +243,9 @@ DEEP = {
         (setting("start", "Nowhere"), "start node 'Nowhere' is none of the nodes"),
         (setting("start", 0), "has start 0; give text"),
         (setting("format", "other"), "not a skill file: format is 'other'"),
-        (setting("version", 2), "version 2; this cgtorch reads 1"),
-        (setting("version", True), "version True; this cgtorch reads 1"),
-        (setting("version", ...), "version None; this cgtorch reads 1"),
+        (setting("version", 3), "version 3; this cgtorch reads 2"),
+        (setting("version", True), "version True; this cgtorch reads 2"),
+        (setting("version", ...), "version None; this cgtorch reads 2"),
         (setting("max_transitions", 0), "max_transitions 0; give at least 1"),
         (setting("max_transitions", 1.5), "max_transitions 1.5; give a whole number"),
         (setting("max_transitions", True), "max_transitions True; give a whole number"),
@@ -354,3 +356,37 @@ def test_wrong_data_anywhere_end_in_a_typed_error(data: st.DataObject) -> None:
         key = data.draw(st.sampled_from(keys))
     place[key] = data.draw(values)
     attempt(lambda: skill_from_dict(root[0], ACTIONS))
+
+
+@given(st.integers(0, 2**31))
+def test_the_librarys_actions_need_not_be_given(seed: int) -> None:
+    base = edge_actions(7).extended(
+        ["Way", "Delay", "Memory"],
+        [EdgeWayNN(9, (-0.4, 0.4, -0.3, 0.3)), DelayNN(5, 2, 3), RecurrentNN(4, 2, 3)],
+    )
+    skill = random_skill(seed, "top", nested_actions(base=base))
+    again = skill_from_dict(json.loads(json.dumps(skill_to_dict(skill))))
+    assert bits(again) == bits(skill)
+    assert again.sub_skills.keys() == skill.sub_skills.keys()
+    assert skill_to_dict(again) == skill_to_dict(skill)
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ({"class": "my_arm:Wave", "arguments": {}}, "'my_arm:Wave', which is code of its own"),
+        ({"class": "cgtorch.none:Wave", "arguments": {}}, "which is not there"),
+        ({"class": "cgtorch.actions:ActionSet", "arguments": {}}, "which is no action"),
+        ({"class": "cgtorch.actions:Step", "arguments": {"size": 3}}, "cannot be made with"),
+        ({"class": "cgtorch.actions:Step", "arguments": {"control_size": "a"}}, "cannot be made"),
+        ({"class": "os:system", "arguments": {}}, "code of its own"),
+        ({"class": "cgtorch.actions:Step"}, "action 'MoveBase' has no 'arguments'"),
+        (3, "action 'MoveBase' is 3"),
+    ],
+)
+def test_actions_of_a_file_are_the_librarys_or_given(about: Any, message: str) -> None:
+    data = skill_to_dict(skill_from_dict(GOOD, ACTIONS))
+    data["actions"]["MoveBase"] = about
+    with pytest.raises((ActionError, GraphError), match=message):
+        skill_from_dict(data)
+    assert skill_from_dict(data, ACTIONS).num_nodes == 3

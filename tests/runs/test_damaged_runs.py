@@ -251,15 +251,15 @@ def test_percepts_that_are_not_those_of_w_and_m(
 
 
 def test_a_run_of_the_version_before(folder: Path) -> None:
-    """It kept no first percepts and did not count what it asked."""
+    """Its settings and skill files had other fields."""
     path = folder / "run.json"
     raw = path.read_text()
     try:
-        assert json.loads(raw)["version"] == 3
-        path.write_text(json.dumps({**json.loads(raw), "version": 2}))
+        assert json.loads(raw)["version"] == 4
+        path.write_text(json.dumps({**json.loads(raw), "version": 3}))
         message = attempt(lambda: read_run(folder))
         assert message.endswith(
-            "is of version 2, this cgtorch reads 3; use the version that wrote it"
+            "is of version 3, this cgtorch reads 4; use the version that wrote it"
         )
     finally:
         path.write_text(raw)
