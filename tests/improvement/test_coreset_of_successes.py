@@ -82,7 +82,7 @@ def far_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
             1,
         )
 
-    monkeypatch.setattr("cgtorch.improvement.improve.shares", shares)
+    monkeypatch.setattr("cgtorch.improvement.proposing.shares", shares)
 
 
 @pytest.mark.parametrize("core", [1, 2, 6, 1000])

@@ -12,7 +12,8 @@ from watched import NONE, first_stage, of_kind, recruited, stage_of, state_of, w
 
 from cgtorch.improvement import improve as module
 from cgtorch.improvement.events import Event, Practised
-from cgtorch.improvement.improve import REFLECT, WORTH, improve
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.proposing import REFLECT, WORTH
 from cgtorch.improvement.team import Candidate
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios

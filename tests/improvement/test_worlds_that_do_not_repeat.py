@@ -29,8 +29,9 @@ from watched import (
 from cgtorch.environment import Lanes
 from cgtorch.environment.asked import Purse
 from cgtorch.graphs import Skill
+from cgtorch.improvement.acting import DECISIVE
 from cgtorch.improvement.events import ChanceFound, Event, Practised, SkillAccepted, WorldAsked
-from cgtorch.improvement.improve import DECISIVE, improve
+from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.team import FEWEST, MOST, PATIENCE, StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
@@ -144,7 +145,7 @@ def test_a_candidate_that_is_worse_on_w_in_replays_does_not_act(
         other = torch.where(state.keep, share, 1.0)
         return torch.stack([w if skill.name == "S0" else other for skill in skills], 1)
 
-    monkeypatch.setattr("cgtorch.improvement.improve.shares", shares)
+    monkeypatch.setattr("cgtorch.improvement.proposing.shares", shares)
     recruited(monkeypatch, far)
     told: list[Event] = []
     watched = Watched(unrepeatable)

@@ -136,7 +136,7 @@ def recruited(monkeypatch: pytest.MonkeyPatch, *members: Skill) -> list[Skill]:
         found = (*state.members, left.pop(0))
         return replace(state, members=found, trust=torch.cat([state.trust, more], 1))
 
-    monkeypatch.setattr("cgtorch.improvement.improve.with_member", with_member)
+    monkeypatch.setattr("cgtorch.improvement.proposing.with_member", with_member)
     return left
 
 
