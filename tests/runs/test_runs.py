@@ -142,7 +142,9 @@ def test_a_skill_file_tells_what_it_reads(
     domain, kind, again = lone_skill(path, kind=wanted)
     assert isinstance(domain, Tabletop)
     assert (domain.tabletop, kind) == (percept, wanted)
-    assert skill_to_dict(again) == skill_to_dict(skill)
+    # Networks in the edge's frame are those of the domain, whatever their percepts were.
+    one, other = ({**skill_to_dict(each), "actions": {}} for each in (skill, again))
+    assert one == other
 
 
 def test_a_skill_file_of_no_percept(tmp_path: Path) -> None:
