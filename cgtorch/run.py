@@ -94,10 +94,13 @@ class Run(StoredRun):
         `device` and `checkpoint_seconds` as for `train`.
         """
         request, rest = Request.taken_from({"stage": stage, **overrides})
-        settings = resumed(self, rest, rest)
-        with ProgressDisplay(quiet=quiet) as display:
-            carry_out(prepared(self, settings, request), display, watch)
-        return type(self).of(read_run(self.folder, self.settings.actions, self.domain))
+        kind = type(self.domain.settings)
+        own = {f.name for f in fields(kind)}
+        known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
+        work = prepared(self, resumed(self, rest, rest), request)
+        with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+            carry_out(work, display, watch)
+        return type(self).of(work.run)
 
 
 def make(name: str, **settings: Any) -> "Domain[Any]":
@@ -159,8 +162,9 @@ def train(
     with ranks.together():
         run = begun(place, run_settings, domain_settings, request, made)
         with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
-            carry_out(prepared(run, run_settings, request), display, watch)
-    return Run.of(run)
+            work = prepared(run, run_settings, request)
+            carry_out(work, display, watch)
+    return Run.of(work.run)
 
 
 def open_run(

@@ -122,7 +122,6 @@ class Outcome:
     work: Work
     results: list[dict[str, Any]]
     purse: Purse
-    stopped: bool = False
 
 
 class _StopTraining(BaseException):
@@ -192,7 +191,7 @@ def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = No
         for line in (*_earlier_stages(work), *_changes(work.taken)):
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
-        purse, stopped = Purse(work.request.budget), False
+        purse = Purse(work.request.budget)
         with listening(display.counted), _board(run, settled) as board, _log(run) as log:
 
             def told(event: Event) -> None:
@@ -208,9 +207,8 @@ def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = No
             try:
                 found = train_until(training, work.goal) if auto else train(training, work.stage)
             except _StopTraining:
-                stopped = True
                 found = [load_result(run.folder / name / "result.json") for name in run.stages]
-    return Outcome(work, found, purse, stopped)
+    return Outcome(work, found, purse)
 
 
 @contextmanager

@@ -107,7 +107,9 @@ def test_a_run_resumes_with_more(cart: Any, tmp_path: Path) -> None:
     run = trained(cart.Cart(), tmp_path / "run")
     more = run.resume(quiet=True, rounds=2, target=0.999, population=41)
     assert more.settings.population == 41
-    assert len(more.stages) >= 1
+    assert more.stages[0] == "auto-1"
+    with pytest.raises(SettingsError, match="did you mean 'population'"):
+        run.resume(quiet=True, populaton=5)
     with pytest.raises(SettingsError, match=r"seed 0 of run .* cannot become 5"):
         run.resume(quiet=True, seed=5)
 

@@ -1,6 +1,7 @@
 """An action as plain data, its class and arguments, and the library's actions from such data."""
 
 import inspect
+import math
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
@@ -23,10 +24,12 @@ def described_action(action: Action) -> dict[str, Any]:
 
 
 def _is_plain(value: object) -> bool:
-    """Whether a value is a number, a text, or a tuple of such."""
+    """Whether a value is a finite number, a text, or a tuple of such, as JSON can hold them."""
     if isinstance(value, tuple):
         return all(map(_is_plain, value))
-    return isinstance(value, bool | int | float | str)
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return isinstance(value, bool | int | str)
 
 
 def made_action(name: str, spec: str, arguments: Mapping[str, Any]) -> Action:

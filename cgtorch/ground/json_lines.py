@@ -18,17 +18,16 @@ class JsonLines:
     """A log at a path, which is made with its first line."""
 
     def __init__(self, path: Path):
-        """The log at `path`; a torn last line, which nobody has seen, is cut off."""
-        self.path = path
-        if path.is_file() and (torn := self._torn()):
-            with writing(path), path.open("r+b") as file:
-                file.truncate(path.stat().st_size - torn)
+        """The log at `path`. Reading changes nothing, so it may be somebody else's."""
+        self.path, self._whole = path, False
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Write more lines; RunError if they cannot be written."""
         data = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
         if not data:
             return
+        if not self._whole:
+            self._cut_off_torn()
         with writing(self.path):
             file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             try:
@@ -43,6 +42,8 @@ class JsonLines:
             return
         with self.path.open(encoding="utf-8", errors="replace") as file:
             for number, line in enumerate(file, 1):
+                if not line.endswith("\n"):
+                    return  # it is torn, or about to be written
                 try:
                     row = json.loads(line)
                 except ValueError:
@@ -53,7 +54,11 @@ class JsonLines:
                     )
                 yield row
 
-    def _torn(self) -> int:
-        """The number of bytes after the last whole line."""
-        data = self.path.read_bytes()
-        return len(data) - (data.rfind(b"\n") + 1)
+    def _cut_off_torn(self) -> None:
+        """Remove what is after the last whole line, which nobody has seen."""
+        self._whole = True
+        if self.path.is_file():
+            data = self.path.read_bytes()
+            if torn := len(data) - (data.rfind(b"\n") + 1):
+                with writing(self.path), self.path.open("r+b") as file:
+                    file.truncate(len(data) - torn)

@@ -47,6 +47,7 @@ def test_a_torn_last_line_is_cut(place: Path, rows: list[dict[str, Any]], data: 
     again = JsonLines(place)
     count = whole[:left].count(b"\n")
     assert list(again.rows()) == rows[:count]
+    assert place.read_bytes() == whole[:left]  # whoever reads changes nothing
     again.append({"next": 1})
     assert list(again.rows()) == [*rows[:count], {"next": 1}]
 
