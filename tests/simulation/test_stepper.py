@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import networkx as nx
 import pytest
 import torch
 from hypothesis import given
@@ -10,11 +11,12 @@ from hypothesis import strategies as st
 from reaching import world_of
 from support import random_graphs, seeded
 
-from cgtorch.actions import Action
+from cgtorch.actions import Action, ActionSet
 from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import Skill, SubSkill, from_networkx
+from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError, DataError
-from cgtorch.simulation.rollout import rollout
+from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.simulation.stepper import Stepper
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -82,3 +84,27 @@ def test_what_a_robot_does_not_have_is_named() -> None:
         Stepper(Skill("nosy", graph, actions)).act([0.0] * 7)
     with pytest.raises(DataError, match="one row of numbers"):
         Stepper(Skill("nosy", graph, actions)).act([[0.0] * 7])  # type: ignore[list-item]
+
+
+def looping(name: str, action: str, outcome: str, actions: ActionSet) -> Skill:
+    """One node, over and over."""
+    view: View = nx.MultiDiGraph(start=0)
+    view.add_node(0, action=action, parameters=[])
+    view.add_edge(0, 0, outcome=outcome)
+    return Skill(name, from_networkx(view, actions), actions, 20)
+
+
+def test_skills_within_skills_run_out_of_actions_together() -> None:
+    """Three levels of 20 transitions would be 8,000 actions; a rollout ends after 400."""
+    actions = paper_actions()
+    skill = looping("looks", "Detect", "success", actions)
+    for level in ("middle", "outer"):
+        actions = actions.extended([skill.name], [SubSkill(skill)])
+        skill = looping(level, skill.name, "failure", actions)
+    stepper, asked = Stepper(skill), 0
+    while not (request := stepper.act([0.0] * 7)).ended:
+        asked += 1
+    assert (request.kind, asked) == ("timeout", most_steps(actions, 20))
+    world = world_of(random_scenarios("near", 1, seeded(0)))
+    runs = rollout(skill.graph, actions, world, max_transitions=20)
+    assert (int(runs.transitions), bool(runs.timed_out)) == (asked, True)
