@@ -19,7 +19,7 @@ from cgtorch.runs.log import rows_of
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import load_result
 from cgtorch.runs.stored_run import LOG, StoredRun, read_run
-from cgtorch.session import Request, UserWatch, begun, carry_out, prepared, resumed
+from cgtorch.session import TrainingRequest, UserWatch, begun, carry_out, prepared, resumed
 from cgtorch.training.evaluate import Score, evaluate_skill
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Run(StoredRun):
         `overrides` are settings to continue with, or `target`, `minutes`, `rounds`, `budget`,
         `device` and `checkpoint_seconds` as for `train`.
         """
-        request, rest = Request.taken_from({"stage": stage, **overrides})
+        request, rest = TrainingRequest.taken_from({"stage": stage, **overrides})
         kind = type(self.domain.settings)
         own = {f.name for f in fields(kind)}
         known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
@@ -147,7 +147,7 @@ def train(
     kind = settings_class(spec) if made is None else type(made.settings)
     rewarded = "target_return" in {f.name for f in fields(kind)}
     aim = {"target_return" if rewarded else "target": target}
-    request, rest = Request.taken_from({"stage": stage, **aim, **settings})
+    request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
     if made is not None and own:
         name = next(iter(own))

@@ -58,7 +58,7 @@ UserWatch: TypeAlias = Callable[[Event], object]
 
 
 @dataclass(frozen=True)
-class Request:
+class TrainingRequest:
     """What is asked of a run besides its settings.
 
     Attributes:
@@ -106,7 +106,7 @@ class Work:
     stage: str
     goal: Goal
     taken: TakenOver
-    request: Request
+    request: TrainingRequest
     new: bool
 
     @property
@@ -132,7 +132,7 @@ def begun(
     folder: Path,
     settings: RunSettings,
     domain_settings: DomainSettings,
-    request: Request,
+    request: TrainingRequest,
     domain: Domain[Any] | None = None,
 ) -> StoredRun:
     """A new run, or the one in `folder` if it has the same settings or has produced nothing yet."""
@@ -167,7 +167,7 @@ def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, An
     return settings
 
 
-def prepared(run: StoredRun, settings: RunSettings, request: Request) -> Work:
+def prepared(run: StoredRun, settings: RunSettings, request: TrainingRequest) -> Work:
     """The work that is asked for, by default that for which the run was begun."""
     stage, goal = _asked(run, request)
     taken = take_over(run, settings, stage)
@@ -262,7 +262,7 @@ def fastest_device(run: StoredRun, display: ProgressDisplay) -> torch.device:
     return torch.device(name)
 
 
-def _asked(run: StoredRun, request: Request) -> tuple[str, Goal]:
+def _asked(run: StoredRun, request: TrainingRequest) -> tuple[str, Goal]:
     """The stage and goal that are asked for; by default those for which the run was begun."""
     before = goes_on_to(run)
     stage, goal = _stage(run, request, before), Goal(**request.goal)
@@ -275,7 +275,7 @@ def _asked(run: StoredRun, request: Request) -> tuple[str, Goal]:
     return stage, goal
 
 
-def _stage(run: StoredRun, request: Request, before: Mapping[str, Any]) -> str:
+def _stage(run: StoredRun, request: TrainingRequest, before: Mapping[str, Any]) -> str:
     """The stage to make, by default that of the run; SettingsError for a goal without auto."""
     stage = request.stage
     if stage is None:

@@ -154,7 +154,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         from cgtorch.domains.live import driver_of
         from cgtorch.ground.distributed import together
         from cgtorch.runs.stored_run import read_run
-        from cgtorch.session import Request
+        from cgtorch.session import TrainingRequest
 
     default = click.core.ParameterSource.DEFAULT
     given = {name for name in options if context.get_parameter_source(name) is not default}
@@ -167,7 +167,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         wanted["target_return"] = aims.pop("target")
     overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
     request, quiet = (
-        Request(
+        TrainingRequest(
             stage=options["stage"],
             goal=aims,
             budget=_budget(options["budget"]),

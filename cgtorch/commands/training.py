@@ -15,12 +15,12 @@ from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.event_messages import asked_of
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.session import Outcome, Request, Work, begun, carry_out, prepared, resumed
+from cgtorch.session import Outcome, TrainingRequest, Work, begun, carry_out, prepared, resumed
 from cgtorch.training.auto import reached
 
 
 def begin(
-    folder: Path, settings: RunSettings, own: DomainSettings, request: Request, quiet: bool
+    folder: Path, settings: RunSettings, own: DomainSettings, request: TrainingRequest, quiet: bool
 ) -> None:
     """Begin a run, again if it has produced nothing yet, or continue one with the same settings."""
     run = begun(folder, settings, with_name(settings.domain, own), request)
@@ -31,7 +31,7 @@ def carry_on(
     run: StoredRun,
     given: Mapping[str, Any],
     overrides: Mapping[str, Any],
-    request: Request,
+    request: TrainingRequest,
     quiet: bool,
 ) -> None:
     """Continue a run under its settings. Given settings must equal them, except `overrides`."""
