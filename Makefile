@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 	reference gpu clean
 
 # Tests that need no training: a habit of every change. `make test` runs all.
-FAST := tests/ground tests/graphs tests/actions tests/environment tests/test_house.py \
+FAST := tests/ground tests/graphs tests/test_house.py \
 	tests/test_figures.py tests/test_public_names.py tests/commands/test_all_commands.py
 
 help:  ## List the targets

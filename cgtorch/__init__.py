@@ -10,35 +10,31 @@ from typing import TYPE_CHECKING, Any
 from cgtorch.ground.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from cgtorch.actions import Action as Action
-    from cgtorch.actions import ActionSet as ActionSet
-    from cgtorch.actions import DelayNN as DelayNN
-    from cgtorch.actions import RecurrentNN as RecurrentNN
-    from cgtorch.actions import resolve_actions as resolve_actions
     from cgtorch.domains.domain import Domain as Domain
     from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
     from cgtorch.domains.robot_driver import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
-    from cgtorch.environment import Environment as Environment
-    from cgtorch.environment import Lanes as Lanes
-    from cgtorch.environment import ScenarioBatch as ScenarioBatch
-    from cgtorch.environment.fields import Field as Field
     from cgtorch.evolution import EvolutionSettings as EvolutionSettings
     from cgtorch.evolution import Search as Search
     from cgtorch.evolution import ask as ask
     from cgtorch.evolution import evolve as evolve
     from cgtorch.evolution import initial_state as initial_state
     from cgtorch.evolution import tell as tell
+    from cgtorch.graphs import Action as Action
+    from cgtorch.graphs import ActionSet as ActionSet
+    from cgtorch.graphs import DelayNN as DelayNN
+    from cgtorch.graphs import RecurrentNN as RecurrentNN
     from cgtorch.graphs import Skill as Skill
     from cgtorch.graphs import load_skill as load_skill
+    from cgtorch.graphs import resolve_actions as resolve_actions
     from cgtorch.graphs import save_skill as save_skill
+    from cgtorch.ground.environment import Environment as Environment
+    from cgtorch.ground.environment import Lanes as Lanes
+    from cgtorch.ground.environment import ScenarioBatch as ScenarioBatch
+    from cgtorch.ground.fields import Field as Field
     from cgtorch.report import draw_skill as draw_skill
-    from cgtorch.run import Run as Run
-    from cgtorch.run import make as make
-    from cgtorch.run import open_run as open_run
-    from cgtorch.run import train as train
     from cgtorch.simulation.rollout import rollout as rollout
     from cgtorch.simulation.stepper import Request as Request
     from cgtorch.simulation.stepper import Stepper as Stepper
@@ -49,16 +45,13 @@ if TYPE_CHECKING:
     from cgtorch.tabletop.world import TabletopWorld as TabletopWorld
     from cgtorch.tabletop.world import random_scenarios as random_scenarios
     from cgtorch.tabletop.world import stage_scenarios as stage_scenarios
+    from cgtorch.training.run import Run as Run
+    from cgtorch.training.run import make as make
+    from cgtorch.training.run import open_run as open_run
+    from cgtorch.training.run import train as train
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {
-    "actions": (
-        "Action",
-        "ActionSet",
-        "DelayNN",
-        "RecurrentNN",
-        "resolve_actions",
-    ),
     "domains": (
         "Domain",
         "DomainSettings",
@@ -69,17 +62,26 @@ _FOLDERS = {
         "World",
         "option",
     ),
-    "environment": ("Environment", "Lanes"),
     "evolution": ("EvolutionSettings", "Search", "ask", "evolve", "initial_state", "tell"),
-    "graphs": ("Skill", "load_skill", "save_skill"),
+    "graphs": (
+        "Action",
+        "ActionSet",
+        "DelayNN",
+        "RecurrentNN",
+        "Skill",
+        "load_skill",
+        "resolve_actions",
+        "save_skill",
+    ),
+    "ground.environment": ("Environment", "Lanes"),
     "report": ("draw_skill",),
-    "run": ("Run", "make", "open_run", "train"),
     "simulation": ("rollout",),
     "simulation.stepper": ("Request", "Stepper"),
     "tabletop.actions": ("paper_actions",),
     "tabletop.edge_networks": ("edge_actions",),
     "tabletop.kinematics": ("graspable", "load_robot"),
     "tabletop.world": ("TabletopWorld", "random_scenarios", "stage_scenarios"),
+    "training.run": ("Run", "make", "open_run", "train"),
 }
 _HOME = {name: folder for folder, names in _FOLDERS.items() for name in names}
 __all__ = ["__version__", *_HOME]

@@ -6,12 +6,11 @@ import torch
 from support import as_double_actions, random_skill, seeded
 from torch import Generator
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Perceive, Step, Test
 from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import KernelTransitionModel
-from cgtorch.environment.fields import Field
-from cgtorch.graphs import SubSkill
+from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Perceive, Step, SubSkill, Test
+from cgtorch.ground.fields import Field
 from cgtorch.simulation import ModelEnvironment
 
 CENTRES = 40

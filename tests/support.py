@@ -9,11 +9,21 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN
-from cgtorch.environment import Environment, Lanes
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, trimmed
+from cgtorch.graphs import (
+    NO_NODE,
+    Action,
+    ActionSet,
+    DelayNN,
+    Graphs,
+    LinearNN,
+    RecurrentNN,
+    Skill,
+    SubSkill,
+    trimmed,
+)
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget

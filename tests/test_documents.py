@@ -17,9 +17,8 @@ import pytest
 import torch
 from support import world
 
-from cgtorch.actions import ActionSet, check_action
 from cgtorch.commands import evaluate, export, report, robot, train, view
-from cgtorch.graphs import Graphs, Skill, load_skill, skill_to_dict
+from cgtorch.graphs import ActionSet, Graphs, Skill, check_action, load_skill, skill_to_dict
 from cgtorch.simulation import rollout
 
 ROOT = Path(__file__).parent.parent

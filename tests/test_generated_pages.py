@@ -26,13 +26,14 @@ def test_names_lead_to_where_they_are_defined() -> None:
     text = make_reference.written(
         page,
         "[`Run`][cgtorch.runs.stored_run.StoredRun], [`cgtorch.improvement`][], "
-        "[`Lanes`][cgtorch.environment.Lanes], [order][cgtorch.evolution.population.STRATEGY]\n",
+        "[`Lanes`][cgtorch.ground.environment.Lanes], "
+        "[order][cgtorch.evolution.population.STRATEGY]\n",
     )
     found = dict(re.findall(r"^\[(.+)\]: (.+)$", text, re.MULTILINE))
     assert found == {
         "cgtorch.runs.stored_run.StoredRun": "../../cgtorch/runs/stored_run.py",
         "`cgtorch.improvement`": "../../cgtorch/improvement",
-        "cgtorch.environment.Lanes": "../../cgtorch/environment/environment.py",
+        "cgtorch.ground.environment.Lanes": "../../cgtorch/ground/environment.py",
         "cgtorch.evolution.population.STRATEGY": "../../cgtorch/evolution/population.py",
     }
     assert all((page.parent / place).exists() for place in found.values())

@@ -12,10 +12,11 @@ from cgtorch.domains import Domain
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.exploration import Exploration
 from cgtorch.domains.knowledge import Knowledge, fit_models
-from cgtorch.environment import Dataset, Environment, ScenarioBatch
-from cgtorch.environment.asked import Purse
 from cgtorch.evolution import episode_return, evolve
 from cgtorch.evolution.settings import EvolutionSettings
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, ScenarioBatch
 from cgtorch.simulation import Rollouts, rollout
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own-domain.md"

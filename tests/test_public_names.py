@@ -69,7 +69,7 @@ def tensors(function: Callable[..., Any]) -> list[str]:
 
 def test_there_is_something_to_look_at() -> None:
     assert len(EVERY) > 100
-    assert {"evolution.evolve", "evolution.tell", "actions.Action"} <= set(EVERY)
+    assert {"evolution.evolve", "evolution.tell", "graphs.Action"} <= set(EVERY)
     assert tensors(cgtorch.tell) == ["fitness", "scores"]
 
 

@@ -18,7 +18,7 @@ from safetensors.torch import load
 from support import create_run
 from torch import Tensor
 
-from cgtorch.environment import Lanes
+from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import Event, WorldTested
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, read_run

@@ -8,11 +8,10 @@ import torch
 from support import seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, Step, Test
 from cgtorch.domains import Domain, Field, ScenarioBatch, World
-from cgtorch.environment import Lanes
-from cgtorch.graphs import Graphs, from_networkx
+from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Graphs, Step, Test, from_networkx
 from cgtorch.graphs.view import View
+from cgtorch.ground.environment import Lanes
 
 END = 3.0  # m from the middle, where one falls
 NEAR = 0.5  # m from the middle, where one should be at the end

@@ -15,7 +15,7 @@ import networkx as nx
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "cgtorch"
 OUTPUT = ROOT / "docs" / "images" / "architecture.svg"
-COMMON = ("ground", "environment")
+COMMON = ("ground",)
 WIDTH, HEIGHT, GAP_X, GAP_Y, EDGE, LEAST = 112, 30, 40, 30, 16, 720
 STYLE = """\
   <style>

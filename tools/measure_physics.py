@@ -39,7 +39,7 @@ PARTS: dict[str, Callable[[Path, Sizes], Rows]] = {
     "fetch": skills.fetch,
 }
 DEPENDS = [
-    *("cgtorch/actions", "cgtorch/evolution", "cgtorch/graphs", "cgtorch/improvement"),
+    *("cgtorch/graphs", "cgtorch/evolution", "cgtorch/improvement"),
     *("cgtorch/native", "cgtorch/simulation", "cgtorch/svm", "cgtorch/tabletop/data"),
     *("cgtorch/tabletop/kinematics", "cgtorch/tabletop/models", "cgtorch/tabletop/physics"),
     "cgtorch/tabletop/world",

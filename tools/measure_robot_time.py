@@ -23,7 +23,7 @@ import torch
 from options.seeds import seeds_option
 
 from cgtorch.domains.exploration import EXPLORATION
-from cgtorch.environment.asked import Purse
+from cgtorch.ground.asked import Purse
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.improvement.events import Event, Practised, WorldAsked
 from cgtorch.runs.goal import Goal

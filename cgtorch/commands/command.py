@@ -95,7 +95,7 @@ def _end_interrupted(name: str, error: BaseException) -> NoReturn:
 def _end_in_foreign_code(name: str, error: Exception) -> None:
     """End the command if the error comes from code of the user's own; else return."""
     if "torch" in sys.modules:  # without it, nothing of the user's has been called
-        from cgtorch.environment.dry_run import failed_at, reason
+        from cgtorch.ground.dry_run import failed_at, reason
 
         if place := failed_at(error):
             notes = itertools.chain([f"{reason(error)}{place}"], getattr(error, "__notes__", ()))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from cgtorch.domains.registry import TABLETOP, is_code
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.session import Work
+from cgtorch.training.session import Work
 from cgtorch.training.stages import stages_to_make
 
 

@@ -154,7 +154,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         from cgtorch.domains.live import driver_of
         from cgtorch.ground.distributed import together
         from cgtorch.runs.stored_run import read_run
-        from cgtorch.session import TrainingRequest
+        from cgtorch.training.session import TrainingRequest
 
     default = click.core.ParameterSource.DEFAULT
     given = {name for name in options if context.get_parameter_source(name) is not default}
@@ -202,7 +202,7 @@ def command(context: click.Context, /, **options: Any) -> None:
 
 def _budget(text: str | None) -> dict[str, float]:
     """Limits by name, from NAME=N,NAME=N; SettingsError for others."""
-    from cgtorch.environment.asked import NAMES as ASKED
+    from cgtorch.ground.asked import NAMES as ASKED
 
     found = {}
     for word in (text or "").split(",") if text else ():

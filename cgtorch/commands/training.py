@@ -15,8 +15,16 @@ from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.event_messages import asked_of
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.session import Outcome, TrainingRequest, Work, begun, carry_out, prepared, resumed
 from cgtorch.training.auto import reached
+from cgtorch.training.session import (
+    Outcome,
+    TrainingRequest,
+    Work,
+    begun,
+    carry_out,
+    prepared,
+    resumed,
+)
 
 
 def begin(

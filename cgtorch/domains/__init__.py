@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
-    from cgtorch.environment import ScenarioBatch as ScenarioBatch
-    from cgtorch.environment.fields import Field as Field
-    from cgtorch.environment.fields import named as named
+    from cgtorch.ground.environment import ScenarioBatch as ScenarioBatch
+    from cgtorch.ground.fields import Field as Field
+    from cgtorch.ground.fields import named as named
 
 # Settings are asked for by commands that do not wait for torch, so all else is looked up late.
 _HOME = {
     "Domain": "cgtorch.domains.domain",
     "DomainSettings": "cgtorch.domains.settings",
-    "Field": "cgtorch.environment.fields",
+    "Field": "cgtorch.ground.fields",
     "Knowledge": "cgtorch.domains.knowledge",
     "ProtectiveStop": "cgtorch.domains.robot_driver",
     "RobotDriver": "cgtorch.domains.robot_driver",
-    "ScenarioBatch": "cgtorch.environment",
+    "ScenarioBatch": "cgtorch.ground.environment",
     "Specialists": "cgtorch.domains.domain",
     "World": "cgtorch.domains.world",
-    "named": "cgtorch.environment.fields",
+    "named": "cgtorch.ground.fields",
     "option": "cgtorch.domains.settings",
     "read_data": "cgtorch.domains.data_files",
     "write_data": "cgtorch.domains.data_files",

@@ -6,11 +6,10 @@ from typing import Any
 import torch
 from torch import Generator
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.world import World
-from cgtorch.environment import Environment, Rewarded, ScenarioBatch, start_lanes
-from cgtorch.environment.dry_run import (
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.dry_run import (
     ROWS,
     check_environment,
     expect,
@@ -19,8 +18,9 @@ from cgtorch.environment.dry_run import (
     returned,
     two_rows,
 )
-from cgtorch.environment.fields import Field
+from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch, start_lanes
 from cgtorch.ground.errors import DomainError
+from cgtorch.ground.fields import Field
 
 
 def check_domain(domain: Domain[Any], scenarios: str) -> bool:

@@ -6,7 +6,7 @@ import torch
 
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import KernelTransitionModel
-from cgtorch.environment.fields import KINDS, bounds_of, columns_of
+from cgtorch.ground.fields import KINDS, bounds_of, columns_of
 from cgtorch.native import alike, constants, structure
 from cgtorch.native.interface import agree
 from cgtorch.simulation import CompiledModels, ModelEnvironment

@@ -15,14 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.actions import (
-    ActionSet,
-    BranchingNN,
-    ContinuousNN,
-    Step,
-    Test,
-    reward_actions,
-)
 from cgtorch.domains import knowledge as learned
 from cgtorch.domains.exploration import Exploration, explore, random_controls
 from cgtorch.domains.knowledge import Knowledge
@@ -31,9 +23,18 @@ from cgtorch.domains.settings import DomainSettings
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
-from cgtorch.environment import Dataset, Environment, Rewarded, ScenarioBatch
-from cgtorch.environment.fields import Field
+from cgtorch.graphs import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    Step,
+    Test,
+    reward_actions,
+)
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.fields import Field
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.interfaces import Grouping
 from cgtorch.simulation.model import anything
@@ -140,7 +141,7 @@ class Domain(ABC, Generic[S]):
         By default there are a network that sends a control, a step that carries it out, a network
         that branches, and a test of success that ends the skill. With rewards, episodes end by
         themselves, so there is no test, but there are more networks
-        (`cgtorch.actions.reward_actions`).
+        (`cgtorch.graphs.reward_actions`).
         """
         d, u = len(self.percept), len(self.control)
         if self.rewarded:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Dataset, Environment, Lanes, start_lanes
-from cgtorch.environment.asked import Purse
-from cgtorch.environment.fields import Field, bounds_of, columns_of
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import DataError, DomainError
+from cgtorch.ground.fields import Field, bounds_of, columns_of
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain

@@ -19,9 +19,9 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_vector import VectorSteps, VectorWorld
 from cgtorch.domains.gymnasium_world import Episodes, GymnasiumWorld, PlayedWorld, Scaling
 from cgtorch.domains.settings import DomainSettings
-from cgtorch.environment import ScenarioBatch
-from cgtorch.environment.fields import Field
+from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import DomainError
+from cgtorch.ground.fields import Field
 from cgtorch.ground.files import read_json, write_json
 
 FILE = "gymnasium.json"

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.environment import Lanes
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
 STEPS, RETURN, OVER, SLOT, BATCH, KEY = range(6)  # columns of a lane's state

@@ -14,8 +14,8 @@ from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.environment import Dataset
 from cgtorch.evolution.islands import derived_generator
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import MOST_NOVEL, Compile, Possible

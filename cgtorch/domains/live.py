@@ -11,13 +11,14 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, Step, Test
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.domains.registry import domain_class, is_code
 from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
-from cgtorch.environment import Dataset, Episode, Lanes, ScenarioBatch
-from cgtorch.environment.asked import Asked
+from cgtorch.graphs import ActionSet, Step, Test
+from cgtorch.ground.asked import Asked
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Episode, Lanes, ScenarioBatch
 from cgtorch.ground.errors import DomainError, RobotStoppedError, RunError
 from cgtorch.ground.json_lines import JsonLines
 

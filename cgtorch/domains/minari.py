@@ -16,9 +16,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Dataset
-from cgtorch.environment.fields import Field
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.fields import Field
 
 FILE = "main_data.hdf5"
 SUCCESS = ("success", "is_success")

@@ -187,7 +187,7 @@ def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
     except CgtorchError:
         raise
     except Exception as e:
-        from cgtorch.environment.dry_run import failed_at, reason
+        from cgtorch.ground.dry_run import failed_at, reason
 
         if advice == NOT_FOUND and not isinstance(e, ImportError | AttributeError):
             advice = "correct that first"

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.world import World
-from cgtorch.environment import Lanes, ScenarioBatch
+from cgtorch.ground.environment import Lanes, ScenarioBatch
 
 MOST_UNSURE = 1.0
 """The largest standard deviation of a prediction, in units of that of all changes, that is still

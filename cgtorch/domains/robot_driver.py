@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
-from cgtorch.environment.fields import Field
+from cgtorch.ground.fields import Field
 
 
 class ProtectiveStop(Exception):  # noqa: N818  a state of the robot, no error of the program

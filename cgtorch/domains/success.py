@@ -12,7 +12,7 @@ from torch import Tensor
 
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
-from cgtorch.environment.fields import Field, as_features
+from cgtorch.ground.fields import Field, as_features
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs, learning_values
 from cgtorch.svm.folds import stratified_folds, training_masks
 from cgtorch.svm.platt import fit_platt, probability

@@ -15,8 +15,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
-from cgtorch.environment.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.fields import Field, as_features, columns_of, within_bounds, wrapped
 from cgtorch.svm import SVR, fit_reduced_set, inputs
 
 _NOVEL_SHARE = 0.1  # beyond the data by this share of their range counts as half novel

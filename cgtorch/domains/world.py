@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Lanes, ScenarioBatch
+from cgtorch.ground.environment import Lanes, ScenarioBatch
 
 
 class World(ABC):

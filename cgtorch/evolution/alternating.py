@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from torch import Generator
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.lineages import (
@@ -17,6 +16,7 @@ from cgtorch.evolution.lineages import (
 from cgtorch.evolution.population import Population, initial_strategy, slim
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
+from cgtorch.graphs import ActionSet
 
 
 def next_alternating(

@@ -9,7 +9,6 @@ import torch
 from safetensors.torch import save
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.evolution import ask, initial_state, tell
 from cgtorch.evolution.island_tensors import (
     damage,
@@ -21,7 +20,7 @@ from cgtorch.evolution.island_tensors import (
 from cgtorch.evolution.islands import Island
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.graphs import Graphs, Skill, merged
+from cgtorch.graphs import ActionSet, Graphs, Skill, merged
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, tensors_of, write_bytes
 

@@ -2,14 +2,13 @@
 
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.offspring import crossover, mutate, offspring
 from cgtorch.evolution.population import Population, check_offspring, join, slim
 from cgtorch.evolution.selection import lexicase
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
-from cgtorch.graphs import compacted, resized
+from cgtorch.graphs import ActionSet, compacted, resized
 
 
 def next_population(

@@ -11,9 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import STRATEGY, Population, bounds, spread
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground import counter_rng
 from cgtorch.ground.counter_rng import quantiles
 from cgtorch.native import NO_PARENT, constants, function, structure, threads

@@ -3,8 +3,6 @@
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment.dry_run import kind
 from cgtorch.evolution.alternating import next_alternating
 from cgtorch.evolution.breeding import next_population
 from cgtorch.evolution.evaluated import Evaluated
@@ -17,6 +15,8 @@ from cgtorch.evolution.population import (
 )
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError
 
 

@@ -7,10 +7,9 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes, Rewarded
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.environment import Environment, Lanes, Rewarded
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
@@ -59,7 +58,7 @@ def episode_return(runs: Rollouts, probability: Tensor) -> Tensor:
     if runs.returns is None:
         raise SettingsError(
             "fitness is episode_return, but the environment gives no rewards; implement over and "
-            "returns (`cgtorch.environment.Rewarded`), or use chance_of_success"
+            "returns (`cgtorch.ground.environment.Rewarded`), or use chance_of_success"
         )
     return runs.returns
 

@@ -11,10 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.compiled import graphs_structure
 from cgtorch.evolution.population import STRATEGY, Population, bounds, spread
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.counter_rng import quantiles
 from cgtorch.native import constants, structure
 from cgtorch.native.gpu import Launcher, Module

@@ -8,14 +8,13 @@ from functools import partial
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.cma import Distribution
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.islands import Island
 from cgtorch.evolution.lineages import RECENT, Lineage
 from cgtorch.evolution.population import Population, population_from
 from cgtorch.evolution.state import EvolutionState
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.errors import RunError
 
 VECTORS = ("mean", "covariance", "path", "step_path")

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.evolution import initial_state, next_state
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.evolution.state import EvolutionState
-from cgtorch.graphs import Graphs, widened
+from cgtorch.graphs import ActionSet, Graphs, widened
 
 MIGRANTS = 10  # one individual in so many
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.cma import (
     Distribution,
     initial_distribution,
@@ -30,7 +29,7 @@ from cgtorch.evolution.cma import (
 from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import Population, join, slim
-from cgtorch.graphs import Graphs, compacted
+from cgtorch.graphs import ActionSet, Graphs, compacted
 
 RUNGS = (5, 40)
 """Numbers of generations after which the worse half of the lineages ends."""

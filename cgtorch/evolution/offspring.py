@@ -8,13 +8,12 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled, gpu
 from cgtorch.evolution.crossover import swapped
 from cgtorch.evolution.parameters import copied, perturb_parameters, with_new_origins, with_origins
 from cgtorch.evolution.population import STRATEGY, TAU, Population
 from cgtorch.evolution.structure import restructured
-from cgtorch.graphs import Graphs, compacted, concatenate, narrowed, widened
+from cgtorch.graphs import ActionSet, Graphs, compacted, concatenate, narrowed, widened
 from cgtorch.ground.counter_rng import random_key
 from cgtorch.native.gpu import launcher_of
 

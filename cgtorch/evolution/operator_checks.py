@@ -3,9 +3,6 @@
 import torch
 from torch import Generator
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
-from cgtorch.environment.dry_run import ROWS, expect, kind, returned, two_rows
 from cgtorch.evolution.fitness import last_success
 from cgtorch.evolution.population import (
     Population,
@@ -14,7 +11,9 @@ from cgtorch.evolution.population import (
     random_population,
 )
 from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.ground.dry_run import ROWS, expect, kind, returned, two_rows
+from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
 

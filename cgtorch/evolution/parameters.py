@@ -15,10 +15,9 @@ from functools import partial
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import compiled, gpu
 from cgtorch.evolution.population import STRATEGY, Population, drifted, factors
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.counter_rng import (
     FRESH,
     keys,

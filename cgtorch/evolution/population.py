@@ -9,10 +9,9 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment.dry_run import expect, kind
 from cgtorch.graphs import (
     NO_NODE,
+    ActionSet,
     Graphs,
     check_graph,
     compacted,
@@ -24,6 +23,7 @@ from cgtorch.graphs import (
     widened,
 )
 from cgtorch.ground.counter_rng import DRIFT, normal_from, words
+from cgtorch.ground.dry_run import expect, kind
 from cgtorch.ground.errors import GraphError, SettingsError
 from cgtorch.ground.numerics import exp2
 

@@ -8,9 +8,6 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, check_action
-from cgtorch.environment import Environment
-from cgtorch.environment.dry_run import check_environment
 from cgtorch.evolution import compiled
 from cgtorch.evolution.fitness import Evaluation, evaluator
 from cgtorch.evolution.islands import (
@@ -25,8 +22,10 @@ from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.operator_checks import check_parts
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.graphs import SubSkill
+from cgtorch.graphs import ActionSet, SubSkill, check_action
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.dry_run import check_environment
+from cgtorch.ground.environment import Environment
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 

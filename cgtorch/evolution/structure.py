@@ -9,9 +9,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.graphs import NO_NODE, Graphs, compacted, narrowed, pruned, widened, without
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted, narrowed, pruned, widened, without
 from cgtorch.ground.counter_rng import individual_words, nth_true, pick, uniform_from
 
 

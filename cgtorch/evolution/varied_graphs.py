@@ -12,9 +12,8 @@ from dataclasses import replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.population import random_graphs
-from cgtorch.graphs import Graphs, reachable
+from cgtorch.graphs import ActionSet, Graphs, reachable
 
 DRAWN = 32
 """Number of graphs drawn for each one that is kept."""

@@ -6,9 +6,8 @@ from typing import NamedTuple, NoReturn, cast
 import torch
 from torch import Tensor, nn
 
-from cgtorch.actions import Action, Step
-from cgtorch.environment import Environment, Lanes
-from cgtorch.graphs import NO_NODE, Skill, SubSkill
+from cgtorch.graphs import NO_NODE, Action, Skill, Step, SubSkill
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 
 INSTEAD = "export the skill as state-machine, where it is a class to fill in"

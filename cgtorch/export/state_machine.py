@@ -14,11 +14,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill, indent
 
-from cgtorch.actions import Action
-from cgtorch.actions.action import memory_parts
 from cgtorch.export.computed import control_size_of, named_primitives, request_of
 from cgtorch.export.text import filled
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Action, Skill
+from cgtorch.graphs.action import memory_parts
 from cgtorch.graphs.clusters import Cluster, Node, clusters_of
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps

@@ -1,5 +1,8 @@
-"""Computational graphs: graphs as tensors, validity, skills and their files."""
+"""Computational graphs: actions, graphs of them as tensors, validity, skills and their files."""
 
+from cgtorch.graphs.action import Action as Action
+from cgtorch.graphs.action_set import ActionSet as ActionSet
+from cgtorch.graphs.action_set import reward_actions as reward_actions
 from cgtorch.graphs.files import load_skill as load_skill
 from cgtorch.graphs.files import save_skill as save_skill
 from cgtorch.graphs.files import skill_from_dict as skill_from_dict
@@ -14,8 +17,18 @@ from cgtorch.graphs.graphs import resized as resized
 from cgtorch.graphs.graphs import trimmed as trimmed
 from cgtorch.graphs.graphs import widened as widened
 from cgtorch.graphs.graphs import without as without
+from cgtorch.graphs.linear import DelayNN as DelayNN
+from cgtorch.graphs.linear import LinearNN as LinearNN
 from cgtorch.graphs.merge import merged as merged
 from cgtorch.graphs.merge import same_behaviour as same_behaviour
+from cgtorch.graphs.networks import BranchingNN as BranchingNN
+from cgtorch.graphs.networks import ContinuousNN as ContinuousNN
+from cgtorch.graphs.recurrent import RecurrentNN as RecurrentNN
+from cgtorch.graphs.registry import check_action as check_action
+from cgtorch.graphs.registry import resolve_actions as resolve_actions
+from cgtorch.graphs.routines import Perceive as Perceive
+from cgtorch.graphs.routines import Step as Step
+from cgtorch.graphs.routines import Test as Test
 from cgtorch.graphs.skill import Skill as Skill
 from cgtorch.graphs.skill import SubSkill as SubSkill
 from cgtorch.graphs.validity import check_graph as check_graph

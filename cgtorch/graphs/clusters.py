@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from cgtorch.actions import Action
+from cgtorch.graphs.action import Action
 from cgtorch.graphs.skill import Skill
 from cgtorch.graphs.view import to_networkx
 from cgtorch.ground.errors import printable

@@ -13,8 +13,9 @@ from typing import Any
 
 import networkx as nx
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.actions.described import described_action, made_action
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.action_set import ActionSet
+from cgtorch.graphs.described import described_action, made_action
 from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.graphs.validity import check_graph
 from cgtorch.graphs.view import View, from_networkx, to_networkx

@@ -11,10 +11,12 @@ from typing import TypeAlias
 
 import torch
 
-from cgtorch.actions import Action, ActionSet, BranchingNN
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.files import MAX_NODES
 from cgtorch.graphs.graphs import NO_NODE, Graphs
 from cgtorch.graphs.merge import merged
+from cgtorch.graphs.networks import BranchingNN
 from cgtorch.graphs.skill import Skill, SubSkill
 from cgtorch.ground.errors import GraphError
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action
+from cgtorch.graphs.action import Action
 from cgtorch.graphs.graphs import NO_NODE, Graphs, heads_in, resized, without
 from cgtorch.graphs.skill import Skill, SubSkill
 

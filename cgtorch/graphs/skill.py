@@ -6,10 +6,11 @@ from functools import cached_property
 
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.graphs import Graphs, compacted
 from cgtorch.graphs.validity import check_graph
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 
 

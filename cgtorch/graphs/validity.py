@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
+from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.graphs import NO_NODE, Graphs, without
 from cgtorch.ground.errors import GraphError
 

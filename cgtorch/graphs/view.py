@@ -8,7 +8,7 @@ import networkx as nx
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
+from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.graphs import NO_NODE, Graphs
 from cgtorch.ground.errors import GraphError
 

@@ -1,1 +1,1 @@
-"""The base of all packages: errors, files, numerics, random numbers, ranks and processes."""
+"""What all stands on: interfaces of worlds and models, errors, files, numbers, processes."""

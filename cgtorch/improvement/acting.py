@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import BudgetSpentError
+from cgtorch.ground.asked import BudgetSpentError
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.interval import wilson
 from cgtorch.improvement.events import ChanceFound, Practised, WorldTested, solved_of
 from cgtorch.improvement.interfaces import Draw, S

@@ -13,7 +13,6 @@ from functools import partial
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import Island
 from cgtorch.evolution.island_tensors import (
     damage,
@@ -22,6 +21,7 @@ from cgtorch.evolution.island_tensors import (
     population_named,
     population_tensors,
 )
+from cgtorch.graphs import ActionSet
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.stopping import Found

@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, BranchingNN
-from cgtorch.graphs import NO_NODE, Graphs, Skill, SubSkill, same_behaviour
+from cgtorch.graphs import NO_NODE, ActionSet, BranchingNN, Graphs, Skill, SubSkill, same_behaviour
 from cgtorch.ground.errors import ActionError
 
 

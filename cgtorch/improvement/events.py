@@ -6,9 +6,9 @@ from typing import Generic, TypeAlias
 
 from torch import Tensor
 
-from cgtorch.environment.asked import Asked
 from cgtorch.evolution import Generation
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import Asked
 from cgtorch.improvement.interfaces import S
 from cgtorch.improvement.stopping import Found
 from cgtorch.svm import LearningCurve

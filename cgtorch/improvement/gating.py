@@ -6,8 +6,8 @@ import torch
 from torch import Generator, Tensor
 from torch.optim.adam import adam  # the class imports a compiler, which takes 2 s
 
-from cgtorch.actions import BranchingNN
-from cgtorch.actions.networks import one_hidden_layer
+from cgtorch.graphs import BranchingNN
+from cgtorch.graphs.networks import one_hidden_layer
 from cgtorch.ground.numerics import sigmoid
 from cgtorch.improvement.gating_gradient import gradient_of
 

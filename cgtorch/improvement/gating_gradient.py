@@ -13,7 +13,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import BranchingNN
+from cgtorch.graphs import BranchingNN
 from cgtorch.native import function, structure, threads
 from cgtorch.native.library import VECTOR
 

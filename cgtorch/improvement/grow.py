@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import torch
 
-from cgtorch.environment.asked import BudgetSpentError
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.improvement.events import SkillAccepted, WorldTested, solved_of
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.setup import Progress, Stage

@@ -12,8 +12,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.environment.asked import BudgetSpentError
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.improvement.acting import DECISIVE, acted, without_chance
 from cgtorch.improvement.compose import specialists_of
 from cgtorch.improvement.events import SkillAccepted

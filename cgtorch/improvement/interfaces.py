@@ -6,7 +6,8 @@ from typing import Any, TypeAlias, TypeVar
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Dataset, Environment, ScenarioBatch
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, ScenarioBatch
 
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a world."""

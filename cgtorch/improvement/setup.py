@@ -7,11 +7,10 @@ from typing import Generic
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
-from cgtorch.environment.asked import Purse
 from cgtorch.evolution import EvolutionSettings, Population
-from cgtorch.graphs import Skill
+from cgtorch.graphs import ActionSet, Skill
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import ModelSummary, Watch
 from cgtorch.improvement.grouping import local_group

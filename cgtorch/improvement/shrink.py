@@ -5,10 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
 from cgtorch.evolution import Fitness, Population, chance_of_success, evaluator
-from cgtorch.graphs import NO_NODE, Graphs, pruned
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned
+from cgtorch.ground.environment import Environment
 
 READABLE = 10  # nodes that a picture shows at a glance
 SLACK = 1e-3  # of the fitness that a smaller graph may cost

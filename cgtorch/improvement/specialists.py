@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment
 from cgtorch.evolution import Population, evolve
 from cgtorch.evolution.island_tensors import restore
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.checkpoint import (
     checkpoint_of,
     found_from,

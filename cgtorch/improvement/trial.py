@@ -10,9 +10,10 @@ from dataclasses import astuple, dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Dataset, Environment, Episode, Live
-from cgtorch.environment.asked import NAMES, Asked, Purse
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import NAMES, Asked, Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Episode, Live
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.interfaces import S

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from cgtorch.environment.asked import Purse
+from cgtorch.ground.asked import Purse
 from cgtorch.improvement import events
 from cgtorch.report.estimate import as_time, place_of
 

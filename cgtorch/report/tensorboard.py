@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import STRATEGY, Population
-from cgtorch.graphs import NO_NODE, Graphs, Skill
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, Skill
 from cgtorch.improvement import events
 from cgtorch.report.graph_picture import draw_skill
 from cgtorch.report.records import Records, histograms

@@ -22,10 +22,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import ScenarioBatch
-from cgtorch.graphs import Skill
+from cgtorch.graphs import ActionSet, Skill
 from cgtorch.graphs.files import skill_from_dict, skill_to_dict
+from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_versioned, write_bytes, write_json, writing
 from cgtorch.improvement.events import SkillAccepted

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgtorch.actions import resolve_actions
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.registry import make_domain
 from cgtorch.domains.settings import from_plain
-from cgtorch.graphs import Skill, load_skill
+from cgtorch.graphs import Skill, load_skill, resolve_actions
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
 from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.settings import RunSettings

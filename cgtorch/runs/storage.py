@@ -10,15 +10,15 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import Knowledge, swift_gamma
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.environment import Dataset, ScenarioBatch
-from cgtorch.environment.asked import NAMES as ASKED
 from cgtorch.evolution import Population, population_from
-from cgtorch.graphs import Graphs, load_skill, save_skill
+from cgtorch.graphs import ActionSet, Graphs, load_skill, save_skill
+from cgtorch.ground.asked import NAMES as ASKED
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
 from cgtorch.improvement.setup import Progress

@@ -25,7 +25,6 @@ from typing import Any
 import torch
 
 from cgtorch import native
-from cgtorch.actions import Action, ActionSet, Step, check_action, resolve_actions
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
@@ -39,8 +38,9 @@ from cgtorch.domains.registry import (
     spec_of,
 )
 from cgtorch.domains.settings import from_plain, to_plain
-from cgtorch.environment import ScenarioBatch
+from cgtorch.graphs import Action, ActionSet, Step, check_action, resolve_actions
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import read_versioned, whole_folder, write_json, writing
 from cgtorch.ground.json_lines import JsonLines

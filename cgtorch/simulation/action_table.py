@@ -6,9 +6,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.actions.action import memory_parts
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import Action, ActionSet, Skill, SubSkill
+from cgtorch.graphs.action import memory_parts
 
 SUCCESS, FAILURE, TIMEOUT = -1, -2, -3
 """Negative heads: how a graph ends, in place of the next node."""

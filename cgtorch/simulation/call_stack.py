@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from cgtorch.environment import rows_where
+from cgtorch.ground.environment import rows_where
 from cgtorch.simulation.action_table import SUCCESS, TIMEOUT
 from cgtorch.simulation.program import Program
 

@@ -11,8 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.native import WRONG_GRAPHS, alike, constants, function, structure, threads
 from cgtorch.simulation.action_table import FAILURE, SUCCESS
 from cgtorch.simulation.compiled_actions import LARGEST, CompiledActions

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.graphs import Graphs, SubSkill
+from cgtorch.graphs import Action, ActionSet, Graphs, SubSkill
 from cgtorch.native import constants, function, structure
 from cgtorch.native.interface import agree
 from cgtorch.simulation.action_table import (

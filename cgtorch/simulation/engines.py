@@ -1,7 +1,7 @@
 """The choice of an engine: compiled on the CPU or a GPU, depending on the device of the models."""
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.environment import Environment
 from cgtorch.native.gpu import Launcher, launcher_of
 from cgtorch.simulation.compiled import CompiledEngine, compiled_models
 from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, WITH_MEMORY, compiled_actions

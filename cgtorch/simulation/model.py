@@ -7,8 +7,8 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Lanes, rows_where
-from cgtorch.environment.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
+from cgtorch.ground.dry_run import ROWS, expect, expect_pair, kind, returned, two_rows
+from cgtorch.ground.environment import Lanes, rows_where
 from cgtorch.ground.errors import ModelError
 
 Gamma: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs
 from cgtorch.ground.errors import GraphError
 from cgtorch.simulation.action_table import FAILURE, ActionTable, action_table, ends
 

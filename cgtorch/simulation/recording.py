@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes, Rewarded, seeds_of
-from cgtorch.environment.asked import Asked, Purse
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, seeds_of
 
 
 class Recording:

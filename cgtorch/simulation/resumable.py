@@ -14,9 +14,8 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.environment import Environment, Lanes, Rewarded
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Action, ActionSet, Graphs
+from cgtorch.ground.environment import Environment, Lanes, Rewarded
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import WRONG_GRAPHS, function, threads
 from cgtorch.native.library import REALS

@@ -8,9 +8,8 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes, Rewarded, rows_where, start_lanes
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, rows_where, start_lanes
 from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT, action_table
 from cgtorch.simulation.call_stack import advance, first_frames
 from cgtorch.simulation.compiled import CompiledEngine

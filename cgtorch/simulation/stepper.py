@@ -7,9 +7,8 @@ from typing import NoReturn, cast
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action
-from cgtorch.environment import Environment, Lanes
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import Action, Skill, SubSkill
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, DataError
 from cgtorch.simulation.action_table import action_table
 from cgtorch.simulation.rollout import most_steps

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes, Rewarded, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
 from cgtorch.native import constants, structure
 from cgtorch.simulation.action_table import ActionTable
 from cgtorch.simulation.compiled_actions import CompiledActions

@@ -1,6 +1,6 @@
 """The actions of section VI: MoveBase, Detect and Grasp, and networks."""
 
-from cgtorch.actions import Action, ActionSet, BranchingNN, ContinuousNN, Perceive, Step, Test
+from cgtorch.graphs import Action, ActionSet, BranchingNN, ContinuousNN, Perceive, Step, Test
 
 MOTION = 3  # numbers of a motion: dx, dy (m), dθ (rad)
 PERCEPT = 7  # numbers of the paper's percept

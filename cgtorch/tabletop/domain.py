@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.domain import Domain, Published, Specialists
 from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.knowledge import Knowledge, imagine
@@ -18,11 +17,12 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import Asked
-from cgtorch.environment.fields import Field, named
+from cgtorch.graphs import ActionSet
 from cgtorch.ground import distributed
+from cgtorch.ground.asked import Asked
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.errors import RobotError, SettingsError
+from cgtorch.ground.fields import Field, named
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
 from cgtorch.improvement.grouping import broad_group
 from cgtorch.simulation import ModelEnvironment

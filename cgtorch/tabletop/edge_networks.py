@@ -6,9 +6,9 @@ node does at one edge, it does at all.
 
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.actions.networks import BranchingNN, ContinuousNN, one_hidden_layer
-from cgtorch.environment import Lanes
+from cgtorch.graphs import ActionSet
+from cgtorch.graphs.networks import BranchingNN, ContinuousNN, one_hidden_layer
+from cgtorch.ground.environment import Lanes
 from cgtorch.tabletop.actions import named_actions
 from cgtorch.tabletop.world.edge_frame import (
     SCENE,

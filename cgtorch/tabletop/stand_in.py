@@ -23,7 +23,7 @@ import torch
 from torch import Generator
 
 from cgtorch.domains.robot_driver import RobotDriver
-from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.json_lines import JsonLines
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings

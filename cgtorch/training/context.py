@@ -14,8 +14,6 @@ from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.domains.live import OnRobot
 from cgtorch.domains.summary import summary_of
-from cgtorch.environment import Dataset, Environment, Live
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import (
     COST,
     REWARDS,
@@ -28,6 +26,9 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Live
 from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked

@@ -200,7 +200,7 @@ def test_a_damaged_name_of_a_domain(
 
 OTHERS = """
 from cgtorch import Action, Domain, DomainSettings, option
-from cgtorch.actions import ContinuousNN, Step
+from cgtorch.graphs import ContinuousNN, Step
 from dataclasses import dataclass
 from own_cart import Cart
 

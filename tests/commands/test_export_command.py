@@ -124,7 +124,7 @@ def test_a_module_has_the_name_that_torch_wants(shell: Shell, tmp_path: Path) ->
 
 
 ASKS = '''
-from cgtorch.actions import Action
+from cgtorch.graphs import Action
 
 
 class Asks(Action):

@@ -16,8 +16,8 @@ LITTLE = ["--transitions=50"]
 ACTIONS = '''
 from torch import Tensor
 
-from cgtorch.actions import Action
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs import Action
+from cgtorch.ground.environment import Environment, Lanes
 
 RUNS = []
 

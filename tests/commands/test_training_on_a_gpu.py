@@ -14,16 +14,16 @@ from safetensors.torch import load_file
 from support import custom_actions
 from trained import SMALL
 
-from cgtorch.actions import RecurrentNN
 from cgtorch.commands.train import command
+from cgtorch.graphs import RecurrentNN
 from cgtorch.ground.files import read_json
 from cgtorch.native import gpu as native_gpu
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import planned_run
-from cgtorch.session import fastest_device
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training.session import fastest_device
 
 OPTIONS = as_options(replace(SMALL, practice=0, generations=8, attempts=1))
 

@@ -13,8 +13,8 @@ from support import seeded
 from cgtorch.domains import Field
 from cgtorch.domains.live import OnRobot, domain_of_driver, on_robot
 from cgtorch.domains.robot_driver import RobotDriver
-from cgtorch.environment import start_lanes
 from cgtorch.graphs import Graphs, Skill, from_networkx
+from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.json_lines import JsonLines
 
 END, NEAR = 2.0, 0.3

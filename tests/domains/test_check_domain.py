@@ -16,7 +16,7 @@ from torch import Tensor
 
 from cgtorch.domains import Field
 from cgtorch.domains.check import check_domain
-from cgtorch.environment import Environment, Lanes, Rewarded, ScenarioBatch
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import DomainError, WorldError
 
 

@@ -10,9 +10,9 @@ from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from support import Wander, as_double, as_double_actions, random_graphs
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.compiled_models import compiled_models
 from cgtorch.domains.transition import KernelTransitionModel
+from cgtorch.graphs import ActionSet
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.engines import engine_of

@@ -32,8 +32,9 @@ from cgtorch.domains.exploration import (
     random_controls,
 )
 from cgtorch.domains.knowledge import Knowledge, fit_models
-from cgtorch.environment import Dataset, Environment, Lanes
-from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.simulation import Recording
 

@@ -17,8 +17,8 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_vector import VectorSteps
 from cgtorch.domains.gymnasium_world import PlayedWorld
 from cgtorch.domains.registry import make_domain
-from cgtorch.environment import Lanes, start_lanes
 from cgtorch.evolution.population import random_population
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.ground.errors import DomainError, WorldError
 from cgtorch.simulation import rollout
 

@@ -15,9 +15,9 @@ from cgtorch.domains import Field
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import Grid, KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
-from cgtorch.environment import Dataset
-from cgtorch.environment.fields import wrapped
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.errors import DataError, ModelError
+from cgtorch.ground.fields import wrapped
 from cgtorch.svm import load_model, save_model
 
 Fitted = tuple[TransitionModel, TransitionReport]

@@ -20,7 +20,8 @@ from cgtorch.domains.knowledge import (
     sampled,
     taken,
 )
-from cgtorch.environment import Dataset, start_lanes
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.trial import first_percepts, try_skill

@@ -14,10 +14,10 @@ from driven_cart import NEAR, CartDriver, begun, cart, lines, push, pusher, told
 from rail import Cart, Rail
 from support import seeded
 
-from cgtorch.actions import ActionSet, BranchingNN, Step, Test
 from cgtorch.domains.live import Placements, Robot, domain_of_driver, on_robot, routine_names
 from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
-from cgtorch.environment import Environment, Live, Rewarded, start_lanes
+from cgtorch.graphs import ActionSet, BranchingNN, Step, Test
+from cgtorch.ground.environment import Environment, Live, Rewarded, start_lanes
 from cgtorch.ground.errors import DomainError, RobotStoppedError
 from cgtorch.ground.json_lines import JsonLines
 from cgtorch.improvement.trial import try_skill

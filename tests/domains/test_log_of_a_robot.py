@@ -12,8 +12,8 @@ from support import seeded
 
 from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.live import episodes_in
-from cgtorch.environment import Environment
-from cgtorch.environment.asked import Asked, Purse
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import DomainError, RunError
 from cgtorch.improvement.trial import Trial, try_skill
 from cgtorch.simulation import Recording

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
-from cgtorch.environment import Rewarded, start_lanes
+from cgtorch.ground.environment import Rewarded, start_lanes
 
 STEP, END = 0.2, 0.9
 

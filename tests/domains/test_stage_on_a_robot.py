@@ -13,10 +13,10 @@ from torch import Generator
 
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.domains.live import OnRobot
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.errors import DomainError
 from cgtorch.improvement.events import Event, ModelsFitted, Practised, SkillAccepted
 from cgtorch.improvement.improve import improve

@@ -11,8 +11,8 @@ from support import seeded
 from torch import Tensor
 
 from cgtorch.domains import World
-from cgtorch.environment import Environment, Rewarded, start_lanes
-from cgtorch.environment.dry_run import check_environment
+from cgtorch.ground.dry_run import check_environment
+from cgtorch.ground.environment import Environment, Rewarded, start_lanes
 
 CONTROL = st.tuples(*[st.floats(-9, 9, width=32) | st.sampled_from([torch.nan, torch.inf])] * 3)
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from random_models import random_models
 from support import as_double, as_double_actions, nested_actions, random_graphs, seeded
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution.fitness import Evaluation, evaluator
+from cgtorch.graphs import ActionSet
 from cgtorch.ground.numerics import row_means
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment

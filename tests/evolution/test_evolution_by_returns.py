@@ -8,7 +8,6 @@ from support import model, random_graphs, seeded
 from torch import Tensor
 from walking import Path, RewardedPath, Walks, chain, path, walking_actions
 
-from cgtorch.environment import Lanes
 from cgtorch.evolution import (
     EvolutionSettings,
     Population,
@@ -22,6 +21,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.fitness import WORST, WORTHLESS
 from cgtorch.evolution.selection import deviation
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.shrink import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout

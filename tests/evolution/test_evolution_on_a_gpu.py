@@ -9,9 +9,9 @@ from random_models import models_as, random_models
 from support import nested_actions, seeded
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import EvolutionSettings, chance_of_success, evolve
 from cgtorch.evolution.fitness import Fitness
+from cgtorch.graphs import ActionSet
 from cgtorch.improvement.shrink import shrunk
 from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.tabletop.actions import paper_actions

@@ -11,13 +11,13 @@ from random_models import models_as, random_models
 from support import nested_actions, seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, ContinuousNN
 from cgtorch.evolution import EvolutionSettings, compiled, evolve, gpu
 from cgtorch.evolution.compiled import lexicase as lexicase_in_c
 from cgtorch.evolution.offspring import breed
 from cgtorch.evolution.parameters import with_new_origins
 from cgtorch.evolution.population import Population, random_population
 from cgtorch.evolution.selection import deviation, lexicase, tournament
+from cgtorch.graphs import ActionSet, ContinuousNN
 from cgtorch.ground.counter_rng import shuffled
 from cgtorch.native import available
 from cgtorch.native import gpu as native_gpu

@@ -9,7 +9,6 @@ import torch
 from support import custom_actions, model, same, seeded
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import (
     EvolutionSettings,
     Population,
@@ -23,7 +22,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.offspring import crossover
 from cgtorch.evolution.population import random_graphs, random_population
-from cgtorch.graphs import NO_NODE, Graphs, pruned, widened
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
 

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from support import all_valid, nested_actions, same, same_nodes, seeded, stochastic_actions
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import (
     STRATEGY,
     EvolutionSettings,
@@ -21,7 +20,7 @@ from cgtorch.evolution import structure as m
 from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.parameters import perturb_parameters, with_origins
 from cgtorch.evolution.population import TAU, random_population, seeded_population
-from cgtorch.graphs import pruned, valid
+from cgtorch.graphs import ActionSet, pruned, valid
 from cgtorch.tabletop.actions import paper_actions
 
 SETS = [paper_actions(), stochastic_actions(), nested_actions()]

@@ -7,17 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, seeded
 
-from cgtorch.actions import (
+from cgtorch.evolution.varied_graphs import looping, occurrence, varied_graphs
+from cgtorch.graphs import (
     ActionSet,
     BranchingNN,
     ContinuousNN,
     DelayNN,
+    Graphs,
     LinearNN,
     RecurrentNN,
     Step,
+    to_networkx,
+    valid,
 )
-from cgtorch.evolution.varied_graphs import looping, occurrence, varied_graphs
-from cgtorch.graphs import Graphs, to_networkx, valid
 
 REWARDED = ActionSet(
     ("Linear", "Aim", "Delay", "Recur", "Branch", "Step"),

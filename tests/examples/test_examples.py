@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from kill_and_resume import results_of  # the tool that compares runs
 
 from cgtorch.commands import export, report
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 from examples.cart import Cart
 from examples.mountain_car import HELD, SOLVED, MountainCar, Starts
 

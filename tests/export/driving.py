@@ -9,11 +9,10 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action
-from cgtorch.environment import Environment, Lanes, start_lanes
 from cgtorch.export import to_module, to_onnx
 from cgtorch.export.step import REQUESTS
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Action, Skill
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import MAX_STEPS, rollout

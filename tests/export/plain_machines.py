@@ -11,7 +11,7 @@ import pytest
 import torch
 from driving import act
 
-from cgtorch.environment import Environment, start_lanes
+from cgtorch.ground.environment import Environment, start_lanes
 
 
 def imported(data: bytes, folder: Path, name: str = "skill") -> ModuleType:

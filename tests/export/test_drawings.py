@@ -18,9 +18,8 @@ from support import (
     stochastic_actions,
 )
 
-from cgtorch.actions import ActionSet
 from cgtorch.export import to_dot, to_graphml, to_mermaid
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import ActionSet, Skill, SubSkill
 from cgtorch.graphs.clusters import clusters_of
 
 Triple = tuple[str, str, str]

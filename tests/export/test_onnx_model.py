@@ -21,9 +21,9 @@ from support import model, nested_actions, random_skill, world
 from test_step import Learned, lone
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes
 from cgtorch.export import to_onnx
 from cgtorch.export.onnx_model import ABOUT, INPUTS, OUTPUTS
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
 
 

@@ -15,10 +15,9 @@ from torch import Tensor
 from walking import Path as Walk
 from walking import chain, path, walking_actions
 
-from cgtorch.actions import Action, ActionSet, ContinuousNN
-from cgtorch.environment import Environment, Lanes
 from cgtorch.export import SkillStep, to_module, to_state_machine
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import Action, ActionSet, ContinuousNN, Skill, SubSkill
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 from cgtorch.tabletop.actions import Detect, paper_actions

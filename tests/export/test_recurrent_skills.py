@@ -15,7 +15,6 @@ from test_onnx_model import runtime
 from torch import Tensor
 from walking import chain
 
-from cgtorch.actions import Action, ActionSet, DelayNN, LinearNN, RecurrentNN
 from cgtorch.export import (
     SkillStep,
     to_dot,
@@ -27,7 +26,16 @@ from cgtorch.export import (
     to_state_machine,
 )
 from cgtorch.export.torch_module import ABOUT
-from cgtorch.graphs import Skill, SubSkill, load_skill
+from cgtorch.graphs import (
+    Action,
+    ActionSet,
+    DelayNN,
+    LinearNN,
+    RecurrentNN,
+    Skill,
+    SubSkill,
+    load_skill,
+)
 from cgtorch.report import draw_skill
 from cgtorch.tabletop.actions import paper_actions
 

@@ -24,10 +24,9 @@ from support import (
     stochastic_actions,
 )
 
-from cgtorch.actions import ActionSet
 from cgtorch.export import to_state_machine
 from cgtorch.export.plain import networks
-from cgtorch.graphs import Skill, SubSkill
+from cgtorch.graphs import ActionSet, Skill, SubSkill
 from cgtorch.simulation import rollout
 from cgtorch.tabletop import plain_edge_networks as edge_networks
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions

@@ -21,11 +21,10 @@ from support import (
 )
 from torch import Tensor, nn
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.environment import Environment, Lanes
 from cgtorch.export import SkillStep
 from cgtorch.export.step import REQUESTS
-from cgtorch.graphs import Graphs, Skill
+from cgtorch.graphs import Action, ActionSet, Graphs, Skill
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
 from cgtorch.tabletop.actions import Grasp, MoveBase, paper_actions
 

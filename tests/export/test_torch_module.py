@@ -16,10 +16,10 @@ from support import model, nested_actions, random_skill, world
 from test_step import Learned, lone
 from torch import Tensor
 
-from cgtorch.actions import Action
-from cgtorch.environment import Environment, Lanes
 from cgtorch.export import to_module
 from cgtorch.export.torch_module import ABOUT
+from cgtorch.graphs import Action
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 
 ELSEWHERE = """

@@ -22,10 +22,17 @@ from support import (
     world,
 )
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
-from cgtorch.graphs import Skill, SubSkill, flattened, from_networkx, merged, same_behaviour
+from cgtorch.graphs import (
+    ActionSet,
+    Skill,
+    SubSkill,
+    flattened,
+    from_networkx,
+    merged,
+    same_behaviour,
+)
 from cgtorch.graphs.view import View
+from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect, Grasp, paper_actions

@@ -18,9 +18,9 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet
 from cgtorch.graphs import (
     NO_NODE,
+    ActionSet,
     Graphs,
     Skill,
     SubSkill,

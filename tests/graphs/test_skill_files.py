@@ -21,8 +21,10 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, DelayNN, RecurrentNN
 from cgtorch.graphs import (
+    ActionSet,
+    DelayNN,
+    RecurrentNN,
     Skill,
     SubSkill,
     from_networkx,
@@ -376,11 +378,11 @@ def test_the_librarys_actions_need_not_be_given(seed: int) -> None:
     [
         ({"class": "my_arm:Wave", "arguments": {}}, "'my_arm:Wave', which is code of its own"),
         ({"class": "cgtorch.none:Wave", "arguments": {}}, "which is not there"),
-        ({"class": "cgtorch.actions:ActionSet", "arguments": {}}, "which is no action"),
-        ({"class": "cgtorch.actions:Step", "arguments": {"size": 3}}, "cannot be made with"),
-        ({"class": "cgtorch.actions:Step", "arguments": {"control_size": "a"}}, "cannot be made"),
+        ({"class": "cgtorch.graphs:ActionSet", "arguments": {}}, "which is no action"),
+        ({"class": "cgtorch.graphs:Step", "arguments": {"size": 3}}, "cannot be made with"),
+        ({"class": "cgtorch.graphs:Step", "arguments": {"control_size": "a"}}, "cannot be made"),
         ({"class": "os:system", "arguments": {}}, "code of its own"),
-        ({"class": "cgtorch.actions:Step"}, "action 'MoveBase' has no 'arguments'"),
+        ({"class": "cgtorch.graphs:Step"}, "action 'MoveBase' has no 'arguments'"),
         (3, "action 'MoveBase' is 3"),
     ],
 )

@@ -22,9 +22,9 @@ from watched import (
     without_models,
 )
 
-from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, SkillAccepted, WorldAsked
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from support import random_skill, seeded, world
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Lanes
-from cgtorch.graphs import Skill, from_networkx, load_skill, same_behaviour, save_skill
+from cgtorch.graphs import ActionSet, Skill, from_networkx, load_skill, same_behaviour, save_skill
 from cgtorch.graphs.view import View
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
 from cgtorch.improvement.gating import selected_members, train_gating

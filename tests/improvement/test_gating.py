@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from support import seeded, world
 from torch import Tensor
 
-from cgtorch.actions import BranchingNN
-from cgtorch.environment import start_lanes
+from cgtorch.graphs import BranchingNN
+from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement import gating as gate
 from cgtorch.improvement import gating_gradient
 from cgtorch.improvement.gating import _most_reliable, _unscaled, selected_members, train_gating

@@ -8,7 +8,7 @@ from support import seeded
 from torch import Tensor
 
 from cgtorch import native
-from cgtorch.actions import BranchingNN
+from cgtorch.graphs import BranchingNN
 from cgtorch.improvement.gating_gradient import gradient_in_torch, gradient_of
 from cgtorch.native import available
 

@@ -10,9 +10,9 @@ from torch import Tensor
 from watched import NONE, Watched, along, first_stage, keys, of_kind, stage_of, without_models
 
 from cgtorch.domains.summary import summary_of
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import EvolutionSettings
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.dataset import Dataset
 from cgtorch.improvement.events import (
     Event,
     GenerationDone,

@@ -11,8 +11,8 @@ import torch
 from support import seeded
 from watched import Watched, along, of_kind
 
-from cgtorch.environment.asked import Purse
 from cgtorch.graphs import skill_to_dict
+from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import (
     Event,

@@ -14,9 +14,9 @@ from support import random_graphs, seeded
 from torch import Tensor
 from watched import along, first_stage, of_kind, stage_of, state_of, without_models
 
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import Asked
 from cgtorch.evolution import Population, initial_strategy
+from cgtorch.ground.asked import Asked
+from cgtorch.ground.dataset import Dataset
 from cgtorch.improvement import team
 from cgtorch.improvement.compose import branching_action
 from cgtorch.improvement.events import GenerationDone

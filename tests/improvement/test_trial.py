@@ -13,7 +13,7 @@ from support import seeded
 from torch import Tensor
 from watched import Watched, of_kind, stage_of, without_models
 
-from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.trial import (

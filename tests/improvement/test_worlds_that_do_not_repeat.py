@@ -26,9 +26,9 @@ from watched import (
     without_models,
 )
 
-from cgtorch.environment import Lanes
-from cgtorch.environment.asked import Purse
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.acting import DECISIVE
 from cgtorch.improvement.events import ChanceFound, Event, Practised, SkillAccepted, WorldAsked
 from cgtorch.improvement.improve import improve

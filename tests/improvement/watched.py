@@ -11,8 +11,8 @@ from reaching import in_the_world, small_setup, world_of
 from support import seeded
 from torch import Tensor
 
-from cgtorch.environment import Lanes
 from cgtorch.graphs import Skill
+from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import Event
 from cgtorch.improvement.setup import Progress, Setup, Stage
 from cgtorch.improvement.team import StageState

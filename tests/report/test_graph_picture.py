@@ -14,8 +14,7 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import Graphs, Skill, SubSkill, to_networkx
+from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.report import draw_skill

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import summary_of
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution.fitness import WORST
+from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement.events import (
     ChanceFound,
     Event,

@@ -15,9 +15,9 @@ import torch
 from support import seeded, world
 from trained import Trained, copied
 
-from cgtorch.environment.asked import Asked
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import load_skill
+from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report import final_table
 from cgtorch.runs.storage import (

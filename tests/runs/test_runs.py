@@ -19,8 +19,8 @@ import torch
 from support import create_run, random_skill
 from trained import SMALL, Trained, copied, without_success
 
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.graphs import save_skill, skill_to_dict
+from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.errors import ActionError, GraphError, RunError
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (

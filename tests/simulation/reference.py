@@ -13,17 +13,19 @@ import torch
 from support import Counter, Visits, Wander
 from torch import Tensor
 
-from cgtorch.actions import (
+from cgtorch.graphs import (
     Action,
     ActionSet,
     BranchingNN,
     ContinuousNN,
     DelayNN,
+    Graphs,
     LinearNN,
     RecurrentNN,
+    SubSkill,
+    to_networkx,
 )
-from cgtorch.environment import Environment, Lanes
-from cgtorch.graphs import Graphs, SubSkill, to_networkx
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.tabletop.actions import Detect, Grasp, MoveBase
 
 End = Literal["success", "failure", "timeout"]

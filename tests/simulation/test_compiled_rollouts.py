@@ -22,8 +22,7 @@ from support import (
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import Graphs, Skill, SubSkill, resized
+from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill, resized
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.simulation.engines import engine_of

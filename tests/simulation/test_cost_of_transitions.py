@@ -9,11 +9,10 @@ from random_models import models_as, random_models
 from support import as_double, as_double_actions, nested_actions, random_graphs, seeded
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import start_lanes
 from cgtorch.evolution import COST, ChanceOfSuccess, chance_of_success
 from cgtorch.evolution.fitness import LEAST, Evaluation, _by_rollouts, evaluator
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.ground.environment import start_lanes
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.simulation.engines import engine_of

@@ -19,8 +19,7 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet, RecurrentNN
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs, RecurrentNN
 from cgtorch.ground.errors import GraphError
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts

@@ -6,7 +6,7 @@ import torch
 from support import model, random_graphs
 from torch import Tensor
 
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment, rollout
 from cgtorch.tabletop.actions import paper_actions
 

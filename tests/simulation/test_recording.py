@@ -12,9 +12,10 @@ from support import random_graphs, world
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.environment import Dataset, Environment, Lanes, start_lanes
-from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
 from cgtorch.graphs import Graphs
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.simulation import Recording, Rollouts, rollout
 from cgtorch.tabletop.actions import paper_actions
 

@@ -26,9 +26,17 @@ from torch.nn.functional import pad
 from walking import Path, RewardedPath, chain, path
 
 from cgtorch import native
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN, DelayNN, RecurrentNN, Step, Test
-from cgtorch.environment import Environment
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    DelayNN,
+    Graphs,
+    RecurrentNN,
+    Step,
+    Test,
+)
+from cgtorch.ground.environment import Environment
 from cgtorch.native import available
 from cgtorch.simulation import rollout
 from cgtorch.simulation.compiled_actions import NETWORKS, WITH_MEMORY, compiled_actions

@@ -21,9 +21,8 @@ from torch import Tensor
 from walking import Path, Walks, chain, path, walking_actions
 
 from cgtorch import native
-from cgtorch.actions import Action, ActionSet
-from cgtorch.environment import Environment, Lanes
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Action, ActionSet, Graphs
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import available
 from cgtorch.simulation import Rollouts, rollout

@@ -16,10 +16,9 @@ from torch import Tensor
 from walking import END, GAINED, NEAR, PLACE, Path, RewardedPath, Walks, chain, is_over, path
 from walking import walking_actions as walking
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes, Rewarded
-from cgtorch.environment.asked import Asked, Purse
-from cgtorch.graphs import Graphs, Skill, SubSkill
+from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.environment import Environment, Lanes, Rewarded
 from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import (
     MAX_STEPS,

@@ -24,9 +24,8 @@ from support import (
 from told_by_runs import tensors_of
 from torch import Tensor
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment, Lanes
-from cgtorch.graphs import Graphs, Skill, SubSkill, from_networkx, to_networkx
+from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill, from_networkx, to_networkx
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.tabletop.actions import Detect, paper_actions

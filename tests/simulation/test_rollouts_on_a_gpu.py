@@ -13,7 +13,7 @@ from support import (
 )
 from told_by_runs import tensors_of
 
-from cgtorch.actions import ActionSet
+from cgtorch.graphs import ActionSet
 from cgtorch.simulation import rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch

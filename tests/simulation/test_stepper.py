@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from reaching import world_of
 from support import random_graphs, seeded
 
-from cgtorch.actions import Action, ActionSet
-from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.graphs import Skill, SubSkill, from_networkx
+from cgtorch.graphs import Action, ActionSet, Skill, SubSkill, from_networkx
 from cgtorch.graphs.view import View
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import ActionError, DataError
 from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.simulation.stepper import Stepper

@@ -2,8 +2,8 @@ import pytest
 import torch
 from support import FOOTPRINT, seeded
 
-from cgtorch.actions import BranchingNN, ContinuousNN
-from cgtorch.environment import start_lanes
+from cgtorch.graphs import BranchingNN, ContinuousNN
+from cgtorch.ground.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.edge_networks import (

@@ -23,7 +23,7 @@ from standard.double_pole import (
 )
 from standard.task import OVER, RETURN, STEPS, Starts
 
-from cgtorch.environment import Lanes, start_lanes
+from cgtorch.ground.environment import Lanes, start_lanes
 
 GAINS = torch.tensor([-0.07, -5.2, 4.7, -0.15, -1.4, 0.46], dtype=torch.float64)
 """A linear controller of both poles: a solution of Riccati's equation, rounded."""

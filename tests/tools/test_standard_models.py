@@ -26,7 +26,7 @@ from standard.rewards import GIVEN
 from standard.task import Starts
 from standard.tasks import TASKS
 
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 
 
 @pytest.mark.parametrize("name", GIVEN)

@@ -19,8 +19,8 @@ from standard.double_pole import CHALLENGES, LongWorld
 from standard.task import OVER, RETURN, STEPS, Starts, Task, starts
 from standard.tasks import TASKS
 
-from cgtorch.environment import Lanes, start_lanes
-from cgtorch.environment.dry_run import check_environment
+from cgtorch.ground.dry_run import check_environment
+from cgtorch.ground.environment import Lanes, start_lanes
 
 GYMNASIUM = {
     "cartpole": "CartPole-v1",

@@ -13,7 +13,7 @@ import torch
 from support import create_run, seeded
 from trained import SMALL, Trained, copied, without_success
 
-from cgtorch.environment.asked import Asked
+from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
 from cgtorch.improvement.trial import first_percepts, try_skill

@@ -8,7 +8,7 @@ import pytest
 from support import create_run, same
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.environment.asked import Asked
+from cgtorch.ground.asked import Asked
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,

@@ -15,7 +15,7 @@ from trained import SMALL
 from walking import Walking
 
 from cgtorch.domains.exploration import EXPLORATION
-from cgtorch.environment.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, read_asked

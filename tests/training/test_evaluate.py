@@ -5,8 +5,7 @@ import torch
 from reaching import TABLE
 from support import random_skill, seeded
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN
-from cgtorch.graphs import SubSkill
+from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, SubSkill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions

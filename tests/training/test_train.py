@@ -13,7 +13,7 @@ from members import nearly
 from reaching import TABLE
 from torch import Tensor
 
-from cgtorch.environment.asked import Asked, Purse
+from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
 from cgtorch.improvement.setup import Progress, Stage
 from cgtorch.improvement.trial import first_percepts

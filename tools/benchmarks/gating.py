@@ -5,7 +5,7 @@ from functools import partial
 import torch
 
 from benchmarks.measure import CPU, Comparison, Effort, Line, difference, in_turns, run_threads
-from cgtorch.actions import BranchingNN
+from cgtorch.graphs import BranchingNN
 from cgtorch.improvement.gating import RESTARTS
 from cgtorch.improvement.gating_gradient import gradient_in_torch, gradient_of
 

@@ -11,10 +11,9 @@ from typing import Any, TypeAlias
 
 import networkx as nx
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import Population
 from cgtorch.evolution.population import PROBABILITY_MAX, SIGMA_MAX, STRATEGY, STRATEGY_MIN, TAU
-from cgtorch.graphs import to_networkx
+from cgtorch.graphs import ActionSet, to_networkx
 
 Graph: TypeAlias = Any  # nx.MultiDiGraph
 Strategy: TypeAlias = dict[str, float]

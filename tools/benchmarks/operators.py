@@ -19,10 +19,9 @@ from benchmarks.measure import (
 from benchmarks.networkx_operators import Individual, Kinds, individuals, kinds_of
 from benchmarks.networkx_operators import offspring as networkx_offspring
 from benchmarks.workload import CAPACITY, later_population, populations, workload
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import Population
 from cgtorch.evolution.offspring import offspring
-from cgtorch.graphs import Graphs, concatenate, from_networkx, valid
+from cgtorch.graphs import ActionSet, Graphs, concatenate, from_networkx, valid
 
 PAIRS = 200  # that networkx is asked for
 MANY = 10_000

@@ -18,10 +18,9 @@ from benchmarks.measure import (
     run_threads,
 )
 from benchmarks.workload import GENERATIONS, Workload, first_population, later_population, workload
-from cgtorch.actions import Action, ActionSet, ContinuousNN, Step
 from cgtorch.domains import World
-from cgtorch.environment import Environment, Lanes, ScenarioBatch
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Action, ActionSet, ContinuousNN, Graphs, Step
+from cgtorch.ground.environment import Environment, Lanes, ScenarioBatch
 from cgtorch.simulation import Rollouts, rollout
 
 SIZES = (1000, 10_000)

@@ -10,11 +10,12 @@ from torch import Generator, Tensor
 
 from benchmarks.measure import WALL, Comparison, Effort, Line, cores, in_turns, run_threads
 from benchmarks.workload import SCENARIOS, first_population, workload
-from cgtorch.actions import ActionSet
 from cgtorch.domains.exploration import Exploration
 from cgtorch.domains.knowledge import Knowledge, fit_models
-from cgtorch.environment import Dataset, Environment
-from cgtorch.environment.asked import Purse
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.simulation import ModelEnvironment, rollout
 from cgtorch.svm.machine import KernelMachine

@@ -12,8 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs
 from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION
 from cgtorch.tabletop.world.sweep import TURN_STEP
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.array_models import ArrayModels, sigmoid
 from benchmarks.plain_models import Array, PlainModels
-from cgtorch.actions import ActionSet
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs
 
 Integers = NDArray[np.int64]
 Results = tuple[Array, Array, Array]

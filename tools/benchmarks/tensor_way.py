@@ -10,10 +10,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions import ActionSet, BranchingNN, ContinuousNN
-from cgtorch.actions.networks import one_hidden_layer
-from cgtorch.environment import Lanes, start_lanes
-from cgtorch.graphs import NO_NODE, Graphs
+from cgtorch.graphs import NO_NODE, ActionSet, BranchingNN, ContinuousNN, Graphs
+from cgtorch.graphs.networks import one_hidden_layer
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.simulation import ModelEnvironment, Rollouts
 
 NAMES = ("MoveBase", "Detect", "Grasp", "ContinuousNN", "BranchingNN")

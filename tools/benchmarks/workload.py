@@ -6,12 +6,11 @@ from functools import cache
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.evolution import EvolutionSettings, Population, evolve
 from cgtorch.evolution.offspring import crossover, mutate
 from cgtorch.evolution.population import random_population, slim
-from cgtorch.graphs import widened
+from cgtorch.graphs import ActionSet, widened
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions

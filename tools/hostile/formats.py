@@ -15,13 +15,12 @@ import torch
 import trimesh
 from torch import Generator, nn
 
-from cgtorch.actions import ActionSet
 from cgtorch.domains.knowledge import taken
-from cgtorch.environment import Dataset
-from cgtorch.environment.asked import Asked, Purse
 from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import load_skill
+from cgtorch.graphs import ActionSet, load_skill
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.dataset import Dataset
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.improvement.checkpoint import (

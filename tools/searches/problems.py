@@ -6,8 +6,8 @@ from pathlib import Path
 import torch
 from torch import Generator
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.storage import load_knowledge
 from cgtorch.runs.stored_run import read_run

@@ -6,9 +6,9 @@ from typing import Any, TypeAlias
 
 from torch import Generator
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
 from cgtorch.evolution import Generation
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.environment import Environment
 
 Search: TypeAlias = Callable[[Environment, ActionSet, Generator], Iterator[Generation]]
 """Generations without end, from the models on a problem's scenarios and what nodes can be."""

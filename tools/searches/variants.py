@@ -5,9 +5,9 @@ from functools import partial
 
 from torch import Generator
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Environment
 from cgtorch.evolution import EvolutionSettings, Generation, evolve, lexicase, tournament
+from cgtorch.graphs import ActionSet
+from cgtorch.ground.environment import Environment
 from searches.trial import Search
 
 

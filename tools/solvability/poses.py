@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 from cgtorch.tabletop.world import TabletopWorld
 from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate

@@ -6,9 +6,9 @@ The value of a part is the difference to `standard.ours`, which has them all, ov
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from cgtorch.actions import ActionSet
 from cgtorch.evolution import REWARDS, EvolutionSettings, lexicase
 from cgtorch.evolution.population import random_graphs
+from cgtorch.graphs import ActionSet
 from standard.measure import Trial
 from standard.ours import ACTIONS, searched
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeAlias
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Lanes, start_lanes
+from cgtorch.ground.environment import Lanes, start_lanes
 from standard.task import Starts, Task
 
 FRESH = 100

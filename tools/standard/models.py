@@ -16,12 +16,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, reward_actions
 from cgtorch.domains.gaussian_process import GaussianProcess
 from cgtorch.domains.rewarded_model import CuriousModel, Imagined, RewardedModel
-from cgtorch.environment import Lanes, start_lanes
 from cgtorch.evolution import REWARDS, evolve
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs, reward_actions
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.simulation import rollout
 from cgtorch.simulation.recording import Recording
 from standard.measure import CountedWorld, Trial

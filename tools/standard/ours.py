@@ -5,9 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, reward_actions
 from cgtorch.evolution import REWARDS, EvolutionSettings, evolve
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs, reward_actions
 from cgtorch.simulation import rollout
 from standard.measure import Player, Trial
 

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains import World
-from cgtorch.environment import Environment, Lanes, ScenarioBatch
+from cgtorch.ground.environment import Environment, Lanes, ScenarioBatch
 
 STEPS, RETURN, OVER = -3, -2, -1
 """The last columns of a state: steps so far, the sum of rewards, and 1 once the episode is over."""

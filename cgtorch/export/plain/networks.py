@@ -1,4 +1,4 @@
-"""The networks of `cgtorch.actions`, one percept at a time, in plain Python."""
+"""The networks of `cgtorch.graphs`, one percept at a time, in plain Python."""
 
 import math
 from collections.abc import Sequence

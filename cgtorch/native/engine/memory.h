@@ -1,4 +1,4 @@
-/* Networks with a memory, cgtorch.actions.recurrent and cgtorch.actions.linear, of a vector of lanes. */
+/* Networks with a memory, cgtorch.graphs.recurrent and cgtorch.graphs.linear, of a vector of lanes. */
 #pragma once
 #include "networks.h"
 

@@ -1,4 +1,4 @@
-/* Networks with one hidden layer, cgtorch.actions.networks.one_hidden_layer, of a vector of lanes. */
+/* Networks with one hidden layer, cgtorch.graphs.networks.one_hidden_layer, of a vector of lanes. */
 #pragma once
 #include "limits.h"
 #include "real.h"

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from cgtorch.domains.registry import is_code
-from cgtorch.environment.asked import NAMES as ASKED
+from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import place_of
 from cgtorch.ground.interval import wilson

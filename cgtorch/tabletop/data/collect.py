@@ -3,9 +3,9 @@
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Lanes, start_lanes
-from cgtorch.environment.dataset import Dataset
 from cgtorch.ground.counted_work import counted
+from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.tabletop.data.labels import grasp_labels
 from cgtorch.tabletop.data.motions import random_motions
 from cgtorch.tabletop.data.poses import Scenes, poses_around

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.transition import Grid, HeldOut, TransitionModel
-from cgtorch.environment.fields import Field
+from cgtorch.ground.fields import Field
 from cgtorch.native import function, structure
 from cgtorch.svm import SVR, grid_search
 from cgtorch.svm.compiled import LOG2E, threads_for

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Lanes
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.physics.questions import Physics, drives, grasps
 from cgtorch.tabletop.world.clear_motion import motion_possible

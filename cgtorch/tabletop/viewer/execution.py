@@ -7,9 +7,8 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action
-from cgtorch.environment import Lanes, start_lanes
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Action, Skill
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.simulation import most_steps
 from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs

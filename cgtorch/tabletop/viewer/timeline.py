@@ -7,7 +7,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from cgtorch.actions import Action
+from cgtorch.graphs import Action
 from cgtorch.tabletop.actions import Detect, Grasp
 from cgtorch.tabletop.kinematics import Robot, arm_ways
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT

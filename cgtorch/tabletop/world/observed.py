@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.environment import Lanes
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world.percepts import (
     BOX,
@@ -104,7 +104,7 @@ class ObservedTabletop(ABC):
 
     @property
     def seeds(self) -> Tensor:
-        """See `cgtorch.environment.Seeded.seeds`; they are those of the noise."""
+        """See `cgtorch.ground.environment.Seeded.seeds`; they are those of the noise."""
         return self.scenarios.seed
 
     @property

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from cgtorch.environment.fields import Field, named
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.fields import Field, named
 from cgtorch.ground.numerics import atan2
 from cgtorch.tabletop.world.geometry import (
     bounding_box,

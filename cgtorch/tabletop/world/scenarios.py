@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from cgtorch.environment import ScenarioBatch
+from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import SettingsError
 
 TABLE_DEPTH, TABLE_WIDTH, TABLE_HEIGHT = 0.8, 1.2, 0.74

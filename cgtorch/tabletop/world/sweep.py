@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from cgtorch.environment import rows_where
+from cgtorch.ground.environment import rows_where
 from cgtorch.tabletop.world.geometry import wrap
 
 TURN_STEP = math.radians(15)  # a corner of the PR2 protrudes 4 mm between two such steps

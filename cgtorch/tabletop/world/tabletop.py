@@ -7,7 +7,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Lanes
+from cgtorch.ground.environment import Lanes
 from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, to_frame
 from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from cgtorch import native
-from cgtorch.environment import Lanes, start_lanes
-from cgtorch.environment.dry_run import check_environment
 from cgtorch.ground.counted_work import listening
+from cgtorch.ground.dry_run import check_environment
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld, Physics, questions

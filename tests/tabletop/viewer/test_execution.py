@@ -4,9 +4,8 @@ import pytest
 import torch
 from support import Visits, custom_actions, nested_actions, random_skill, world
 
-from cgtorch.actions import ActionSet
-from cgtorch.environment import Lanes
-from cgtorch.graphs import Graphs, Skill
+from cgtorch.graphs import ActionSet, Graphs, Skill
+from cgtorch.ground.environment import Lanes
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect
 from cgtorch.tabletop.viewer.execution import Step, execute

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 from cgtorch.tabletop.world import ClearMotion, Noise, Scenarios, TabletopWorld, cluttered_scenarios
 from cgtorch.tabletop.world.geometry import to_frame, wrap
 from cgtorch.tabletop.world.routes import LONGEST, first_motion

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded, world
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.world import (
     LAB_NOISE,

@@ -17,7 +17,7 @@ from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsE
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
 SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
-CART = Path(__file__).parents[1] / "examples" / "cart.py"
+CART = Path(__file__).parents[2] / "examples" / "cart.py"
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from support import create_run, model, seeded, world
 
 import cgtorch
-from cgtorch.actions import ActionSet, RecurrentNN, check_action, resolve_actions
-from cgtorch.actions.action import memory_parts
-from cgtorch.actions.recurrent import recurrent_parameters, recurrent_step
 from cgtorch.domains.settings import DomainSettings
-from cgtorch.environment import start_lanes
+from cgtorch.graphs import ActionSet, RecurrentNN, check_action, resolve_actions
+from cgtorch.graphs.action import memory_parts
+from cgtorch.graphs.recurrent import recurrent_parameters, recurrent_step
+from cgtorch.ground.environment import start_lanes
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.actions import paper_actions

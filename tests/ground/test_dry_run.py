@@ -11,9 +11,9 @@ from reaching import unrepeatable
 from support import Counter, custom_actions, model, nested_actions, seeded, world
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes
-from cgtorch.environment.dry_run import check_environment, repeats_itself
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.ground.dry_run import check_environment, repeats_itself
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, CgtorchError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions

@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.actions.light import light_layer
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.light import light_layer
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.numerics import sigmoid
 
 
@@ -41,7 +41,7 @@ class RecurrentNN(Action):
     memory, zero when a skill begins. The state belongs to the action, not to a node. All nodes of
     the action, also those in sub-skills, share the state, and each has its own weights.
 
-    Weights and biases are scaled as in `cgtorch.actions.light`; without this, double pole balancing
+    Weights and biases are scaled as in `cgtorch.graphs.light`; without this, double pole balancing
     is not learned.
     """
 

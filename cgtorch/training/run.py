@@ -19,13 +19,13 @@ from cgtorch.runs.log import rows_of
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import load_result
 from cgtorch.runs.stored_run import LOG, StoredRun, read_run
-from cgtorch.session import TrainingRequest, UserWatch, begun, carry_out, prepared, resumed
 from cgtorch.training.evaluate import Score, evaluate_skill
+from cgtorch.training.session import TrainingRequest, UserWatch, begun, carry_out, prepared, resumed
 
 if TYPE_CHECKING:
-    from cgtorch.actions import Action
     from cgtorch.domains.domain import Domain
     from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.graphs import Action
 
 
 class Run(StoredRun):

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs.action import Action
+from cgtorch.ground.environment import Environment, Lanes
 
 
 class Step(Action):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.environment.asked import NAMES, Asked, BudgetSpentError, Purse
+from cgtorch.ground.asked import NAMES, Asked, BudgetSpentError, Purse
 from cgtorch.ground.errors import CgtorchError
 
 ASKED = st.builds(Asked, *[st.integers(0, 20)] * len(NAMES))

@@ -10,8 +10,8 @@ from typing import Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
-from cgtorch.environment.asked import Asked
-from cgtorch.environment.dataset import Dataset
+from cgtorch.ground.asked import Asked
+from cgtorch.ground.dataset import Dataset
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from cgtorch.actions.action import Action
+from cgtorch.graphs.action import Action
 from cgtorch.ground.errors import ActionError
 
 LIBRARY = "cgtorch."

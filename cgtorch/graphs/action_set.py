@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.actions.linear import DelayNN, LinearNN
-from cgtorch.actions.networks import BranchingNN, ContinuousNN
-from cgtorch.actions.recurrent import RecurrentNN
-from cgtorch.actions.routines import Step
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.linear import DelayNN, LinearNN
+from cgtorch.graphs.networks import BranchingNN, ContinuousNN
+from cgtorch.graphs.recurrent import RecurrentNN
+from cgtorch.graphs.routines import Step
 from cgtorch.ground.errors import ActionError
 
 

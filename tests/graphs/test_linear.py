@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from support import model, seeded, world
 
 import cgtorch
-from cgtorch.actions import DelayNN, LinearNN, check_action, resolve_actions
-from cgtorch.actions.action import memory_parts
-from cgtorch.actions.linear import percept_and_changes
-from cgtorch.environment import start_lanes
+from cgtorch.graphs import DelayNN, LinearNN, check_action, resolve_actions
+from cgtorch.graphs.action import memory_parts
+from cgtorch.graphs.linear import percept_and_changes
+from cgtorch.ground.environment import start_lanes
 from cgtorch.tabletop.actions import paper_actions
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.actions.light import light_layer
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.light import light_layer
+from cgtorch.ground.environment import Environment, Lanes
 
 CHANGE = 10.0
 """The factor of changes between steps; `native/engine/memory.h` has the same."""

@@ -2,7 +2,7 @@ import pytest
 import torch
 from support import Counter, custom_actions, seeded
 
-from cgtorch.actions import Action, ActionSet
+from cgtorch.graphs import Action, ActionSet
 from cgtorch.ground.errors import ActionError
 from cgtorch.tabletop.actions import Detect, Grasp, paper_actions
 

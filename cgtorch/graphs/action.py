@@ -9,8 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.environment import Environment, Lanes, seeds_of
 from cgtorch.ground import counter_rng as chance
+from cgtorch.ground.environment import Environment, Lanes, seeds_of
 from cgtorch.ground.errors import ActionError
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2

@@ -7,12 +7,11 @@ from importlib.metadata import EntryPoint, entry_points
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.actions.action_set import ActionSet
-from cgtorch.actions.linear import DelayNN, LinearNN
-from cgtorch.actions.recurrent import RecurrentNN
-from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.environment.dry_run import (
+from cgtorch.graphs.action import Action
+from cgtorch.graphs.action_set import ActionSet
+from cgtorch.graphs.linear import DelayNN, LinearNN
+from cgtorch.graphs.recurrent import RecurrentNN
+from cgtorch.ground.dry_run import (
     ROWS,
     copied,
     expect,
@@ -22,6 +21,7 @@ from cgtorch.environment.dry_run import (
     returned,
     two_rows,
 )
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import ActionError
 
 ENTRY_POINTS = "cgtorch.actions"

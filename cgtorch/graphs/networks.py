@@ -5,8 +5,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from cgtorch.actions.action import Action
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs.action import Action
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.numerics import sigmoid
 
 

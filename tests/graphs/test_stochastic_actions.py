@@ -18,9 +18,8 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.actions import Action, ActionSet, check_action
-from cgtorch.environment import Environment, Lanes, start_lanes
-from cgtorch.graphs import Graphs, Skill, SubSkill
+from cgtorch.graphs import Action, ActionSet, Graphs, Skill, SubSkill, check_action
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import ActionError, ModelError
 from cgtorch.simulation import ModelEnvironment, Recording, rollout
 from cgtorch.tabletop.actions import Detect, paper_actions

@@ -9,14 +9,14 @@ import torch
 from support import Counter, model, world
 from torch import Generator, Tensor
 
-from cgtorch.actions import ActionSet, check_action, resolve_actions
-from cgtorch.environment import Environment, Lanes
+from cgtorch.graphs import ActionSet, check_action, resolve_actions
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.tabletop.actions import paper_actions
 
 MODULE = """
 import torch
-from cgtorch.actions import Action
+from cgtorch.graphs import Action
 from cgtorch.tabletop.actions import Detect
 
 class Wave(Detect):

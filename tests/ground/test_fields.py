@@ -8,7 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.environment.fields import (
+from cgtorch.ground.errors import DomainError
+from cgtorch.ground.fields import (
     KINDS,
     Field,
     as_features,
@@ -18,7 +19,6 @@ from cgtorch.environment.fields import (
     within_bounds,
     wrapped,
 )
-from cgtorch.ground.errors import DomainError
 
 KIND = st.sampled_from(KINDS)
 FINITE = st.floats(-1e6, 1e6)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import torch
 from support import judged_by, model, seeded, world
 
-from cgtorch.environment import start_lanes
+from cgtorch.ground.environment import start_lanes
 from cgtorch.tabletop.actions import Detect, Grasp, MoveBase
 from cgtorch.tabletop.world import Noise
 

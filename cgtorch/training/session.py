@@ -12,9 +12,9 @@ import torch
 from cgtorch import native
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.settings import DomainSettings, known_options, to_plain
-from cgtorch.environment.asked import NAMES as ASKED
-from cgtorch.environment.asked import Purse
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import NAMES as ASKED
+from cgtorch.ground.asked import Purse
 from cgtorch.ground.counted_work import listening
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.json_lines import JsonLines

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import model, seeded
 
-from cgtorch.actions import BranchingNN, ContinuousNN
-from cgtorch.actions.networks import network_parameters, one_hidden_layer
-from cgtorch.environment import start_lanes
+from cgtorch.graphs import BranchingNN, ContinuousNN
+from cgtorch.graphs.networks import network_parameters, one_hidden_layer
+from cgtorch.ground.environment import start_lanes
 
 
 def as_modules(weights: torch.Tensor, inputs: int, hidden: int, outputs: int) -> torch.nn.Module:
