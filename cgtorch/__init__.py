@@ -7,7 +7,7 @@ other names are in their own packages.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.ground.version import __version__ as __version__
+__version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain as Domain

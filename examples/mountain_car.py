@@ -15,8 +15,7 @@ from torch import Generator, Tensor
 
 from cgtorch import Domain, Field, ScenarioBatch, World
 from cgtorch.domains.exploration import Exploration, random_controls
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Dataset, start_lanes
 
 HELD, STEPS = 10, 999  # steps that a push is held, and of an episode
 PUSHES = 12  # of each car in an exploration

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.evolution import EvolutionSettings
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.stopping import Budget
 from cgtorch.tabletop.actions import paper_actions

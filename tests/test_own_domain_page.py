@@ -15,8 +15,7 @@ from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.evolution import episode_return, evolve
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, ScenarioBatch
+from cgtorch.ground.environment import Dataset, Environment, ScenarioBatch
 from cgtorch.simulation import Rollouts, rollout
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own-domain.md"

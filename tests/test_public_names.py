@@ -110,7 +110,7 @@ def test_names_at_the_top_are_those_that_types_know() -> None:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cgtorch.")
         for alias in node.names
     }
-    assert set(known) == set(cgtorch.__all__)
+    assert {"__version__", *known} == set(cgtorch.__all__)
     assert set(known) <= set(dir(cgtorch))
     for name, module in known.items():
         assert getattr(cgtorch, name) is getattr(importlib.import_module(str(module)), name)

@@ -19,8 +19,7 @@ from pathlib import Path
 
 import click
 
-from cgtorch.ground.files import read_json
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines, read_json
 
 DRIVER = "cgtorch.tabletop.stand_in:StandIn"
 

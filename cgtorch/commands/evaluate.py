@@ -10,7 +10,7 @@ import click
 
 from cgtorch.commands import options
 from cgtorch.commands.command import importing, run_command
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.statistics import wilson
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen

@@ -1,7 +1,9 @@
 """Options that several commands share."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from ctypes.util import find_library
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
@@ -132,7 +134,7 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
     """Show on a terminal a live line with a message, the elapsed time, and the work done.
 
     Yields a function to call with the amount of further work done, of `total`. Long work that is
-    counted within has a line of its own until it is done (`cgtorch.ground.counted_work`).
+    counted within has a line of its own until it is done (`cgtorch.ground.processes`).
     """
     from rich.console import Console
     from rich.progress import (
@@ -145,7 +147,7 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
         TimeRemainingColumn,
     )
 
-    from cgtorch.ground.counted_work import listening
+    from cgtorch.ground.processes import listening
 
     console = Console(stderr=True)
     counted = (BarColumn(24), MofNCompleteColumn()) if total is not None else ()
@@ -172,3 +174,14 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
     with progress, listening(show):
         task = progress.add_task(message, total=total)
         yield lambda more: progress.advance(task, more)
+
+
+def draw_without_display() -> None:
+    """Have MuJoCo draw by EGL, else by OSMesa, where there is no display and one is installed.
+
+    Call it before anything of a domain is imported, as MuJoCo reads the variable when imported.
+    """
+    if "DISPLAY" not in os.environ:
+        for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")):
+            if find_library(library):
+                os.environ.setdefault("MUJOCO_GL", name)

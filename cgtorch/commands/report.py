@@ -8,7 +8,6 @@ import click
 from cgtorch.commands import options
 from cgtorch.commands.command import run_command
 from cgtorch.commands.completion import runs_or_skills
-from cgtorch.ground.headless import draw_without_display
 
 EXAMPLES = """\b
 Examples:
@@ -37,7 +36,7 @@ def command(
     unfinished run, the page says which parts are missing.
     """
     options.check_output(output, force)
-    draw_without_display()
+    options.draw_without_display()
     import torch
 
     from cgtorch.ground.files import write_bytes

@@ -12,7 +12,6 @@ from cgtorch.commands import options
 from cgtorch.commands.command import importing, run_command
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.headless import draw_without_display
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen
@@ -110,7 +109,7 @@ def _film(
     """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
-    draw_without_display()
+    options.draw_without_display()
     with importing():
         import torch
 

@@ -38,7 +38,7 @@ from cgtorch.domains.data_tables import (
 )
 from cgtorch.domains.exploration import FEWEST, LEAST
 from cgtorch.domains.minari import read_minari
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.fields import Field
 from cgtorch.ground.files import write_bytes

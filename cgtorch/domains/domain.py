@@ -31,8 +31,7 @@ from cgtorch.graphs import (
     Test,
     reward_actions,
 )
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch
+from cgtorch.ground.environment import Dataset, Environment, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import Field
 from cgtorch.improvement.grouping import local_group

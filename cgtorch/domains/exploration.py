@@ -13,8 +13,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Dataset, Environment, Lanes, start_lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.ground.fields import Field, bounds_of, columns_of
 

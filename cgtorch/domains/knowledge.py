@@ -15,11 +15,11 @@ from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution.islands import derived_generator
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.processes import in_processes
+from cgtorch.ground.statistics import Acceptance, accept_model
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import MOST_NOVEL, Compile, Possible
-from cgtorch.svm import Acceptance, accept_model
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain

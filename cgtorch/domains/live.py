@@ -17,10 +17,9 @@ from cgtorch.domains.registry import domain_class, is_code
 from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
 from cgtorch.graphs import ActionSet, Step, Test
 from cgtorch.ground.asked import Asked
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Episode, Lanes, ScenarioBatch
+from cgtorch.ground.environment import Dataset, Episode, Lanes, ScenarioBatch
 from cgtorch.ground.errors import DomainError, RobotStoppedError, RunError
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 
 
 @dataclass(frozen=True)

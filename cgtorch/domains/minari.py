@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.fields import Field
 

@@ -2,8 +2,8 @@
 
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.reports import TransitionReport
+from cgtorch.ground.statistics import Acceptance
 from cgtorch.improvement.events import ModelSummary
-from cgtorch.svm import Acceptance
 
 SHOWN = 6  # numbers of a percept whose errors are told in a line
 

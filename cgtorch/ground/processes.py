@@ -1,7 +1,7 @@
-"""Work in forked processes, for operations too short for threads.
+"""Work in forked processes or in several threads, and how far it has come.
 
-Python's threads would wait for the interpreter lock (docs/decisions/models.md). A forked process
-has all data at once and uses one torch thread, as in PyTorch's data loaders.
+The distribution of work never changes a result: one thread alone computes a piece of work. Python's
+threads would wait for the interpreter lock in short operations (docs/decisions/models.md).
 """
 
 import multiprocessing
@@ -10,10 +10,13 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, TypeVar
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any, TypeAlias, TypeVar
 
 import torch
 
@@ -21,7 +24,10 @@ from cgtorch import native
 from cgtorch.ground.errors import DataError
 
 Result = TypeVar("Result")
+Listener: TypeAlias = Callable[[str, int, int], None]
+"""Is told what is counted, how much of it is done, and how much there is in all."""
 
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 _work: Callable[[int], Any]
 _forked = False
 
@@ -30,21 +36,20 @@ def in_processes(
     work: Callable[[int], Result],
     times: int,
     processes: int,
-    done: Callable[[Result], None] | None = None,
+    done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """The results of work(0) ... work(times - 1), in this order; the first ones begin first.
 
-    `work` must not draw from a generator that it shares. Its results are pickled, and `done` is
-    called with each as it arrives. With one process, on a system that cannot fork, and within a
-    forked process, `work` is called in this process. DataError if a process was killed; otherwise
-    any exception of `work` is raised.
+    A forked process has all data at once and uses one torch thread. `work` must not draw from a
+    generator that it shares. Its results are pickled, and `done` is called with each as it arrives.
+    With one process, on a system that cannot fork, and within a forked process, `work` is called in
+    this process. DataError if a process was killed; otherwise any exception of `work` is raised.
     """
     results: dict[int, Result] = {}
 
     def keep(number: int, result: Result) -> None:
         results[number] = result
-        if done is not None:
-            done(result)
+        done(result)
 
     forks = not _forked and "fork" in multiprocessing.get_all_start_methods()
     if not forks or min(processes, times) < 2:
@@ -87,3 +92,58 @@ def _follow(parent: int) -> None:
 def _call(number: int) -> bytes:
     # Tensors would be left in shared memory, for which their process has to stay.
     return pickle.dumps(_work(number))
+
+
+@contextmanager
+def one_thread_each() -> Iterator[int]:
+    """Let torch use one thread in this context, and yield the number of threads before."""
+    count = torch.get_num_threads()
+    if count > 1:
+        torch.set_num_threads(1)
+    try:
+        yield count
+    finally:
+        if count > 1:
+            torch.set_num_threads(count)  # also for threads that are still to start
+
+
+def kept_threads(count: int) -> ThreadPoolExecutor:
+    """`count` threads with one torch thread each, which live as long as the process.
+
+    A thread that ends holds a lock of MKL for a moment, even after Python has joined it. A process
+    that is forked at that moment would wait for that lock for ever.
+    """
+    return _threads_of(os.getpid(), count)
+
+
+@cache
+def _threads_of(process: int, count: int) -> ThreadPoolExecutor:  # a fork has no threads
+    return ThreadPoolExecutor(count, "cgtorch", torch.set_num_threads, (1,))
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """A context in which a listener, and no other, is told what `counted` tells."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)
+
+
+def counted(what: str, total: int) -> Callable[[int], None]:
+    """Tell that `total` of something will be done; what is returned is called with each more.
+
+    It changes no result, and nothing happens where nobody listens, so that work deep below a
+    command needs no display.
+    """
+    done = 0
+
+    def more(count: int) -> None:
+        nonlocal done
+        done = min(done + count, total)
+        if (listener := _listener.get()) is not None:
+            listener(what, done, total)
+
+    more(0)
+    return more

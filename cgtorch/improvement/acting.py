@@ -5,8 +5,8 @@ from dataclasses import replace
 import torch
 
 from cgtorch.ground.asked import BudgetSpentError
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.environment import Dataset
+from cgtorch.ground.statistics import wilson
 from cgtorch.improvement.events import ChanceFound, Practised, WorldTested, solved_of
 from cgtorch.improvement.interfaces import Draw, S
 from cgtorch.improvement.proposing import REFLECT, proposed

@@ -6,8 +6,7 @@ from typing import Any, TypeAlias, TypeVar
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, ScenarioBatch
+from cgtorch.ground.environment import Dataset, Environment, ScenarioBatch
 
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a world."""

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Dataset, Environment
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted
 from cgtorch.improvement.gating import selected_members, train_gating

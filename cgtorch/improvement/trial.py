@@ -12,8 +12,7 @@ from torch import Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import NAMES, Asked, Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Episode, Live
+from cgtorch.ground.environment import Dataset, Environment, Episode, Live
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.interfaces import S

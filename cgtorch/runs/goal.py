@@ -9,7 +9,7 @@ from math import isfinite, sqrt
 from statistics import NormalDist, fmean, stdev
 
 from cgtorch.domains.settings import check_options, option
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.statistics import wilson
 
 DOUBT = 0.05
 """The probability of error of all two-sided intervals of one run together."""

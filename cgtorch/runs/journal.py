@@ -24,10 +24,10 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
+from cgtorch import __version__
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes, writing
-from cgtorch.ground.version import __version__
 from cgtorch.improvement.checkpoint import Checkpoint, Journal
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
 

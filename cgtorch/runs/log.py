@@ -26,7 +26,7 @@ from dataclasses import asdict
 from typing import Any, Self
 
 from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 from cgtorch.improvement import events
 
 SOON = 1.0  # s after which generations are written

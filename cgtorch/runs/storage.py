@@ -17,8 +17,7 @@ from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution import Population, population_from
 from cgtorch.graphs import ActionSet, Graphs, load_skill, save_skill
 from cgtorch.ground.asked import NAMES as ASKED
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import ScenarioBatch
+from cgtorch.ground.environment import Dataset, ScenarioBatch
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
 from cgtorch.improvement.setup import Progress

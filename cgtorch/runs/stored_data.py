@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import RunError
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
 from cgtorch.runs.stored_run import StoredRun, read_run

@@ -24,7 +24,7 @@ from typing import Any
 
 import torch
 
-from cgtorch import native
+from cgtorch import __version__, native
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
@@ -42,9 +42,7 @@ from cgtorch.graphs import Action, ActionSet, Step, check_action, resolve_action
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
-from cgtorch.ground.files import read_versioned, whole_folder, write_json, writing
-from cgtorch.ground.json_lines import JsonLines
-from cgtorch.ground.version import __version__
+from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.runs.settings import NAMES, RunSettings
 
 LOG = "log.jsonl"

@@ -6,8 +6,6 @@ from cgtorch.svm.grid_search import grid_search as grid_search
 from cgtorch.svm.learning_curve import LearningCurve as LearningCurve
 from cgtorch.svm.learning_curve import doubling_sizes as doubling_sizes
 from cgtorch.svm.learning_curve import learning_values as learning_values
-from cgtorch.svm.model_acceptance import Acceptance as Acceptance
-from cgtorch.svm.model_acceptance import accept_model as accept_model
 from cgtorch.svm.reduced_set import fit_reduced_set as fit_reduced_set
 from cgtorch.svm.storage import load_model as load_model
 from cgtorch.svm.storage import load_model_and_report as load_model_and_report

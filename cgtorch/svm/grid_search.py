@@ -13,14 +13,13 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.processes import in_processes
+from cgtorch.ground.processes import in_processes, one_thread_each
 from cgtorch.svm import inputs
 from cgtorch.svm.folds import fold_numbers, training_masks
 from cgtorch.svm.machine import KernelMachine, PerOutput
 from cgtorch.svm.problems import Problems, State, Targets, inside, relative_gap
 from cgtorch.svm.scores import score_of
 from cgtorch.svm.solver import ROUGH, solve
-from cgtorch.svm.threads import one_thread_each
 
 
 @dataclass(frozen=True)

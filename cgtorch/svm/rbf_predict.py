@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from cgtorch.ground.processes import kept_threads, one_thread_each
 from cgtorch.svm.compiled import LOG2E
-from cgtorch.svm.threads import kept_threads, one_thread_each
 
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2
 _CHUNK_BYTES = 1024**2

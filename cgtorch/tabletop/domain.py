@@ -20,7 +20,7 @@ from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.graphs import ActionSet
 from cgtorch.ground import distributed
 from cgtorch.ground.asked import Asked
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.fields import Field, named
 from cgtorch.ground.files import place_of, read_bytes, write_bytes

@@ -25,7 +25,7 @@ from torch import Generator
 from cgtorch.domains.robot_driver import RobotDriver
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import RobotError
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
 
 ADDRESS = "CGTORCH_STAND_IN"

@@ -27,8 +27,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Live
+from cgtorch.ground.environment import Dataset, Environment, Live
 from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked

@@ -11,8 +11,7 @@ from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.files import write_bytes
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines, write_bytes
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.ledger import read_index
 from cgtorch.runs.log import rows_of

@@ -15,9 +15,9 @@ from cgtorch.domains.settings import DomainSettings, known_options, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.counted_work import listening
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
+from cgtorch.ground.processes import listening
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
 from cgtorch.report import ProgressDisplay, TensorBoardWatch

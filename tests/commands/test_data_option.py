@@ -16,7 +16,7 @@ from torch import Generator
 from cgtorch.domains import read_data
 from cgtorch.domains.exploration import FEWEST, LEAST
 from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.runs.stored_data import stored_data
 from examples.cart import Cart, Rail
 

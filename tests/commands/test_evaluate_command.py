@@ -7,7 +7,7 @@ import pytest
 from command_line import Shell, in_a_shell, listing
 from trained import Trained, copied
 
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.statistics import wilson
 from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.storage import load_knowledge

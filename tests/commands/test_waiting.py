@@ -12,7 +12,7 @@ from rich.console import Console
 
 from cgtorch.commands.command import resumable, run_command
 from cgtorch.commands.options import waiting
-from cgtorch.ground.counted_work import counted
+from cgtorch.ground.processes import counted
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from cgtorch.domains import Field, read_data
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 
 PERCEPT = (Field("place", "m"), Field("wind", "m"))

@@ -15,7 +15,7 @@ from cgtorch.domains.live import OnRobot, domain_of_driver, on_robot
 from cgtorch.domains.robot_driver import RobotDriver
 from cgtorch.graphs import Graphs, Skill, from_networkx
 from cgtorch.ground.environment import start_lanes
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 
 END, NEAR = 2.0, 0.3
 

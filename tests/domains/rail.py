@@ -8,8 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains import Domain, DomainSettings, Field, ScenarioBatch, World, option
 from cgtorch.domains.exploration import random_controls
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Dataset, start_lanes
 
 END = 3.0  # m from the middle of the rail to either end
 MOVES = 12  # pushes of each cart that is driven

@@ -20,7 +20,7 @@ from torch import Tensor
 from cgtorch.domains import Field, read_data, write_data
 from cgtorch.domains.data_files import check_enough, units_of
 from cgtorch.domains.data_tables import as_csv
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 
 NAMES = (

@@ -33,8 +33,7 @@ from cgtorch.domains.exploration import (
 )
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Lanes
+from cgtorch.ground.environment import Dataset, Environment, Lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.simulation import Recording
 

@@ -15,7 +15,7 @@ from cgtorch.domains import Field
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import Grid, KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.ground.fields import wrapped
 from cgtorch.svm import load_model, save_model

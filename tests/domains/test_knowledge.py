@@ -20,8 +20,7 @@ from cgtorch.domains.knowledge import (
     sampled,
     taken,
 )
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Dataset, start_lanes
 from cgtorch.improvement.grouping import local_group
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.trial import first_percepts, try_skill

@@ -15,8 +15,7 @@ from cgtorch.domains.robust_success import robust_success
 from cgtorch.domains.summary import summary_of
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import Skill
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Dataset, start_lanes
 from cgtorch.simulation import ModelEnvironment, rollout
 
 PERCEPTS = Cart().world(Cart().draw("any", 5, seeded(9))).start(torch.arange(5))[1]

@@ -11,7 +11,7 @@ from torch import Tensor
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import Grid, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import fit_reduced_set
 

@@ -19,7 +19,7 @@ from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
 from cgtorch.graphs import ActionSet, BranchingNN, Step, Test
 from cgtorch.ground.environment import Environment, Live, Rewarded, start_lanes
 from cgtorch.ground.errors import DomainError, RobotStoppedError
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.actions import paper_actions
 

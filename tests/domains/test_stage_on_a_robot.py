@@ -16,7 +16,7 @@ from cgtorch.domains.live import OnRobot
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DomainError
 from cgtorch.improvement.events import Event, ModelsFitted, Practised, SkillAccepted
 from cgtorch.improvement.improve import improve

@@ -12,7 +12,7 @@ from rail import GEAR, LAMP, PLACE, Cart, SeeingCart, driven
 from cgtorch.domains import success
 from cgtorch.domains.reports import SuccessReport
 from cgtorch.domains.success import FOLDS, SuccessClassifier, calibration, fit_success_classifier
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
 

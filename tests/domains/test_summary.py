@@ -11,7 +11,7 @@ from rail import Cart, driven
 
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.domains.summary import SHOWN, rows_of, scalars_of, summary_of
-from cgtorch.svm import Acceptance
+from cgtorch.ground.statistics import Acceptance
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from support import seeded
 
 from cgtorch.domains import knowledge as learned
 from cgtorch.domains.knowledge import ASIDE, FEW, SPARE, Knowledge, fit_models, learn
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 
 COUNTS = st.integers(0, 40) | st.integers(SPARE - 12, SPARE + 12) | st.integers(FEW - 12, FEW + 12)
 

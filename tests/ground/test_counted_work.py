@@ -1,6 +1,6 @@
 """What is counted is told to whoever listens, and to nobody else."""
 
-from cgtorch.ground.counted_work import counted, listening
+from cgtorch.ground.processes import counted, listening
 
 
 def test_a_listener_is_told_from_the_beginning_to_the_end() -> None:

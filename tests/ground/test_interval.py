@@ -2,7 +2,7 @@
 
 import pytest
 
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.statistics import wilson
 
 
 # From statsmodels.stats.proportion.proportion_confint(k, n, method="wilson").

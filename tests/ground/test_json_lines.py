@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 
 VALUE = st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.text() | st.floats(-9, 9)
 ROW = st.dictionaries(st.text(max_size=5), VALUE | st.lists(VALUE, max_size=3), max_size=4)

@@ -12,7 +12,7 @@ from watched import NONE, Watched, along, first_stage, keys, of_kind, stage_of, 
 from cgtorch.domains.summary import summary_of
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.events import (
     Event,
     GenerationDone,

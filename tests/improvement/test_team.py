@@ -16,7 +16,7 @@ from watched import along, first_stage, of_kind, stage_of, state_of, without_mod
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.ground.asked import Asked
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.improvement import team
 from cgtorch.improvement.compose import branching_action
 from cgtorch.improvement.events import GenerationDone

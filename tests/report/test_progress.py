@@ -12,6 +12,7 @@ from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.summary import summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.statistics import Acceptance
 from cgtorch.improvement.events import (
     ChanceFound,
     Event,
@@ -27,7 +28,6 @@ from cgtorch.improvement.events import (
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.estimate import Estimate
 from cgtorch.report.event_messages import asked_of, message_of
-from cgtorch.svm import Acceptance
 
 
 def console(terminal: bool, width: int = 100) -> Console:

@@ -18,6 +18,7 @@ from cgtorch.domains.summary import summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.errors import RunError
+from cgtorch.ground.statistics import Acceptance
 from cgtorch.improvement.events import (
     AboutToKeep,
     Event,
@@ -31,7 +32,6 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.stopping import Found
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
-from cgtorch.svm import Acceptance
 from cgtorch.tabletop.actions import paper_actions
 
 SETTINGS = {"population": 60, "seed": 3, "stages": ("S0", "S1"), "quiet": True, "device": "cpu"}

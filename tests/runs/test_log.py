@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from trained import Trained
 
-from cgtorch.ground.json_lines import JsonLines
+from cgtorch.ground.files import JsonLines
 from cgtorch.improvement.events import GenerationDone, SkillAccepted, WorldTested
 from cgtorch.runs.log import SOON, LogWatch, rows_of
 

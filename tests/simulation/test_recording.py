@@ -14,8 +14,7 @@ from torch import Tensor
 
 from cgtorch.graphs import Graphs
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Dataset, Environment, Lanes, start_lanes
 from cgtorch.simulation import Recording, Rollouts, rollout
 from cgtorch.tabletop.actions import paper_actions
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import seeded
 
-from cgtorch.svm.model_acceptance import accept_model
+from cgtorch.ground.statistics import accept_model
 
 
 def test_better_and_equal_models_are_taken_and_worse_ones_refused():

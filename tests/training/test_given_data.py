@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.domains import write_data
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, planned_run

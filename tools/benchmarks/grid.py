@@ -18,7 +18,7 @@ from benchmarks.measure import (
     in_turns,
     torch_threads,
 )
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.svm import SVC, SVR, grid_search
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop

@@ -14,8 +14,7 @@ from cgtorch.domains.exploration import Exploration
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.graphs import ActionSet
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Dataset, Environment
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.simulation import ModelEnvironment, rollout
 from cgtorch.svm.machine import KernelMachine

@@ -20,7 +20,7 @@ from cgtorch.evolution import EvolutionState, Island, Population
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import ActionSet, load_skill
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.dataset import Dataset
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.improvement.checkpoint import (

@@ -8,12 +8,12 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib import rc_context
 
+from cgtorch import __version__
 from cgtorch.domains.registry import is_code
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import place_of
-from cgtorch.ground.interval import wilson
-from cgtorch.ground.version import __version__
+from cgtorch.ground.statistics import wilson
 from cgtorch.report.estimate import as_time
 from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.report.page.contents import Contents, read_contents

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cgtorch.evolution.population import STRATEGY
-from cgtorch.ground.interval import wilson
+from cgtorch.ground.statistics import wilson
 from cgtorch.report.figures import FAINT, GOOD, INK, LINE, PAPER, plain_figure
 from cgtorch.report.page.course import Course
 from cgtorch.report.page.event_files import EventData

@@ -3,9 +3,8 @@
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.ground.counted_work import counted
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Lanes, start_lanes
+from cgtorch.ground.environment import Dataset, Lanes, start_lanes
+from cgtorch.ground.processes import counted
 from cgtorch.tabletop.data.labels import grasp_labels
 from cgtorch.tabletop.data.motions import random_motions
 from cgtorch.tabletop.data.poses import Scenes, poses_around

@@ -7,9 +7,9 @@ the world, and probabilities learned from them are correct.
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.ground.counted_work import counted
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.processes import counted
 from cgtorch.tabletop.data.poses import Scenes, poses_around, poses_at_object
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.percepts import parts_of, percept_of

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from cgtorch import native
 from cgtorch.ground import distributed
-from cgtorch.ground.counted_work import counted
-from cgtorch.ground.processes import in_processes
+from cgtorch.ground.processes import counted, in_processes
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics.drive import Watch, drive
 from cgtorch.tabletop.physics.grasp import grasp

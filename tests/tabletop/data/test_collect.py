@@ -9,8 +9,7 @@ import torch
 from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
-from cgtorch.ground.dataset import Dataset
-from cgtorch.ground.environment import Lanes
+from cgtorch.ground.environment import Dataset, Lanes
 from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.data.collect import drive

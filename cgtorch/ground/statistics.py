@@ -1,8 +1,24 @@
-"""The decision whether a model that was trained on more data replaces the old one."""
+"""Confidence intervals of shares, and whether a model's successor is good enough."""
 
 from dataclasses import dataclass
+from math import sqrt
+from statistics import NormalDist
+from typing import TYPE_CHECKING
 
-from torch import Tensor
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def wilson(successes: int, tried: int, confidence: float) -> tuple[float, float]:
+    """The two-sided confidence interval of a share (Wilson 1927).
+
+    Without tries, it is that of one failure.
+    """
+    n, z = max(1, tried), NormalDist().inv_cdf((1 + confidence) / 2)
+    rate = successes / n
+    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 @dataclass(frozen=True)
@@ -33,7 +49,7 @@ class Acceptance:
         )
 
 
-def accept_model(before: Tensor, after: Tensor) -> Acceptance:
+def accept_model(before: "Tensor", after: "Tensor") -> Acceptance:
     """Accept a successor unless its errors (n,) are worse by more than the comparison's noise.
 
     The noise is two standard errors of the mean of the row-wise differences, so one in forty
